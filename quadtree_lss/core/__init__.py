@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mapping and landing site selection on arrays: knows neither ROS nor files."""

@@ -1,0 +1,412 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one table of parameters: declares, validates, documents and converts each of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from quadtree_lss.errors import QuadtreeLssError
+
+Value = bool | int | float | str
+
+
+class ConfigError(QuadtreeLssError):
+    """A configuration value or key is wrong; names the key and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One row of the table.
+
+    Attributes:
+        name: Dotted name, for instance ``domain.min_level``.
+        type: ``bool``, ``int``, ``float`` or ``str``.
+        default: Value used when none is given.
+        unit: Unit of the value, empty for none.
+        low, high: Inclusive range of numbers.
+        choices: Allowed texts, empty for any.
+        live: True if a running node accepts a change.
+        doc: What it does.
+    """
+
+    name: str
+    type: type
+    default: Value
+    unit: str
+    low: float
+    high: float
+    choices: tuple[str, ...]
+    live: bool
+    doc: str
+
+
+def _p(
+    default: typing.Any,
+    doc: str,
+    *,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: Sequence[str] = (),
+    live: bool = False,
+) -> typing.Any:
+    metadata = {
+        "doc": doc,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "choices": tuple(choices),
+        "live": live,
+    }
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class DomainConfig:
+    """Where the map lies and how finely it may be divided."""
+
+    xmin: float = _p(-60.0, "western edge of the square domain", unit="m", low=-1e6, high=1e6)
+    ymin: float = _p(-60.0, "southern edge of the square domain", unit="m", low=-1e6, high=1e6)
+    size: float = _p(120.0, "side of the square domain", unit="m", low=0.01, high=1e5)
+    min_level: int = _p(4, "level to which the tree is divided at start", low=0, high=12)
+    max_level: int = _p(8, "finest level; a cell is size / 2^level", low=0, high=12)
+
+
+@dataclass(frozen=True)
+class LidarConfig:
+    """What the lidar measures."""
+
+    range_noise: float = _p(
+        0.06, "standard deviation of a range (Eq. 13)", unit="m", low=1e-4, high=10.0
+    )
+    min_range: float = _p(0.5, "shorter ranges are no returns", unit="m", low=0.0, high=1e5)
+    max_range: float = _p(5000.0, "longer ranges are no returns", unit="m", low=0.1, high=1e6)
+    outlier_gate: float = _p(
+        0.4,
+        "a return whose nearest neighbour is farther than this (and than five times the scan's"
+        " usual spacing) is noise; 0 keeps every return",
+        unit="m",
+        low=0.0,
+        high=1000.0,
+    )
+
+
+@dataclass(frozen=True)
+class FramesConfig:
+    """Names of coordinate frames."""
+
+    map: str = _p("map", "planet-fixed frame of poses and map, z up")
+
+
+@dataclass(frozen=True)
+class PoseConfig:
+    """How a scan finds the pose at its stamp."""
+
+    max_wait: float = _p(
+        1.0, "a scan waits this long after arrival for its pose", unit="s", low=0.0, high=60.0
+    )
+    buffer: float = _p(30.0, "poses older than this are forgotten", unit="s", low=0.1, high=3600.0)
+    max_gap: float = _p(
+        1.5, "no interpolation between poses farther apart", unit="s", low=0.001, high=60.0
+    )
+    queue: int = _p(10, "scans that may wait for their pose or their turn", low=1, high=1000)
+    unknown_position_sigma: float = _p(
+        0.1, "position standard deviation where the message says unknown", unit="m", low=0.0, high=1e3
+    )
+    unknown_attitude_sigma_deg: float = _p(
+        0.05, "attitude standard deviation where the message says unknown", unit="deg", low=0.0, high=90.0
+    )
+
+
+@dataclass(frozen=True)
+class MappingConfig:
+    """Plane fit, fusion, division (paper IV)."""
+
+    fit: str = _p(
+        "height",
+        "plane fit: height regression with a weak slope prior, or the paper's orthogonal ML fit",
+        choices=("height", "ml"),
+    )
+    covariance: str = _p(
+        "common",
+        "pose error is common to a scan's points, or independent for each (the paper)",
+        choices=("common", "independent"),
+    )
+    division: str = _p(
+        "lack_of_fit",
+        "division criterion: misfit over range noise, or the paper's Mahalanobis distance",
+        choices=("lack_of_fit", "mahalanobis"),
+    )
+    division_factor: float = _p(
+        1.2, "a cell divides above this multiple of the expected value (Eq. 47)", low=1.0, high=100.0
+    )
+    division_min_points: int = _p(
+        8, "measurements a cell needs before its division statistic counts", low=4, high=100000
+    )
+    min_points: int = _p(3, "points of one scan that make a first fit", low=3, high=10000)
+    slope_prior_points: float = _p(
+        5.0, "weight of the parent's slope in a first height fit, in points", low=0.0, high=1000.0
+    )
+    max_cells: int = _p(200000, "leaves the map may hold", low=1, high=20000000)
+    max_stored_per_cell: int = _p(
+        32, "points one cell keeps until they suffice for a fit", low=3, high=10000
+    )
+    max_stored_points: int = _p(
+        200000, "points all cells together keep until they suffice", low=0, high=50000000
+    )
+    residual_clip: float = _p(
+        1.0, "residuals count at most this much in running statistics", unit="m", low=0.01, high=1e3
+    )
+    roughness_tolerance: float = _p(
+        0.3, "a measurement farther from its plane is an exception (Eq. 48)", unit="m", low=0.01, high=100.0
+    )
+    noise_check: bool = _p(True, "warn when the observed range noise differs from the configured")
+
+
+@dataclass(frozen=True)
+class FeaturesConfig:
+    """Subscale features (paper V.C)."""
+
+    enabled: bool = _p(True, "estimate one subscale feature in each leaf that shows one")
+    min_height: float = _p(0.1, "lower features are discarded", unit="m", low=0.0, high=100.0)
+    min_volume: float = _p(
+        0.002, "features of less volume (k^2) are discarded", unit="m^3", low=0.0, high=1e4
+    )
+    max_sigma_fraction: float = _p(
+        0.3, "features wider (sigma) than this fraction of the cell are discarded", low=0.01, high=2.0
+    )
+    min_points: int = _p(12, "points of one scan a cell needs for a feature", low=6, high=100000)
+
+
+@dataclass(frozen=True)
+class LssConfig:
+    """Hazards, scoring and ranking (paper V)."""
+
+    assessment: str = _p(
+        "touchdown",
+        "the paper's avoided features alone, or lander-scale slope and touchdown check",
+        choices=("paper", "touchdown"),
+    )
+    grid_spacing: float = _p(0.5, "spacing of candidate sites", unit="m", low=0.01, high=1000.0)
+    vehicle_diameter: float = _p(3.7, "diameter of the pads' circle", unit="m", low=0.1, high=1000.0)
+    margin: float = _p(
+        0.0, "guidance error added to the vehicle's radius", unit="m", low=0.0, high=1000.0, live=True
+    )
+    max_slope_deg: float = _p(10.0, "slope tolerance", unit="deg", low=0.1, high=89.0, live=True)
+    max_roughness: float = _p(0.3, "roughness tolerance", unit="m", low=0.01, high=100.0, live=True)
+    max_exception_fraction: float = _p(
+        0.05, "more exceptions than this make a cell hazardous", low=0.0, high=1.0, live=True
+    )
+    elevation_reference_size: float = _p(
+        4.0,
+        "cell size of the fused plane that leaves are compared with",
+        unit="m",
+        low=0.01,
+        high=1e5,
+    )
+    touchdown_slope_deg: float = _p(
+        9.0, "slope limit of the touchdown check on the map", unit="deg", low=0.1, high=89.0, live=True
+    )
+    touchdown_roughness: float = _p(
+        0.25, "roughness limit of the touchdown check on the map", unit="m", low=0.01, high=100.0, live=True
+    )
+    touchdown_yaws: int = _p(12, "headings of the touchdown check", low=1, high=360)
+    pad_radius: float = _p(0.15, "radius of a landing pad", unit="m", low=0.0, high=10.0)
+    max_gap: float = _p(
+        0.6, "ground farther from any measurement is unseen", unit="m", low=0.0, high=1000.0, live=True
+    )
+    weight_slope: float = _p(
+        1.0, "alpha_theta of Eq. 58, per radian", low=0.0, high=1e6, live=True
+    )
+    weight_roughness: float = _p(
+        1.0, "alpha_R of Eq. 58, per cubic metre", low=0.0, high=1e6, live=True
+    )
+    weight_hazard_distance: float = _p(
+        0.02, "alpha_H of Eq. 58, per metre", low=0.0, high=1e6, live=True
+    )
+    weight_subscale: float = _p(1.0, "alpha_s of Eq. 58, per metre", low=0.0, high=1e6, live=True)
+    weight_target: float = _p(
+        0.02, "added score per metre from the target, when one is given", low=0.0, high=1e6, live=True
+    )
+    hazard_distance_cap: float = _p(
+        10.0, "farther hazards do not improve a score", unit="m", low=0.1, high=1e5, live=True
+    )
+    sites: int = _p(5, "sites to rank", low=1, high=1000, live=True)
+    min_separation: float = _p(
+        3.7, "least distance between ranked sites", unit="m", low=0.0, high=1e5, live=True
+    )
+    hysteresis: float = _p(
+        0.0,
+        "a new first site must score better than the last by this; 0 is off",
+        low=0.0,
+        high=1e6,
+        live=True,
+    )
+
+
+@dataclass(frozen=True)
+class QosConfig:
+    """Quality of service of the inputs."""
+
+    scan_reliability: str = _p(
+        "best_effort",
+        "best effort matches any publisher; reliable loses no scan",
+        choices=("best_effort", "reliable"),
+    )
+    scan_depth: int = _p(10, "scans the middleware may queue", low=1, high=1000)
+    pose_depth: int = _p(200, "poses the middleware may queue", low=100, high=100000)
+
+
+@dataclass(frozen=True)
+class PublishConfig:
+    """What the nodes send, and how often."""
+
+    rate: float = _p(10.0, "map publications per second at most", unit="Hz", low=0.01, high=1000.0)
+    diagnostics_rate: float = _p(1.0, "diagnostics per second", unit="Hz", low=0.01, high=100.0)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that can be set; defaults are those of ``config/default.yaml``."""
+
+    domain: DomainConfig = field(default_factory=DomainConfig)
+    lidar: LidarConfig = field(default_factory=LidarConfig)
+    frames: FramesConfig = field(default_factory=FramesConfig)
+    pose: PoseConfig = field(default_factory=PoseConfig)
+    mapping: MappingConfig = field(default_factory=MappingConfig)
+    features: FeaturesConfig = field(default_factory=FeaturesConfig)
+    lss: LssConfig = field(default_factory=LssConfig)
+    qos: QosConfig = field(default_factory=QosConfig)
+    publish: PublishConfig = field(default_factory=PublishConfig)
+
+    def __post_init__(self) -> None:
+        _check_together(self)
+
+
+_TYPES: dict[str, type] = {"bool": bool, "int": int, "float": float, "str": str}
+
+
+def parameters() -> tuple[Parameter, ...]:
+    """All parameters in the order of their sections."""
+    return tuple(_rows())
+
+
+def _rows() -> Iterator[Parameter]:
+    default = Config()
+    for section in dataclasses.fields(Config):
+        values = getattr(default, section.name)
+        for item in dataclasses.fields(values):
+            meta = item.metadata
+            yield Parameter(
+                name=f"{section.name}.{item.name}",
+                type=_TYPES[str(item.type)],
+                default=getattr(values, item.name),
+                unit=meta["unit"],
+                low=meta["low"],
+                high=meta["high"],
+                choices=meta["choices"],
+                live=meta["live"],
+                doc=meta["doc"],
+            )
+
+
+def nearest_key(key: str) -> str:
+    """The known parameter name most like ``key``."""
+    names = [row.name for row in parameters()]
+    close = difflib.get_close_matches(key, names, n=1, cutoff=0.0)
+    return close[0]
+
+
+def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    """Nested or dotted keys to dotted ones."""
+    flat: dict[str, object] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat.update(flatten(value, f"{name}."))
+        else:
+            flat[name] = value
+    return flat
+
+
+def checked_value(row: Parameter, value: object) -> Value:
+    """``value`` converted to the row's type.
+
+    Raises:
+        ConfigError: wrong type, out of range, not finite or not among the choices.
+    """
+    kind = row.type
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not kind:
+        msg = f"{row.name} must be {kind.__name__}, got {value!r}"
+        raise ConfigError(msg)
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if not math.isfinite(value) or not row.low <= value <= row.high:
+            unit = f" {row.unit}" if row.unit else ""
+            msg = f"{row.name} = {value} is outside [{row.low:g}, {row.high:g}]{unit}"
+            raise ConfigError(msg)
+    if row.choices and value not in row.choices:
+        msg = f"{row.name} = {value!r} is none of {', '.join(row.choices)}"
+        raise ConfigError(msg)
+    return value  # type: ignore[return-value]
+
+
+def config_from_values(values: Mapping[str, object], base: Config | None = None) -> Config:
+    """A configuration from dotted or nested values laid over ``base``.
+
+    Raises:
+        ConfigError: unknown key (names the nearest), wrong type or range, values that
+            contradict one another.
+    """
+    table = {row.name: row for row in parameters()}
+    sections: dict[str, dict[str, Value]] = {}
+    for key, value in flatten(values).items():
+        if key not in table:
+            msg = f"unknown parameter {key!r}; did you mean {nearest_key(key)!r}?"
+            raise ConfigError(msg)
+        section, _, name = key.partition(".")
+        sections.setdefault(section, {})[name] = checked_value(table[key], value)
+    start = Config() if base is None else base
+    changed = {
+        section: dataclasses.replace(getattr(start, section), **entries)
+        for section, entries in sections.items()
+    }
+    return dataclasses.replace(start, **changed)
+
+
+def values_from_config(config: Config) -> dict[str, Value]:
+    """Flat dotted values of a configuration."""
+    flat: dict[str, Value] = {}
+    for row in parameters():
+        section, _, name = row.name.partition(".")
+        flat[row.name] = getattr(getattr(config, section), name)
+    return flat
+
+
+def _check_together(config: Config) -> None:
+    domain, lidar, mapping = config.domain, config.lidar, config.mapping
+    if domain.min_level > domain.max_level:
+        msg = f"domain.min_level = {domain.min_level} exceeds domain.max_level = {domain.max_level}"
+        raise ConfigError(msg)
+    if 4**domain.min_level > mapping.max_cells:
+        msg = (
+            f"mapping.max_cells = {mapping.max_cells} is less than the {4**domain.min_level}"
+            f" cells of domain.min_level = {domain.min_level}"
+        )
+        raise ConfigError(msg)
+    if lidar.min_range >= lidar.max_range:
+        msg = f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
+        raise ConfigError(msg)
+    nodes = domain.size / config.lss.grid_spacing
+    if nodes > 4096:
+        msg = (
+            f"lss.grid_spacing = {config.lss.grid_spacing} m makes {nodes:.0f} nodes a side over"
+            f" domain.size = {domain.size} m; 4096 is the most"
+        )
+        raise ConfigError(msg)

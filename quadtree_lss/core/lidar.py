@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lidar measurements: from ranges to points in the map frame with their covariance (paper III.C).
+
+Lidar axes are Eq. 14's: z boresight, x right, y down (ROS calls such a frame ``_optical``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from quadtree_lss.core.rotations import skew
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Estimated lidar pose at one instant.
+
+    Attributes:
+        stamp_ns: Time in integer nanoseconds.
+        position: (3,) lidar origin in the map frame, m.
+        rotation_map_lidar: (3, 3) takes lidar axes to map axes.
+        covariance: (6, 6) of (x, y, z, rotation about the map's fixed X, Y, Z), m and rad,
+            as in ``geometry_msgs/PoseWithCovariance``.
+    """
+
+    stamp_ns: int
+    position: Array
+    rotation_map_lidar: Array
+    covariance: Array
+
+
+def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLike) -> Array:
+    """Eq. 14: ranges in m and angles in rad, each (...), to points (..., 3) in lidar axes."""
+    rho = np.asarray(ranges, dtype=np.float64)
+    cos_el = np.cos(elevation)
+    return np.stack(
+        [
+            rho * np.sin(azimuth) * cos_el,
+            -rho * np.sin(elevation),
+            rho * np.cos(azimuth) * cos_el,
+        ],
+        axis=-1,
+    )
+
+
+def fixed_from_body_covariance(sigma_position: Array, sigma_rotation: Array, rotation: Array) -> Array:
+    """Fixed-axis 6x6 covariance of a pose perturbed as in Eq. 16.
+
+    Eq. 16 perturbs on the right, in lidar axes: R_hat = R exp(dR). About the map's axes the same
+    error is R dR, so Sigma_fixed = R Sigma_R R^T.
+
+    Args:
+        sigma_position: (3, 3) position covariance, map axes, m^2.
+        sigma_rotation: (3, 3) covariance of dR in lidar axes, rad^2.
+        rotation: (3, 3) rotation_map_lidar.
+    """
+    out = np.zeros((6, 6))
+    out[:3, :3] = sigma_position
+    out[3:, 3:] = rotation @ sigma_rotation @ rotation.T
+    return out
+
+
+def body_from_fixed_covariance(covariance: Array, rotation: Array) -> Array:
+    """Inverse of the above with the cross block: Sigma_R = R^T Sigma_fixed R, Sigma_m,fixed R."""
+    t = np.eye(6)
+    t[3:, 3:] = rotation.T
+    return t @ covariance @ t.T
+
+
+def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Array:
+    """Eq. 17: covariance (N, 3, 3) in m^2 of points (N, 3) in map axes.
+
+    With the pose error (dm, dw) about fixed axes, dr = dm + dw x (r - m), and the range error
+    moves the point along its ray u: Sigma_r = J Sigma_pose J^T + sigma^2 u u^T with
+    J = [I, -[r - m]_x].
+    """
+    arm = points_map - pose.position
+    jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(arm), 3, 3)), -skew(arm)], axis=-1)
+    ray = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
+    along = range_noise**2 * ray[:, :, None] * ray[:, None, :]
+    return jacobian @ pose.covariance @ jacobian.transpose(0, 2, 1) + along
+
+
+def points_to_map(points_lidar: Array, pose: Pose) -> Array:
+    """Eq. 15: points (N, 3) from lidar to map axes."""
+    return points_lidar @ pose.rotation_map_lidar.T + pose.position
+
+
+def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: float) -> Mask:
+    """Returns without a neighbour: noise, multipath, dust.
+
+    In an organised scan the neighbours are the eight around a pixel and the distance is the
+    difference in range; otherwise the neighbour is the nearest point in space. The gate widens to
+    five times the scan's median neighbour distance, which is what a coarse view of slanted
+    ground needs.
+
+    Args:
+        points_lidar: (H, W, 3) organised or (N, 3).
+        valid: (H, W) or (N,), True where there is a return.
+        ranges: like ``valid``, m.
+        gate: Distance in m, 0 keeps every return.
+
+    Returns:
+        Mask like ``valid``, True at isolated returns.
+    """
+    if gate <= 0.0 or np.count_nonzero(valid) < 2:
+        return np.zeros(valid.shape, dtype=np.bool_)
+    if valid.ndim == 2:
+        distance = _nearest_in_range(ranges, valid)
+    else:
+        distance = np.full(valid.shape, np.inf)
+        points = points_lidar[valid]
+        found, _ = cKDTree(points, balanced_tree=False, compact_nodes=False).query(points, k=2)
+        distance[valid] = found[:, 1]
+    near = distance[valid]
+    usual = float(np.median(near))
+    limit = max(gate, 5.0 * usual) if np.isfinite(usual) else gate
+    return valid & (distance > limit)
+
+
+def _nearest_in_range(ranges: Array, valid: Mask) -> Array:
+    """Least absolute range difference of each pixel (H, W) to its eight neighbours."""
+    height, width = valid.shape
+    padded = np.full((height + 2, width + 2), np.inf)
+    inner = padded[1:-1, 1:-1]
+    inner[...] = np.where(valid, ranges, np.inf)
+    nearest = np.full((height, width), np.inf)
+    work = np.empty_like(nearest)
+    with np.errstate(invalid="ignore"):
+        for row in (0, 1, 2):
+            for column in (0, 1, 2):
+                if row == 1 and column == 1:
+                    continue
+                other = padded[row : row + height, column : column + width]
+                np.subtract(inner, other, out=work)
+                np.abs(work, out=work)
+                np.fmin(nearest, work, out=nearest)
+    return nearest

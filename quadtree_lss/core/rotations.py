@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotations of space, SO(3): matrices, rotation vectors, unit quaternions (x, y, z, w)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def skew(vectors: ArrayLike) -> Array:
+    """Matrices of the cross product, ``skew(a) @ b == cross(a, b)``: (..., 3) to (..., 3, 3)."""
+    v = np.asarray(vectors, dtype=np.float64)
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def exp(rotation_vectors: ArrayLike) -> Array:
+    """Rotation matrices of rotation vectors in rad (Rodrigues): (..., 3) to (..., 3, 3)."""
+    v = np.asarray(rotation_vectors, dtype=np.float64)
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
+    k = skew(v)
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    return np.eye(3) + first * k + second * (k @ k)
+
+
+def log(rotations: ArrayLike) -> Array:
+    """Rotation vectors in rad, of length at most pi: (..., 3, 3) to (..., 3)."""
+    quaternion = quaternion_from_rotation(rotations)
+    vector, scalar = quaternion[..., :3], quaternion[..., 3:]
+    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
+    half = np.arctan2(sine, scalar)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.where(sine > 1e-12, 2.0 * half / sine, 2.0)
+    return vector * factor
+
+
+def rotation_from_quaternion(quaternions_xyzw: ArrayLike) -> Array:
+    """Rotation matrices of unit quaternions: (..., 4) to (..., 3, 3)."""
+    q = np.asarray(quaternions_xyzw, dtype=np.float64)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    vector, scalar = q[..., :3], q[..., 3, None, None]
+    k = skew(vector)
+    return np.eye(3) + 2.0 * scalar * k + 2.0 * (k @ k)
+
+
+def quaternion_from_rotation(rotations: ArrayLike) -> Array:
+    """Unit quaternions with w >= 0: (..., 3, 3) to (..., 4).
+
+    The largest of the four components is found first, so that no division is ill-conditioned.
+    """
+    r = np.asarray(rotations, dtype=np.float64)
+    trace = np.trace(r, axis1=-2, axis2=-1)
+    diagonal = np.diagonal(r, axis1=-2, axis2=-1)
+    squares = np.concatenate([1.0 + 2.0 * diagonal - trace[..., None], 1.0 + trace[..., None]], -1)
+    x_y, x_z, y_z = r[..., 0, 1], r[..., 0, 2], r[..., 1, 2]
+    y_x, z_x, z_y = r[..., 1, 0], r[..., 2, 0], r[..., 2, 1]
+    rows = np.stack(
+        [
+            np.stack([squares[..., 0], x_y + y_x, x_z + z_x, z_y - y_z], -1),
+            np.stack([x_y + y_x, squares[..., 1], y_z + z_y, x_z - z_x], -1),
+            np.stack([x_z + z_x, y_z + z_y, squares[..., 2], y_x - x_y], -1),
+            np.stack([z_y - y_z, x_z - z_x, y_x - x_y, squares[..., 3]], -1),
+        ],
+        -2,
+    )
+    best = np.argmax(squares, axis=-1)
+    q: Array = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., 3:] < 0.0, -q, q)
+
+
+def slerp(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
+    """Rotation at ``fraction`` of the way between two rotation matrices (3, 3), at constant rate."""
+    r0, r1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    return r0 @ exp(fraction * log(r0.T @ r1))
