@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map topics: ``CellMap`` to and from the bytes of ``map/cells``, sites to their messages.
+
+Live nodes and replay run the landing site selection on ``decode_cells(encode_cells(...))``, so
+that what was rounded on the way to the wire was rounded for both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.quadtree import CellMap, Domain
+from quadtree_lss.core.sites import LandingAssessment
+from quadtree_lss.errors import QuadtreeLssError
+
+Array = NDArray[np.float64]
+
+
+class MapMessageError(QuadtreeLssError):
+    """A map message is not what ``mapping_node`` sends; ``reason`` is a short key."""
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+#: sensor_msgs/PointField datatype of a NumPy scalar type.
+POINT_FIELD_TYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+
+_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_RANGE = tuple(f"covariance_range_{i}{j}" for i, j in _UPPER)
+_POSE = tuple(f"covariance_pose_{i}{j}" for i, j in _UPPER)
+_FEATURE = ("feature_a", "feature_k", "feature_x", "feature_y", "feature_sigma")
+
+#: Name and little-endian type of each field of a ``map/cells`` point, in order.
+CELL_FIELDS: tuple[tuple[str, str], ...] = (
+    ("x", "f4"),
+    ("y", "f4"),
+    ("z", "f4"),
+    ("size", "f4"),
+    ("elevation", "f8"),
+    ("normal_x", "f8"),
+    ("normal_y", "f8"),
+    ("normal_z", "f8"),
+    *((name, "f4") for name in (*_RANGE, *_POSE)),
+    ("roughness", "f4"),
+    ("exception_fraction", "f4"),
+    *((name, "f4") for name in _FEATURE),
+    ("count", "u4"),
+    ("ix", "u2"),
+    ("iy", "u2"),
+    ("level", "u1"),
+    ("min_level", "u1"),
+    ("measured", "u1"),
+)
+
+#: Fields of a ``landing/site_table`` point.
+SITE_FIELDS: tuple[tuple[str, str], ...] = tuple(
+    (name, "f4")
+    for name in (
+        "x",
+        "y",
+        "z",
+        "score",
+        "slope",
+        "roughness",
+        "hazard_distance",
+        "subscale_height",
+    )
+)
+
+
+def record_dtype(fields: tuple[tuple[str, str], ...]) -> np.dtype[np.void]:
+    """Packed little-endian record type of a table of fields."""
+    return np.dtype([(name, "<" + kind) for name, kind in fields])
+
+
+def encode_cells(cells: CellMap) -> NDArray[np.void]:
+    """One record per leaf, (M,) of ``record_dtype(CELL_FIELDS)``."""
+    out = np.zeros(len(cells.level), dtype=record_dtype(CELL_FIELDS))
+    out["x"], out["y"], out["z"], out["size"] = cells.x, cells.y, cells.z, cells.size
+    out["elevation"] = cells.z
+    for axis, name in enumerate(("normal_x", "normal_y", "normal_z")):
+        out[name] = cells.normal[:, axis]
+    for names, matrix in ((_RANGE, cells.covariance_range), (_POSE, cells.covariance_pose)):
+        for name, (i, j) in zip(names, _UPPER, strict=True):
+            out[name] = matrix[:, i, j]
+    out["roughness"], out["exception_fraction"] = cells.roughness, cells.exception_fraction
+    for column, name in enumerate(_FEATURE):
+        out[name] = cells.feature[:, column]
+    out["count"], out["ix"], out["iy"] = cells.count, cells.ix, cells.iy
+    out["level"], out["min_level"] = cells.level, cells.domain.min_level
+    out["measured"] = cells.measured
+    return out
+
+
+def decode_cells(
+    records: NDArray[np.void],
+    observed: NDArray[np.bool_],
+    xmin: float,
+    ymin: float,
+    stamp_ns: int,
+) -> CellMap:
+    """The map from its two messages.
+
+    Args:
+        records: (M,) of ``record_dtype(CELL_FIELDS)``.
+        observed: (n, n) [iy, ix] of ``map/observed``.
+        xmin, ymin: Origin of ``map/observed``, m.
+        stamp_ns: Stamp that both messages carry.
+
+    Raises:
+        MapMessageError: sizes do not fit or the leaves do not tile the domain.
+    """
+    n = observed.shape[0]
+    if observed.shape != (n, n) or n < 1 or n & (n - 1):
+        msg = f"map/observed is {observed.shape[1]} x {n} cells, not a square power of two"
+        raise MapMessageError("observed_shape", msg)
+    if not len(records):
+        msg = "map/cells has no leaves"
+        raise MapMessageError("no_cells", msg)
+    max_level = n.bit_length() - 1
+    level = np.ascontiguousarray(records["level"])
+    ix, iy = records["ix"].astype(np.uint32), records["iy"].astype(np.uint32)
+    beyond = (level > max_level) | (np.maximum(ix, iy) >> np.minimum(level, 31) > 0)
+    if beyond.any() or np.sum(0.25 ** level.astype(np.float64)) != 1.0:
+        msg = f"map/cells does not tile a domain of {n} x {n} finest cells"
+        raise MapMessageError("tiling", msg)
+    size = float(records["size"][0]) * float(1 << int(level[0]))
+    domain = Domain(float(xmin), float(ymin), size, int(records["min_level"][0]), max_level)
+    return CellMap(
+        stamp_ns=stamp_ns,
+        domain=domain,
+        level=level,
+        ix=ix,
+        iy=iy,
+        z=records["elevation"].astype(np.float64),
+        normal=_columns(records, ("normal_x", "normal_y", "normal_z")),
+        covariance_range=_matrices(records, _RANGE),
+        covariance_pose=_matrices(records, _POSE),
+        count=records["count"].astype(np.uint32),
+        measured=records["measured"] > 0,
+        roughness=records["roughness"].astype(np.float64),
+        exception_fraction=records["exception_fraction"].astype(np.float64),
+        feature=_columns(records, _FEATURE),
+        observed=observed,
+    )
+
+
+def _columns(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
+    return np.stack([records[name].astype(np.float64) for name in names], axis=-1)
+
+
+def _matrices(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
+    out = np.empty((len(records), 3, 3))
+    for name, (i, j) in zip(names, _UPPER, strict=True):
+        out[:, i, j] = out[:, j, i] = records[name]
+    return out
+
+
+def round_trip(cells: CellMap) -> CellMap:
+    """The map as a subscriber gets it."""
+    domain = cells.domain
+    return decode_cells(
+        encode_cells(cells), cells.observed, domain.xmin, domain.ymin, cells.stamp_ns
+    )
+
+
+def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
+    """One record per ranked site, (K,) of ``record_dtype(SITE_FIELDS)``, best first."""
+    sites = assessment.sites
+    out = np.zeros(len(sites.score), dtype=record_dtype(SITE_FIELDS))
+    for axis, name in enumerate("xyz"):
+        out[name] = sites.position[:, axis]
+    out["score"], out["slope"] = sites.score, np.radians(sites.slope_deg)
+    out["roughness"], out["hazard_distance"] = sites.roughness, sites.hazard_distance
+    out["subscale_height"] = sites.subscale_height
+    return out
+
+
+def encode_observed(observed: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """OccupancyGrid values of ``map/observed``: 100 where a point fell, -1 elsewhere."""
+    return np.where(observed, np.int8(100), np.int8(-1))
+
+
+def encode_hazards(assessment: LandingAssessment) -> NDArray[np.int8]:
+    """OccupancyGrid values of ``landing/hazards``: 0, 100 hazard, -1 unknown; (ny, nx)."""
+    identified = (assessment.hazard & 0x7F) > 0
+    unseen = (assessment.hazard & 0x80) > 0
+    return np.where(identified, 100, np.where(unseen, -1, 0)).astype(np.int8)
+
+
+def encode_score(assessment: LandingAssessment) -> NDArray[np.int8]:
+    """OccupancyGrid values of ``landing/score``: best 0 to worst 99, 100 excluded; (ny, nx)."""
+    score = assessment.score
+    allowed = np.isfinite(score)
+    out = np.full(score.shape, 100, dtype=np.int8)
+    if allowed.any():
+        low, high = float(score[allowed].min()), float(score[allowed].max())
+        span = max(high - low, 1e-12)
+        out[allowed] = np.rint(99.0 * (score[allowed] - low) / span).astype(np.int8)
+    return out
+
+
+def site_orientations(normals: Array) -> Array:
+    """Quaternions (K, 4) x, y, z, w that take +z to the normals (K, 3), +x in the map's x-z plane.
+
+    The x axis is the direction (n_z, 0, -n_x), perpendicular to the normal and without a y part.
+    """
+    from quadtree_lss.core.rotations import quaternion_from_rotation
+
+    z = np.asarray(normals, dtype=np.float64).reshape(-1, 3)
+    x = np.stack([z[:, 2], np.zeros(len(z)), -z[:, 0]], axis=-1)
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    return quaternion_from_rotation(np.stack([x, np.cross(z, x), z], axis=-1))
