@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the lidar sits on the body, when poses are those of the body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.rotations import skew
+from quadtree_lss.core.timing import PoseBuffer
+
+
+class MountedPoses:
+    """Lidar poses from body poses and the lidar's mount on the body, fixed or moving.
+
+    Args:
+        body: Poses of the body in the map frame (``rotation_map_lidar`` is then map from body).
+        mount: Pose of the lidar in body axes, or a buffer of such poses (a gimbal).
+    """
+
+    def __init__(self, body: PoseBuffer, mount: Pose | PoseBuffer) -> None:
+        self.body = body
+        self.mount = mount
+
+    @property
+    def jumps(self) -> int:
+        """Backward jumps of either."""
+        return self.body.jumps + (self.mount.jumps if isinstance(self.mount, PoseBuffer) else 0)
+
+    def clear(self) -> None:
+        """Forgets the poses of the body and of a gimbal."""
+        self.body.clear()
+        if isinstance(self.mount, PoseBuffer):
+            self.mount.clear()
+
+    @property
+    def range_ns(self) -> tuple[int, int] | None:
+        """Oldest and newest stamp for which both may have an answer."""
+        body = self.body.range_ns
+        if body is None or isinstance(self.mount, Pose):
+            return body
+        mount = self.mount.range_ns
+        return None if mount is None else (max(body[0], mount[0]), min(body[1], mount[1]))
+
+    def at(self, stamp_ns: int) -> Pose | None:
+        """Pose of the lidar at the stamp, None unless both body and mount are known then."""
+        body = self.body.at(stamp_ns)
+        mount = self.mount.at(stamp_ns) if isinstance(self.mount, PoseBuffer) else self.mount
+        return None if body is None or mount is None else mounted(body, mount)
+
+    def hopeless(self, stamp_ns: int) -> str | None:
+        """As of the body; of the mount with ``gimbal_`` in front."""
+        reason = self.body.hopeless(stamp_ns)
+        if reason is None and isinstance(self.mount, PoseBuffer):
+            of_mount = self.mount.hopeless(stamp_ns)
+            reason = None if of_mount is None else f"gimbal_{of_mount}"
+        return reason
+
+    def explain(self, stamp_ns: int, topic: str) -> str:
+        """As of the body, unless it is the gimbal that is missing."""
+        if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
+            return self.mount.explain(stamp_ns, "lidar/gimbal")
+        return self.body.explain(stamp_ns, topic)
+
+
+def mounted(body: Pose, mount: Pose) -> Pose:
+    """Pose of the lidar from that of the body and the lidar's exact pose in body axes.
+
+    With the arm a = R_map_body t, an error (dm, dw) of the body's pose about fixed axes moves the
+    lidar by dm + dw x a and turns it by dw: the covariance is G Sigma G^T, G = [I, -[a]_x; 0, I].
+    """
+    arm = body.rotation_map_lidar @ mount.position
+    moved = np.eye(6)
+    moved[:3, 3:] = -skew(arm)
+    covariance = moved @ body.covariance @ moved.T
+    return Pose(
+        body.stamp_ns,
+        body.position + arm,
+        body.rotation_map_lidar @ mount.rotation_map_lidar,
+        0.5 * (covariance + covariance.T),
+    )

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses as they arrive, validated, to ``core.lidar.Pose``; duck-typed like the clouds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.rotations import rotation_from_quaternion
+from quadtree_lss.messages.clouds import MessageError, stamp_ns
+
+Array = NDArray[np.float64]
+
+MAX_POSITION = 1e8
+"""Metres; positions beyond are absurd."""
+
+UNIT_TOLERANCE = 0.01
+"""A quaternion's length may differ from one by this; it is normalised."""
+
+COVARIANCE_TOLERANCE = 1e-6
+"""Relative asymmetry and negative eigenvalue that count as rounding and are mended."""
+
+
+def pose_from_message(
+    msg: Any,
+    map_frame: str,
+    *,
+    unknown_position_sigma: float = 0.1,
+    unknown_attitude_sigma_deg: float = 0.05,
+) -> Pose:
+    """Pose of the lidar (or body) in the map frame.
+
+    A covariance of zeros alone says "unknown" by convention; the two sigmas then take its place
+    (see `has_unknown_covariance`).
+
+    Args:
+        msg: Like ``geometry_msgs/PoseWithCovarianceStamped``; covariance of (x, y, z, rotation
+            about the fixed axes X, Y, Z of the header's frame), m and rad.
+        map_frame: Name the header's frame must have; a leading slash does not matter.
+        unknown_position_sigma: m, each axis.
+        unknown_attitude_sigma_deg: degrees, each axis.
+
+    Raises:
+        MessageError: with reason ``frame``, ``stamp``, ``position``, ``quaternion`` or
+            ``covariance``.
+    """
+    check_frame(msg.header.frame_id, map_frame, "pose")
+    position = _position(msg.pose.pose.position, "pose position")
+    rotation = _rotation(msg.pose.pose.orientation, "pose orientation")
+    if has_unknown_covariance(msg):
+        attitude = np.deg2rad(unknown_attitude_sigma_deg)
+        sigmas = np.repeat([unknown_position_sigma, attitude], 3)
+        covariance: Array = np.diag(sigmas**2)
+    else:
+        covariance = checked_covariance(msg.pose.covariance)
+    return Pose(stamp_ns(msg.header), position, rotation, covariance)
+
+
+def has_unknown_covariance(msg: Any) -> bool:
+    """True if all 36 entries are zero, by which a publisher says that it does not know."""
+    return not np.any(msg.pose.covariance)
+
+
+def mount_from_message(msg: Any) -> Pose:
+    """Pose of the lidar in body axes from a ``geometry_msgs/TransformStamped`` body to lidar.
+
+    The transform is ROS's: header frame the body, child frame the lidar, translation the lidar's
+    origin in body axes, rotation taking lidar to body axes. The covariance is zero.
+
+    Raises:
+        MessageError: with reason ``stamp``, ``position`` or ``quaternion``.
+    """
+    position = _position(msg.transform.translation, "gimbal translation")
+    rotation = _rotation(msg.transform.rotation, "gimbal rotation")
+    return Pose(stamp_ns(msg.header), position, rotation, np.zeros((6, 6)))
+
+
+def check_frame(frame: str, expected: str, what: str) -> None:
+    """Raises MessageError ``frame`` unless both names are the same frame."""
+    if str(frame).lstrip("/") != expected.lstrip("/"):
+        text = f"{what} is in frame '{frame}', expected '{expected}' (parameter frames.map)"
+        raise MessageError("frame", text)
+
+
+def checked_covariance(values: Any) -> Array:
+    """A covariance (6, 6), symmetric and without negative eigenvalues.
+
+    Rounding is mended, more is refused. Asymmetry and eigenvalues are judged after scaling to
+    unit diagonal, since metres and radians differ by orders of magnitude.
+
+    Args:
+        values: 36 numbers, row by row.
+
+    Raises:
+        MessageError: ``covariance`` if it has another length, is not finite, not symmetric or
+            has a negative eigenvalue.
+    """
+    entries = np.array(values, dtype=np.float64).reshape(-1)
+    if entries.size != 36:
+        text = f"pose covariance has {entries.size} entries; 36 are needed"
+        raise MessageError("covariance", text)
+    if not np.isfinite(entries).all():
+        text = "pose covariance is not finite"
+        raise MessageError("covariance", text)
+    matrix = entries.reshape(6, 6)
+    variances = matrix.diagonal()
+    if variances.min() < 0.0:
+        text = f"pose covariance has a negative variance ({variances.min():.3g})"
+        raise MessageError("covariance", text)
+    sigmas = np.sqrt(variances)
+    scale = np.where(sigmas > 0.0, sigmas, 1.0)
+    scaled = matrix / np.outer(scale, scale)
+    asymmetry = np.abs(scaled - scaled.T).max()
+    if asymmetry > COVARIANCE_TOLERANCE:
+        text = f"pose covariance is not symmetric (relative difference {asymmetry:.2g})"
+        raise MessageError("covariance", text)
+    scaled = 0.5 * (scaled + scaled.T)
+    eigenvalues, vectors = np.linalg.eigh(scaled)
+    if eigenvalues[0] < -COVARIANCE_TOLERANCE:
+        text = f"pose covariance has a negative eigenvalue (relative {eigenvalues[0]:.2g})"
+        raise MessageError("covariance", text)
+    if eigenvalues[0] < 0.0:
+        scaled = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
+    covariance: Array = scaled * np.outer(scale, scale)
+    return covariance
+
+
+def _position(point: Any, what: str) -> Array:
+    position = np.array([point.x, point.y, point.z], dtype=np.float64)
+    if not np.isfinite(position).all() or np.abs(position).max() > MAX_POSITION:
+        text = f"{what} ({point.x}, {point.y}, {point.z}) is not finite or absurd"
+        raise MessageError("position", text)
+    return position
+
+
+def _rotation(quaternion: Any, what: str) -> Array:
+    q = quaternion
+    xyzw = np.array([q.x, q.y, q.z, q.w], dtype=np.float64)
+    length = float(np.linalg.norm(xyzw))
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:  # also when it is not a number
+        text = f"{what} ({q.x}, {q.y}, {q.z}, {q.w}) is no unit quaternion: length {length:.4g}"
+        raise MessageError("quaternion", text)
+    return rotation_from_quaternion(xyzw)
