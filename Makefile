@@ -1,0 +1,83 @@
+# Everything runs in .venv, which each target sets up as far as it is missing. The two to know:
+#   make demo    make test
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+PYTHON ?= python3
+VENV := $(CURDIR)/.venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+# A sourced ROS 2 whose rclpy this python can import is used as it is; otherwise ROS 2 Jazzy is
+# installed into .venv as wheels. Each way has its own stamp, so that changing over starts anew.
+ROS := $(shell test -n "$$ROS_DISTRO" && $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced || echo wheels)
+DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
+PACKAGE := $(VENV)/.package
+SOURCES := $(shell find quadtree_lss launch config scripts resource -type f \
+    -not -path '*/__pycache__/*') package.xml setup.py setup.cfg README.md
+
+# The installed package, not the checkout, is what every target runs.
+export PYTHONSAFEPATH := 1
+unexport VIRTUAL_ENV
+
+.PHONY: help setup demo test test-all lint bench clean
+
+help:
+	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
+	@echo 'make test      test suite'
+	@echo 'make test-all  test suite with the slow tests'
+	@echo 'make lint      ruff and mypy'
+	@echo 'make bench     print benchmark figures'
+	@echo 'make setup     only install into .venv'
+	@echo 'make clean     remove .venv and everything generated'
+
+setup: $(PACKAGE)
+
+$(VENV)/.dependencies-wheels: setup.py constraints.txt
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) install --quiet -c constraints.txt setuptools wheel
+	$(PIP) install --quiet -c constraints.txt --no-build-isolation '.[wheels,test]'
+	touch $@
+
+# With a sourced ROS its own NumPy must stay: message classes are compiled against it.
+$(VENV)/.dependencies-sourced: setup.py
+	rm -rf $(VENV)
+	$(PYTHON) -m venv --system-site-packages $(VENV)
+	$(PYTHON) -c 'import numpy; print("numpy==" + numpy.__version__)' > $(VENV)/ros-constraints.txt
+	$(PIP) install --quiet -c $(VENV)/ros-constraints.txt 'setuptools>=61' wheel
+	$(PIP) install --quiet -c $(VENV)/ros-constraints.txt --no-build-isolation '.[test]'
+	touch $@
+
+# Not editable: an editable install has no launch files, configurations or ament index entry.
+$(PACKAGE): $(DEPENDENCIES) $(SOURCES)
+	rm -rf build quadtree_lss.egg-info
+	$(PIP) install --quiet --no-build-isolation --no-deps --force-reinstall .
+	rm -rf build quadtree_lss.egg-info
+	touch $@
+
+demo: setup
+	$(BIN)/python -m quadtree_lss.ros.demo --out demo_output
+
+test: setup
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS)
+
+test-all: setup
+	$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy quadtree_lss/core
+
+bench: setup
+	@for script in benchmark/*.py; do \
+	    [ -e "$$script" ] || { echo 'no benchmark/*.py'; break; }; \
+	    echo "== $$script"; $(BIN)/python "$$script"; \
+	done
+
+clean:
+	rm -rf .venv build demo_output quadtree_lss.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Package set-up, read by pip and by colcon (ament_python) alike."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "quadtree_lss"
+
+# The programs that `ros2 run quadtree_lss <name>` finds in lib/quadtree_lss.
+ROS_EXECUTABLES = {
+    "mapping_node": "quadtree_lss.ros.mapping_node:main",
+    "lss_node": "quadtree_lss.ros.lss_node:main",
+    "replay_bag": "quadtree_lss.cli:main_replay_bag",
+    "simulate": "quadtree_lss.cli:main_simulate",
+    "evaluate": "quadtree_lss.cli:main_evaluate",
+}
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Terrain map of planar elements and ranked safe landing sites from a flash lidar",
+    maintainer="quadtree_lss maintainers",
+    maintainer_email="maintainers@example.org",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+        (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+        # pip puts console scripts into bin/ only; these start them from where ROS looks.
+        (f"lib/{NAME}", [f"scripts/{name}" for name in ROS_EXECUTABLES]),
+    ],
+    zip_safe=False,
+    install_requires=[
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "matplotlib>=3.6",
+        "PyYAML>=6.0",
+        "tqdm>=4.64",
+        "rosbags>=0.11",
+        "mcap>=1.1",
+    ],
+    extras_require={
+        # ROS 2 Jazzy from the Python package index, for computers without a ROS installation.
+        "wheels": [
+            "ros-jazzy-rclpy",
+            "ros-jazzy-common-interfaces",
+            "ros-jazzy-rmw-fastrtps-cpp",
+        ],
+        "test": [
+            "pytest>=8.0",
+            "pytest-xdist>=3.5",
+            "hypothesis>=6.90",
+            "psutil>=5.9",
+            "ruff>=0.9",
+            "mypy>=1.10",
+            "types-PyYAML",
+            "scipy-stubs; python_version >= '3.11'",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            "quadtree-lss = quadtree_lss.cli:main",
+            *(f"{name} = {target}" for name, target in ROS_EXECUTABLES.items()),
+        ],
+    },
+)
