@@ -2,7 +2,8 @@
 """Point clouds as they arrive, to arrays of points in the lidar frame.
 
 Anything with the attributes of ``sensor_msgs/PointCloud2`` will do: rclpy's message and that of
-``rosbags`` are decoded by the same code, so a node and a replay see the same points.
+``rosbags`` are decoded by the same code, so a node and a replay see the same points (both go
+through `messages.intake.Intake`).
 """
 
 from __future__ import annotations

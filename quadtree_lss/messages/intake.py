@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From messages to scans with their pose: the part that a node and a replay have in common."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.config import Config
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mount import MountedPoses
+from quadtree_lss.core.timing import SECOND_NS, Drop, PoseBuffer, ScanQueue
+from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.messages.poses import (
+    has_unknown_covariance,
+    mount_from_message,
+    pose_from_message,
+)
+
+
+class Notice(NamedTuple):
+    """Something to tell the user: a short key to count and throttle by, and one line of text."""
+
+    reason: str
+    text: str
+
+
+class ReadyScan(NamedTuple):
+    """A scan and the pose of the lidar at its stamp; points as of `points_from_cloud`."""
+
+    stamp_ns: int
+    points_lidar: NDArray[np.float64]
+    pose: Pose
+
+
+class Intake:
+    """Decodes messages, lets scans wait for poses, counts what cannot be used.
+
+    Call `on_pose`, `on_cloud`, `on_gimbal` with each message as it comes, then `ready`. No call
+    raises on bad input: it is counted in ``rejected`` or ``queue.dropped`` and told by `notices`.
+
+    Args:
+        config: Of which ``pose`` and ``frames`` matter.
+        mount: Pose of the lidar in body axes if poses are the body's, else None.
+        gimbal: True if the mount comes by `on_gimbal` instead.
+        scan_topic, pose_topic: Names for messages to the user.
+
+    Attributes:
+        rejected: Unusable messages by reason, ``cloud_<reason>``, ``pose_<reason>``, ….
+        scans, poses_taken: Usable messages.
+        queue: The waiting scans; ``queue.dropped`` counts those given up.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        *,
+        mount: Pose | None = None,
+        gimbal: bool = False,
+        scan_topic: str = "lidar/points",
+        pose_topic: str = "nav/pose",
+    ) -> None:
+        self._pose_config = config.pose
+        self._map_frame = config.frames.map
+        self._body = self._buffer()
+        self._gimbal = self._buffer() if gimbal else None
+        held = self._gimbal if self._gimbal is not None else mount
+        self.queue = ScanQueue(
+            self._body if held is None else MountedPoses(self._body, held),
+            max_scans=config.pose.queue,
+            max_wait_ns=round(config.pose.max_wait * SECOND_NS),
+            scan_topic=scan_topic,
+            pose_topic=pose_topic,
+        )
+        self.rejected: Counter[str] = Counter()
+        self.scans = 0
+        self.poses_taken = 0
+        self._notices: list[Notice] = []
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Scans that were not mapped, by reason: unusable clouds and those without a pose."""
+        clouds = {k: v for k, v in self.rejected.items() if k.startswith("cloud_")}
+        return {**clouds, **self.queue.dropped}
+
+    def on_pose(self, msg: Any) -> None:
+        """Takes a ``PoseWithCovarianceStamped`` of the lidar, or of the body with a mount."""
+        limits = self._pose_config
+        try:
+            pose = pose_from_message(
+                msg,
+                self._map_frame,
+                unknown_position_sigma=limits.unknown_position_sigma,
+                unknown_attitude_sigma_deg=limits.unknown_attitude_sigma_deg,
+            )
+        except MessageError as error:
+            self._reject("pose", error)
+            return
+        if has_unknown_covariance(msg):
+            self._notices.append(
+                Notice(
+                    "pose_covariance_unknown",
+                    "pose covariance is all zero, taken as unknown: using"
+                    f" {limits.unknown_position_sigma:g} m and"
+                    f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_*_sigma)",
+                )
+            )
+        self._add(self._body, pose, "pose")
+        self.poses_taken += 1
+
+    def on_gimbal(self, msg: Any) -> None:
+        """Takes a ``TransformStamped`` body to lidar."""
+        if self._gimbal is None:
+            return
+        try:
+            self._add(self._gimbal, mount_from_message(msg), "gimbal")
+        except MessageError as error:
+            self._reject("gimbal", error)
+
+    def on_cloud(self, msg: Any, arrival_ns: int) -> None:
+        """Takes a ``PointCloud2``; ``arrival_ns`` is of any steady clock, see `ready`."""
+        try:
+            points, stamp = points_from_cloud(msg), stamp_ns(msg.header)
+        except MessageError as error:
+            self._reject("cloud", error)
+            return
+        if points.size == 0:
+            self._reject("cloud", MessageError("empty", "cloud has no points"))
+            return
+        self.scans += 1
+        jumps = self.queue.jumps
+        self.queue.push_scan(stamp, points, arrival_ns)
+        if self.queue.jumps != jumps:
+            text = "scan stamps jumped back (a looping bag?): waiting scans dropped, map kept"
+            self._notices.append(Notice("time_jump", text))
+
+    def ready(self, now_ns: int) -> list[ReadyScan]:
+        """Scans whose pose is known, oldest first; gives up those that have waited too long.
+
+        Args:
+            now_ns: Present time on the clock of ``arrival_ns``.
+        """
+        scans = self.queue.pop_ready()
+        drops = self.queue.expire(now_ns)
+        while drops:
+            self._tell(drops)
+            scans += self.queue.pop_ready()
+            drops = self.queue.expire(now_ns)
+        return [ReadyScan(*scan) for scan in scans]
+
+    def finish(self) -> None:
+        """Gives up what still waits, because nothing more will come."""
+        self._tell(self.queue.finish())
+
+    def notices(self) -> list[Notice]:
+        """What there is to tell since the last call."""
+        told, self._notices = self._notices, []
+        return told
+
+    def _buffer(self) -> PoseBuffer:
+        limits = self._pose_config
+        return PoseBuffer(round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS))
+
+    def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> None:
+        reason = buffer.add(pose)
+        if reason is None:
+            return
+        self.rejected[f"{what}_{reason}"] += 1
+        consequence = "older ones forgotten" if reason == "time_jump" else "ignored"
+        text = f"{what} with stamp {pose.stamp_ns} ns: {reason}, {consequence}"
+        self._notices.append(Notice(f"{what}_{reason}", text))
+
+    def _reject(self, what: str, error: MessageError) -> None:
+        self.rejected[f"{what}_{error.reason}"] += 1
+        self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
+
+    def _tell(self, drops: list[Drop]) -> None:
+        self._notices += [Notice(drop.reason, drop.text) for drop in drops]
