@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A synthetic lunar hazard field: undulation, degraded craters, rocks and rock piles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from quadtree_lss.simulation.terrain import FloatArray, SimulationError, Terrain
+
+
+@dataclass(frozen=True)
+class HazardField:
+    """What lies on the field; lengths in metres, rates per square metre.
+
+    Rocks follow the size-frequency law of Golombek and Rapp: rocks larger than D cover the
+    fraction F(D) = k exp(−q D) of the ground, q = 1.79 + 0.152/k.
+    """
+
+    size: float = 100.0
+    post: float = 0.1
+    rock_abundance: float = 0.05
+    rock_smallest: float = 0.12
+    rock_largest: float = 1.0
+    rock_height: tuple[float, float] = (0.4, 0.6)  # of the diameter
+    rock_axes: tuple[float, float] = (0.75, 1.0)  # shorter over longer axis in plan
+    piles: float = 2e-3
+    craters: float = 3e-3
+    crater_smallest: float = 1.5
+    crater_largest: float = 5.0
+    crater_depth: float = 0.1  # of the diameter
+    slope_rms_deg: float = 1.0
+    texture: float = 0.004
+
+
+def rock_decay(abundance: float) -> float:
+    """Exponent q (1/m) of the size-frequency law: 1.79 + 0.152/k."""
+    return 1.79 + 0.152 / abundance
+
+
+def rock_cover(diameter: FloatArray | float, abundance: float) -> FloatArray:
+    """Fraction of the ground under rocks larger than ``diameter`` (m): F = k exp(−q D)."""
+    return np.asarray(abundance * np.exp(-rock_decay(abundance) * np.asarray(diameter, float)))
+
+
+def sample_rock_diameters(
+    generator: np.random.Generator, area: float, abundance: float, smallest: float, largest: float
+) -> FloatArray:
+    """Diameters (m) of the rocks on ``area`` (m²): a Poisson number, sizes by the law.
+
+    The cover of a rock is π D²/4, so the number density is n(D) = 4 k q exp(−q D)/(π D²).
+    """
+    if not (0.0 < smallest < largest and abundance > 0.0):
+        msg = "rocks: need 0 < smallest < largest diameter and a positive abundance"
+        raise SimulationError(msg)
+    q = rock_decay(abundance)
+    diameter = np.geomspace(smallest, largest, 4001)
+    density = 4.0 * abundance * q * np.exp(-q * diameter) / (np.pi * diameter**2)
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(diameter)
+    cumulative = np.concatenate([[0.0], np.cumsum(steps)])
+    count = generator.poisson(area * cumulative[-1])
+    drawn = np.interp(generator.uniform(0.0, cumulative[-1], count), cumulative, diameter)
+    return np.asarray(drawn)
+
+
+def hazard_field(generator: np.random.Generator, field: HazardField | None = None) -> Terrain:
+    """Build a field centred on the origin; the same generator state gives the same field."""
+    field = field or HazardField()
+    count = round(field.size / field.post) + 1
+    axis = np.linspace(-0.5 * field.size, 0.5 * field.size, count)
+    ground = _undulation(generator, axis, field.slope_rms_deg)
+    ground += field.texture * _texture(generator, count)
+    _add_craters(generator, axis, ground, field)
+    rocks = np.zeros((count, count))
+    _add_rocks(generator, axis, rocks, field)
+    _add_piles(generator, axis, rocks, field)
+    return Terrain(axis, axis, ground + rocks)
+
+
+def _undulation(
+    generator: np.random.Generator, axis: FloatArray, slope_rms_deg: float
+) -> FloatArray:
+    """Plane waves of 12 to 60 m with the given root mean square slope."""
+    waves = 16
+    wavelength = np.geomspace(12.0, 60.0, waves)
+    heading = generator.uniform(0.0, np.pi, waves)
+    phase = generator.uniform(0.0, 2.0 * np.pi, waves)
+    number = 2.0 * np.pi / wavelength
+    amplitude = np.tan(np.radians(slope_rms_deg)) * np.sqrt(2.0 / waves) / number
+    kx, ky = number * np.cos(heading), number * np.sin(heading)
+    # exp(i(kx x + ky y + phase)) is separable: one matrix product for all waves.
+    along_x = np.exp(1j * kx[:, None] * axis[None, :])
+    along_y = np.exp(1j * (ky[None, :] * axis[:, None] + phase[None, :])) * amplitude[None, :]
+    return np.ascontiguousarray((along_y @ along_x).real)
+
+
+def _texture(generator: np.random.Generator, count: int) -> FloatArray:
+    """Unit-variance noise with a correlation of about three posts."""
+    noise = gaussian_filter(generator.standard_normal((count, count)), 1.5, mode="wrap")
+    return np.asarray(noise / noise.std())
+
+
+def _patch(axis: FloatArray, centre_x: float, centre_y: float, reach: float) -> tuple[slice, slice]:
+    """Rows and columns of the posts within ``reach`` of a centre, along each axis."""
+    x0, x1 = np.searchsorted(axis, (centre_x - reach, centre_x + reach))
+    y0, y1 = np.searchsorted(axis, (centre_y - reach, centre_y + reach))
+    return slice(int(y0), int(y1)), slice(int(x0), int(x1))
+
+
+def _add_craters(
+    generator: np.random.Generator, axis: FloatArray, ground: FloatArray, field: HazardField
+) -> None:
+    """Degraded craters: a smooth bowl and a low rim; sizes by a cumulative power law D⁻²."""
+    count = generator.poisson(field.craters * field.size**2)
+    small, large = field.crater_smallest**-2, field.crater_largest**-2
+    diameters = (small - generator.uniform(0.0, 1.0, count) * (small - large)) ** -0.5
+    centres = generator.uniform(axis[0], axis[-1], (count, 2))
+    freshness = generator.uniform(0.5, 1.0, count)
+    for diameter, (cx, cy), fresh in zip(diameters, centres, freshness, strict=True):
+        rows, columns = _patch(axis, cx, cy, diameter)
+        rho = np.hypot(axis[None, columns] - cx, axis[rows, None] - cy) / (0.5 * diameter)
+        depth = field.crater_depth * diameter * fresh
+        bowl = np.square(np.maximum(1.0 - rho**2, 0.0))
+        rim = np.exp(-np.square((rho - 1.0) / 0.3))
+        ground[rows, columns] += depth * (0.15 * rim - 1.0 * bowl)
+
+
+def _rock(
+    axis: FloatArray, cx: float, cy: float, diameter: float, height: float, axes: float, yaw: float
+) -> tuple[slice, slice, FloatArray]:
+    """Posts under an ellipsoidal rock and its height over the ground there; plan area π D²/4."""
+    long, short = 0.5 * diameter / np.sqrt(axes), 0.5 * diameter * np.sqrt(axes)
+    rows, columns = _patch(axis, cx, cy, long)
+    dx, dy = axis[None, columns] - cx, axis[rows, None] - cy
+    along = (np.cos(yaw) * dx + np.sin(yaw) * dy) / long
+    across = (np.cos(yaw) * dy - np.sin(yaw) * dx) / short
+    return rows, columns, height * np.sqrt(np.maximum(1.0 - along**2 - across**2, 0.0))
+
+
+def _add_rocks(
+    generator: np.random.Generator, axis: FloatArray, rocks: FloatArray, field: HazardField
+) -> None:
+    """Single rocks, half buried: ellipsoids about half as high as wide."""
+    diameters = sample_rock_diameters(
+        generator, field.size**2, field.rock_abundance, field.rock_smallest, field.rock_largest
+    )
+    count = diameters.size
+    centres = generator.uniform(axis[0], axis[-1], (count, 2))
+    heights = diameters * generator.uniform(*field.rock_height, count)
+    axes = generator.uniform(*field.rock_axes, count)
+    yaws = generator.uniform(0.0, np.pi, count)
+    for k in range(count):
+        rows, columns, rise = _rock(axis, *centres[k], diameters[k], heights[k], axes[k], yaws[k])
+        np.maximum(rocks[rows, columns], rise, out=rocks[rows, columns])
+
+
+def _add_piles(
+    generator: np.random.Generator, axis: FloatArray, rocks: FloatArray, field: HazardField
+) -> None:
+    """Heaps of 8 to 20 rocks, about a metre wide and up to about a metre high."""
+    for _ in range(generator.poisson(field.piles * field.size**2)):
+        centre = generator.uniform(axis[0] + 2.0, axis[-1] - 2.0, 2)
+        spread = generator.uniform(0.3, 0.5)
+        for _ in range(int(generator.integers(8, 21))):
+            cx, cy = centre + np.clip(generator.normal(0.0, spread, 2), -1.0, 1.0)
+            diameter = generator.uniform(0.25, 0.7)
+            rows, columns, rise = _rock(
+                axis, cx, cy, diameter, 0.5 * diameter, 0.85, generator.uniform(0.0, np.pi)
+            )
+            patch = rocks[rows, columns]
+            if not patch.size:
+                continue
+            base = min(0.6 * float(patch[patch.shape[0] // 2, patch.shape[1] // 2]), 0.6)
+            np.maximum(patch, np.where(rise > 0.0, base + rise, 0.0), out=patch)

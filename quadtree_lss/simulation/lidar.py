@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flash lidar: all pixels range at one instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadtree_lss.simulation.terrain import FloatArray, Surface
+
+
+@dataclass(frozen=True)
+class FlashLidar:
+    """Square array of ``pixels``² beams over a square field of view.
+
+    Frame of Eq. 14: z along the boresight, x right, y down. Row 0 is the upper edge (largest
+    elevation angle), column 0 the left one (smallest azimuth).
+    """
+
+    field_of_view_deg: float
+    pixels: int = 128
+    range_noise: float = 0.06
+    outliers: float = 0.0
+    dropouts: float = 0.0
+    outlier_error: float = 10.0
+
+    def directions(self) -> FloatArray:
+        """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
+        centred = (np.arange(self.pixels) + 0.5) / self.pixels - 0.5
+        angle = np.radians(self.field_of_view_deg) * centred
+        azimuth, elevation = angle[None, :], -angle[:, None]
+        shape = (self.pixels, self.pixels)
+        return np.stack(
+            [
+                np.sin(azimuth) * np.cos(elevation),
+                np.broadcast_to(np.sin(-elevation), shape),
+                np.cos(azimuth) * np.cos(elevation),
+            ],
+            axis=-1,
+        )
+
+    def true_ranges(
+        self, surface: Surface, position_map: FloatArray, rotation_map_lidar: FloatArray
+    ) -> FloatArray:
+        """Noise-free ranges (pixels, pixels) from a pose; NaN = no return."""
+        directions_map = self.directions().reshape(-1, 3) @ rotation_map_lidar.T
+        return surface.cast(position_map, directions_map).reshape(self.pixels, self.pixels)
+
+    def scan(
+        self,
+        surface: Surface,
+        position_map: FloatArray,
+        rotation_map_lidar: FloatArray,
+        generator: np.random.Generator,
+    ) -> FloatArray:
+        """Measured points (pixels, pixels, 3) in the lidar frame, NaN = no return.
+
+        Ranges have Gaussian noise (Eq. 13); a fraction ``outliers`` is off by up to ±
+        ``outlier_error`` metres, a fraction ``dropouts`` is lost.
+        """
+        ranges = self.true_ranges(surface, position_map, rotation_map_lidar)
+        ranges = ranges + generator.normal(0.0, self.range_noise, ranges.shape)
+        if self.outliers > 0.0:
+            wrong = generator.random(ranges.shape) < self.outliers
+            error = generator.uniform(-self.outlier_error, self.outlier_error, ranges.shape)
+            ranges = np.where(wrong, ranges + error, ranges)
+        if self.dropouts > 0.0:
+            ranges[generator.random(ranges.shape) < self.dropouts] = np.nan
+        ranges[ranges <= 0.0] = np.nan
+        return np.asarray(ranges[..., None] * self.directions())

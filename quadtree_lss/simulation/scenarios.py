@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The flights that can be simulated, from terrain to bag and truth file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.simulation.hazard_field import hazard_field
+from quadtree_lss.simulation.lidar import FlashLidar
+from quadtree_lss.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
+from quadtree_lss.simulation.parabola import Parabola
+from quadtree_lss.simulation.terrain import (
+    FloatArray,
+    SimulationError,
+    Surface,
+    Terrain,
+    load_terrain,
+)
+from quadtree_lss.simulation.trajectory import (
+    Sweep,
+    Trajectory,
+    descent_trajectory,
+    section_vi_trajectory,
+)
+
+NODE_SPACING = 0.25
+"""Lattice (m) of the true safety map; boxes start and end on it."""
+
+EDGE = 2.25
+"""Ground (m) that a box leaves free to the edge of a DEM: a lander's radius and more."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight: what is seen, from where, when, and how well the vehicle knows its pose."""
+
+    surface: Surface
+    truth: Terrain
+    lidar: FlashLidar
+    trajectory: Trajectory
+    navigation: Navigation
+    scan_times: FloatArray
+    pose_times: FloatArray
+    box: tuple[float, float, float, float]
+
+
+Planner = Callable[["Request", int], Flight]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user asked for, with the terrain made or read."""
+
+    terrain: Terrain | None
+    duration: float
+    range_noise: float | None
+    outliers: float
+    dropouts: float
+
+    def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
+        """Lidar of a scenario with the user's noise where one is given."""
+        return FlashLidar(
+            field_of_view_deg=field_of_view_deg,
+            range_noise=range_noise if self.range_noise is None else self.range_noise,
+            outliers=self.outliers,
+            dropouts=self.dropouts,
+        )
+
+
+def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
+    """A square box about the terrain's centre, on the node lattice, clear of the DEM's edge."""
+    xmin, xmax, ymin, ymax = terrain.bounds
+    centre = [
+        NODE_SPACING * round(0.5 * (low + high) / NODE_SPACING)
+        for low, high in ((xmin, xmax), (ymin, ymax))
+    ]
+    room = min(centre[0] - xmin, xmax - centre[0], centre[1] - ymin, ymax - centre[1]) - EDGE
+    half = NODE_SPACING * float(np.floor(min(half, room) / NODE_SPACING + 1e-9))
+    if half < 2.0:
+        msg = "terrain: too small; a scan needs a DEM of at least 9 m by 9 m"
+        raise SimulationError(msg)
+    return (centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half)
+
+
+def _centre(terrain: Terrain, box: tuple[float, float, float, float]) -> FloatArray:
+    x, y = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
+    return np.array([x, y, float(terrain.elevation_at(x, y))])
+
+
+def _times(duration: float, rate: float, first: float = 0.0) -> FloatArray:
+    return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1) / rate
+
+
+def _parabola(request: Request, flight: int) -> Flight:
+    """Section VI; ``duration`` cuts the flight short."""
+    parabola = Parabola()
+    truth = request.terrain or parabola.terrain()
+    surface: Surface = request.terrain or parabola
+    target_z = float(surface.elevation_at(10.0, 0.0))
+    if not np.isfinite(target_z):
+        msg = "terrain: the parabola flight looks at (10, 0) m, which this DEM does not cover"
+        raise SimulationError(msg)
+    box = _box(request.terrain, 60.0) if request.terrain else (-60.0, 60.0, -60.0, 60.0)
+    times = _times(request.duration, 1.0)
+    return Flight(
+        surface=surface,
+        truth=truth,
+        lidar=request.lidar(10.0, 0.08),
+        trajectory=section_vi_trajectory(target_z),
+        navigation=WhiteNavigation(),
+        scan_times=times,
+        pose_times=times,
+        box=box,
+    )
+
+
+def _morpheus(request: Request, flight: int) -> Flight:
+    """Section VII; a shorter ``duration`` sweeps a smaller box (20 m at least) as densely."""
+    terrain = request.terrain
+    assert terrain is not None
+    half = float(np.clip(30.0 * np.sqrt(request.duration / 20.0), 10.0, 30.0))
+    box = _box(terrain, half)
+    rate, lead = 20.0, 0.1
+    sweep = Sweep(
+        centre_map=tuple(_centre(terrain, box)),
+        half_x=0.5 * (box[1] - box[0]),
+        half_y=0.5 * (box[3] - box[2]),
+        duration=request.duration,
+        field_of_view_deg=1.0,
+        reverse=flight % 2 == 1,
+    )
+    # Scans at 20 Hz, none on a pose; poses begin before the first scan and end after the last.
+    scans = (np.arange(int(np.floor(request.duration * rate + 1e-9))) + 0.37 / 5.0) / rate
+    return Flight(
+        surface=terrain,
+        truth=terrain,
+        lidar=request.lidar(1.0, 0.06),
+        trajectory=sweep.trajectory(),
+        navigation=DriftingNavigation(),
+        scan_times=scans,
+        pose_times=_times(request.duration + 2.0 * lead, 100.0, -lead),
+        box=box,
+    )
+
+
+def _descent(request: Request, flight: int) -> Flight:
+    """From 200 m to 50 m above any terrain, looking down with 20°, 5 Hz; faster if shorter."""
+    terrain = request.terrain
+    assert terrain is not None
+    box = _box(terrain, 30.0)
+    lead = 0.1
+    scans = (np.arange(max(int(np.floor(request.duration * 5.0 + 1e-9)), 1)) + 0.137) / 5.0
+    return Flight(
+        surface=terrain,
+        truth=terrain,
+        lidar=request.lidar(20.0, 0.06),
+        trajectory=descent_trajectory(_centre(terrain, box), request.duration),
+        navigation=DriftingNavigation(attitude_bias_deg=0.02, attitude_drift_deg=0.005),
+        scan_times=scans,
+        pose_times=_times(request.duration + 2.0 * lead, 50.0, -lead),
+        box=box,
+    )
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A named flight: how to plan it, how long it lasts (s) and what it needs."""
+
+    plan: Planner
+    duration: float
+    default_field: bool
+
+
+SCENARIOS: dict[str, Scenario] = {
+    "morpheus": Scenario(_morpheus, 20.0, True),
+    "parabola": Scenario(_parabola, 60.0, False),
+    "descent": Scenario(_descent, 30.0, True),
+}
+
+
+def make_request(
+    scenario: str,
+    generator: np.random.Generator,
+    *,
+    duration: float | None = None,
+    terrain: Terrain | str | Path | None = None,
+    range_noise: float | None = None,
+    outliers: float = 0.0,
+    dropouts: float = 0.0,
+) -> Request:
+    """Check the options and make or read the terrain."""
+    if scenario not in SCENARIOS:
+        msg = f"unknown scenario {scenario!r}; there are {', '.join(sorted(SCENARIOS))}"
+        raise SimulationError(msg)
+    longest = SCENARIOS[scenario].duration
+    seconds = longest if duration is None else float(duration)
+    if not 1.0 <= seconds <= 600.0:
+        msg = f"duration must be between 1 and 600 s, not {seconds:g}"
+        raise SimulationError(msg)
+    if scenario == "parabola":
+        seconds = min(seconds, longest)
+    for name, fraction in (("outliers", outliers), ("dropouts", dropouts)):
+        if not 0.0 <= fraction <= 1.0:
+            msg = f"{name} must be a fraction between 0 and 1, not {fraction:g}"
+            raise SimulationError(msg)
+    if range_noise is not None and not (np.isfinite(range_noise) and range_noise >= 0.0):
+        msg = f"range noise must be a length in metres, not {range_noise:g}"
+        raise SimulationError(msg)
+    if isinstance(terrain, (str, Path)):
+        terrain = load_terrain(terrain)
+    if terrain is None and SCENARIOS[scenario].default_field:
+        terrain = hazard_field(generator)
+    return Request(terrain, seconds, range_noise, outliers, dropouts)
+
+
+def quaternions(rotations: FloatArray) -> FloatArray:
+    """Unit quaternions (n, 4) x, y, z, w of rotations (n, 3, 3)."""
+    return np.asarray(Rotation.from_matrix(rotations).as_quat())

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fly a scenario: write the bag and, beside it, the truth."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from quadtree_lss.evaluation.safety import Lander, safety_map
+from quadtree_lss.simulation.recording import BagRecorder
+from quadtree_lss.simulation.scenarios import (
+    NODE_SPACING,
+    SCENARIOS,
+    Flight,
+    make_request,
+    quaternions,
+)
+from quadtree_lss.simulation.terrain import FloatArray, SimulationError, Terrain
+
+TRUTH_NAME = "truth.npz"
+_START_NS = 1_700_000_000 * 10**9
+_FLIGHT_GAP_S = 10.0
+_SCAN_LATENCY_NS = 12_000_000
+_POSE_LATENCY_NS = 3_000_000
+
+
+@dataclass(frozen=True)
+class SimulationResult:
+    """What was written."""
+
+    scenario: str
+    seed: int
+    bag_path: Path
+    truth_path: Path | None
+    scans: int
+    poses: int
+    points: int
+    duration: float
+    box: tuple[float, float, float, float]
+    safe_fraction: float | None
+
+
+def simulate(
+    scenario: str,
+    bag_path: str | Path,
+    *,
+    seed: int,
+    duration: float | None = None,
+    terrain: Terrain | str | Path | None = None,
+    range_noise: float | None = None,
+    outliers: float = 0.0,
+    dropouts: float = 0.0,
+    flights: int = 1,
+    truth: bool = True,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> SimulationResult:
+    """Simulate ``scenario`` (morpheus, parabola or descent) into a ROS 2 bag.
+
+    Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
+    lidar's estimated pose in frame ``map``, with covariance). ``truth.npz`` goes into the bag's
+    parent directory and replaces one that is there. ``terrain`` is a DEM or the path of one;
+    ``flights`` > 1 flies again over the same ground with new navigation errors, into the same bag.
+    ``progress(done, total)`` is called after every scan. The same arguments give the same messages.
+
+    Raises `SimulationError` for options that make no sense and for an existing ``bag_path``.
+    """
+    path = Path(bag_path)
+    if flights < 1:
+        msg = f"flights must be at least 1, not {flights}"
+        raise SimulationError(msg)
+    if seed < 0:
+        msg = f"seed must not be negative, not {seed}"
+        raise SimulationError(msg)
+    field_seed, navigation_seed, lidar_seed = np.random.SeedSequence(seed).spawn(3)
+    request = make_request(
+        scenario,
+        np.random.default_rng(field_seed),
+        duration=duration,
+        terrain=terrain,
+        range_noise=range_noise,
+        outliers=outliers,
+        dropouts=dropouts,
+    )
+    plans = [SCENARIOS[scenario].plan(request, flight) for flight in range(flights)]
+    _make_room(path, overwrite)
+    navigation, noise = np.random.default_rng(navigation_seed), np.random.default_rng(lidar_seed)
+    total = sum(plan.scan_times.size for plan in plans)
+    flown: list[_Flown] = []
+    with BagRecorder(path) as recorder:
+        start_ns = _START_NS
+        for plan in plans:
+            done = sum(leg.stamps_ns.size for leg in flown)
+            report = None if progress is None else _offset(progress, done, total)
+            flown.append(_fly(plan, start_ns, recorder, navigation, noise, report))
+            start_ns += round((plan.pose_times[-1] + _FLIGHT_GAP_S) * 1e9)
+    safe_fraction, truth_path = None, None
+    if truth:
+        truth_path = path.parent / TRUTH_NAME
+        safe_fraction = _write_truth(truth_path, plans[0], flown)
+    return SimulationResult(
+        scenario=scenario,
+        seed=seed,
+        bag_path=path,
+        truth_path=truth_path,
+        scans=total,
+        poses=sum(leg.poses for leg in flown),
+        points=sum(leg.points for leg in flown),
+        duration=sum(float(plan.scan_times[-1]) for plan in plans),
+        box=plans[0].box,
+        safe_fraction=safe_fraction,
+    )
+
+
+@dataclass(frozen=True)
+class _Flown:
+    stamps_ns: np.ndarray
+    positions: FloatArray
+    quaternions_xyzw: FloatArray
+    poses: int
+    points: int
+
+
+def _offset(progress: Callable[[int, int], None], done: int, total: int) -> Callable[[int], None]:
+    return lambda scans: progress(done + scans, total)
+
+
+def _make_room(path: Path, overwrite: bool) -> None:
+    """Make the parent directory; remove an old bag only when asked to."""
+    if path.exists():
+        if not overwrite:
+            msg = f"{path} exists; choose another path or ask to overwrite it"
+            raise SimulationError(msg)
+        if path.is_dir() and not (path / "metadata.yaml").is_file() and any(path.iterdir()):
+            msg = f"{path} is a directory but no bag; it is not overwritten"
+            raise SimulationError(msg)
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"cannot create {path.parent}: {error.strerror}"
+        raise SimulationError(msg) from error
+
+
+def _fly(
+    plan: Flight,
+    start_ns: int,
+    recorder: BagRecorder,
+    navigation: np.random.Generator,
+    noise: np.random.Generator,
+    report: Callable[[int], None] | None,
+) -> _Flown:
+    """Record one flight in the order in which messages would arrive."""
+    scan_ns = start_ns + np.rint(plan.scan_times * 1e9).astype(np.int64)
+    pose_ns = start_ns + np.rint(plan.pose_times * 1e9).astype(np.int64)
+    positions, rotations = plan.trajectory.poses(plan.scan_times)
+    estimate = plan.navigation.estimate(
+        navigation, plan.pose_times, *plan.trajectory.poses(plan.pose_times)
+    )
+    pose_quaternions = quaternions(estimate.rotations)
+    arrivals = [(int(t) + _POSE_LATENCY_NS, 0, k) for k, t in enumerate(pose_ns)]
+    arrivals += [(int(t) + _SCAN_LATENCY_NS, 1, k) for k, t in enumerate(scan_ns)]
+    points = 0
+    for received_ns, kind, k in sorted(arrivals):
+        if kind == 0:
+            recorder.pose(
+                int(pose_ns[k]),
+                estimate.positions[k],
+                pose_quaternions[k],
+                estimate.covariance,
+                received_ns,
+            )
+            continue
+        scan = plan.lidar.scan(plan.surface, positions[k], rotations[k], noise)
+        points += int(np.isfinite(scan[..., 0]).sum())
+        recorder.scan(int(scan_ns[k]), scan, received_ns)
+        if report is not None:
+            report(k + 1)
+    return _Flown(scan_ns, positions, quaternions(rotations), pose_ns.size, points)
+
+
+def _write_truth(path: Path, plan: Flight, flown: list[_Flown]) -> float:
+    """Write the truth file; returns the fraction of safe nodes."""
+    xmin, xmax, ymin, ymax = plan.box
+    safe_x = xmin + NODE_SPACING * np.arange(round((xmax - xmin) / NODE_SPACING) + 1)
+    safe_y = ymin + NODE_SPACING * np.arange(round((ymax - ymin) / NODE_SPACING) + 1)
+    dem = plan.truth
+    safe = safety_map(dem.x, dem.y, dem.elevation, safe_x, safe_y, Lander())
+    np.savez_compressed(
+        path,
+        x=dem.x,
+        y=dem.y,
+        elevation=dem.elevation,
+        safe_x=safe_x,
+        safe_y=safe_y,
+        safe=safe,
+        box=np.array(plan.box),
+        scan_stamp_ns=np.concatenate([leg.stamps_ns for leg in flown]),
+        scan_position=np.concatenate([leg.positions for leg in flown]),
+        scan_quaternion_xyzw=np.concatenate([leg.quaternions_xyzw for leg in flown]),
+    )
+    return float(safe.mean())
