@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading ROS 2 and ROS 1 bags as a stream of raw messages, whatever their state.
+
+A bag is a list of files, each read by ``rosbags`` or, where that fails, by `rescue`. What could
+not be read stands in ``Bag.losses``.
+"""
+
+from __future__ import annotations
+
+import struct
+import tempfile
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import apsw
+import yaml
+import zstandard
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1 import ReaderError as Ros1ReaderError
+from rosbags.rosbag2 import Reader as Ros2Reader
+from rosbags.rosbag2 import ReaderError as Ros2ReaderError
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+
+from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.messages.clouds import MessageError
+from quadtree_lss.replay.rescue import Extent, RawMessage, RescuedMcap, RescuedSqlite
+
+SCAN_TYPE = "sensor_msgs/msg/PointCloud2"
+POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+GIMBAL_TYPE = "geometry_msgs/msg/TransformStamped"
+SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
+
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_READ_ERRORS = (
+    Ros1ReaderError,
+    Ros2ReaderError,
+    apsw.Error,
+    EOFError,
+    ValueError,  # UnicodeDecodeError among them
+    TypeError,
+    KeyError,
+    IndexError,
+    AssertionError,
+    RuntimeError,
+)
+"""What rosbags raises on damaged files."""
+
+
+class BagError(QuadtreeLssError):
+    """A bag cannot be used at all, or it is not clear which topics are meant."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A recorded topic: name, type as in ``sensor_msgs/msg/PointCloud2``, number of messages."""
+
+    name: str
+    type: str
+    count: int
+
+
+class _Part:
+    """One file of a bag: healthy by rosbags' reader, otherwise rescued."""
+
+    def __init__(self, path: Path, stack: ExitStack) -> None:
+        self.path = path
+        self.ros1 = path.suffix == ".bag"
+        self._reader: Any = None
+        self._rescue: RescuedMcap | RescuedSqlite | None = None
+        try:
+            reader = Ros1Reader(path) if self.ros1 else Ros2Reader(path)
+            self._reader = stack.enter_context(reader)
+            self.extent = _extent(reader)
+        except _READ_ERRORS as error:
+            self._reader = None
+            self._rescue = self._rescuer(error)
+            self.extent = self._rescue.extent()
+
+    @property
+    def losses(self) -> list[str]:
+        """What could not be read up to now."""
+        return self._rescue.losses if self._rescue is not None else []
+
+    def messages(
+        self, topics: Collection[str], start_ns: int, stop_ns: int
+    ) -> Iterator[RawMessage]:
+        """Messages of the topics with start_ns <= time of reception < stop_ns, in order."""
+        last, at_last = start_ns, Counter[str]()
+        if self._reader is not None:
+            wanted = [c for c in self._reader.connections if c.topic in topics]
+            if not wanted:
+                return
+            try:
+                for connection, received, raw in self._reader.messages(wanted, start_ns, stop_ns):
+                    if received != last:
+                        last, at_last = received, Counter()
+                    at_last[connection.topic] += 1
+                    yield RawMessage(connection.topic, received, raw)
+                return
+            except _READ_ERRORS as error:
+                self._rescue = self._rescuer(error)
+        assert self._rescue is not None
+        for message in self._rescue.messages(topics):
+            if not last <= message.received_ns < stop_ns:
+                continue
+            if message.received_ns == last and at_last[message.topic] > 0:
+                at_last[message.topic] -= 1  # came before the damage
+                continue
+            yield message
+
+    def _rescuer(self, error: Exception) -> RescuedMcap | RescuedSqlite:
+        if self.path.suffix == ".mcap":
+            return RescuedMcap(self.path)
+        if self.path.suffix == ".db3":
+            return RescuedSqlite(self.path)
+        msg = f"{self.path}: cannot be read: {_line(error)}"
+        raise BagError(msg) from None
+
+
+def _extent(reader: Any) -> Extent:
+    types = {c.topic: c.msgtype for c in reader.connections}
+    counts: dict[str, int] = {}
+    for connection in reader.connections:
+        counts[connection.topic] = counts.get(connection.topic, 0) + _count(connection)
+    # rosbags' end is one beyond the last message
+    return Extent(types, counts, reader.start_time, reader.end_time - 1)
+
+
+def _count(connection: Connection) -> int:
+    return int(connection.msgcount)
+
+
+class Bag:
+    """Context manager that opens a bag for reading.
+
+    Args:
+        path: rosbag2 directory (mcap or sqlite3, also without its metadata), a single ``.mcap``,
+            ``.db3`` or ROS 1 ``.bag`` file; each also compressed with zstd.
+
+    Raises:
+        BagError: there is nothing to read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._stack = ExitStack()
+        self._parts: list[_Part] = []
+        self._losses: list[str] = []
+
+    def __enter__(self) -> Bag:
+        try:
+            self._open()
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def topics(self) -> list[Topic]:
+        """Recorded topics by name."""
+        types: dict[str, str] = {}
+        counts: dict[str, int] = {}
+        for part in self._parts:
+            for name, kind in part.extent.types.items():
+                types[name] = kind
+                counts[name] = counts.get(name, 0) + part.extent.counts.get(name, 0)
+        return [Topic(name, types[name], counts[name]) for name in sorted(types)]
+
+    @property
+    def start_ns(self) -> int:
+        """Time of reception of the first message of any topic."""
+        return min(part.extent.start_ns for part in self._parts)
+
+    @property
+    def end_ns(self) -> int:
+        """Time of reception of the last message of any topic."""
+        return max(part.extent.end_ns for part in self._parts)
+
+    @property
+    def losses(self) -> list[str]:
+        """One line for each piece that could not be read, so far."""
+        return self._losses + [loss for part in self._parts for loss in part.losses]
+
+    def messages(
+        self, topics: Collection[str], start_ns: int = 0, stop_ns: int = 2**63 - 1
+    ) -> Iterator[RawMessage]:
+        """Raw messages of the topics with start_ns <= time of reception < stop_ns."""
+        for part in self._parts:
+            if part.extent.start_ns < stop_ns and part.extent.end_ns >= start_ns:
+                yield from part.messages(topics, start_ns, stop_ns)
+
+    def decode(self, raw: bytes, msgtype: str) -> Any:
+        """The message of which ``raw`` are the serialised bytes.
+
+        Raises:
+            MessageError: ``encoding`` if they are not.
+        """
+        try:
+            if raw[:4] == _ZSTD_MAGIC:  # bags compressed message by message
+                raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
+            if self._ros1:
+                return self._store.deserialize_ros1(raw, msgtype)
+            return self._store.deserialize_cdr(raw, msgtype)
+        except (SerdeError, struct.error, MemoryError, zstandard.ZstdError, *_READ_ERRORS) as error:
+            text = f"{msgtype} cannot be decoded: {_line(error)}"
+            raise MessageError("encoding", text) from None
+
+    def _open(self) -> None:
+        if not self.path.exists():
+            msg = f"no such bag: {self.path}"
+            raise BagError(msg)
+        try:
+            files = self._files()
+            for file in files:
+                part = _Part(self._plain(file), self._stack)
+                self._parts.append(part)
+        except PermissionError as error:
+            msg = f"{error.filename}: {error.strerror}"
+            raise BagError(msg) from None
+        used = [part for part in self._parts if sum(part.extent.counts.values())]
+        if not used:
+            lost = "; ".join(self.losses) or "it is empty"
+            msg = f"{self.path}: no message can be read: {lost}"
+            raise BagError(msg)
+        self._losses += [loss for p in self._parts if p not in used for loss in p.losses]
+        self._parts = used
+        self._ros1 = used[0].ros1
+        self._store = get_typestore(Stores.ROS1_NOETIC if self._ros1 else Stores.ROS2_JAZZY)
+
+    def _files(self) -> list[Path]:
+        if self.path.is_file():
+            if _storage_suffix(self.path) is None:
+                msg = f"{self.path}: not a bag (.mcap, .db3, .bag, or a directory of these)"
+                raise BagError(msg)
+            return [self.path]
+        there = sorted(p for p in self.path.iterdir() if _storage_suffix(p) is not None)
+        try:
+            content = yaml.safe_load((self.path / "metadata.yaml").read_text())
+            names = content["rosbag2_bagfile_information"]["relative_file_paths"]
+            listed = [self.path / Path(name).name for name in names]
+        except FileNotFoundError:
+            self._losses.append("metadata.yaml is missing: was the recording cut off?")
+            listed = there
+        except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError):
+            self._losses.append("metadata.yaml cannot be read")
+            listed = there
+        self._losses += [f"{p.name} is missing" for p in listed if not p.exists()]
+        files = [p for p in listed if p.exists()]
+        if not files:
+            msg = f"{self.path}: no bag: neither .mcap nor .db3 nor .bag in it"
+            raise BagError(msg)
+        return files
+
+    def _plain(self, file: Path) -> Path:
+        """The file itself, or what is in it if it is compressed as a whole."""
+        if file.suffix not in (".zstd", ".zst"):
+            return file
+        folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="quadtree_lss_"))
+        plain = Path(folder) / file.stem
+        with open(file, "rb") as source, open(plain, "wb") as target:
+            stream = zstandard.ZstdDecompressor().decompressobj()
+            try:
+                while block := source.read(1 << 20):
+                    target.write(stream.decompress(block))
+                if not stream.eof:
+                    self._losses.append(f"{file.name}: compressed data end early (truncated)")
+            except zstandard.ZstdError as error:
+                self._losses.append(f"{file.name}: {error}")
+        return plain
+
+
+def _storage_suffix(path: Path) -> str | None:
+    suffixes = [s for s in path.suffixes if s not in (".zstd", ".zst")]
+    return suffixes[-1] if suffixes and suffixes[-1] in (".mcap", ".db3", ".bag") else None
+
+
+def _line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
+def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option: str) -> str:
+    """The topic of a type to read: the one asked for, else the default, else the only one.
+
+    Args:
+        bag: An open bag.
+        asked: What the user named, or None.
+        default: Taken if present.
+        msgtype: Type the topic must have.
+        option: Command-line option by which the user can choose, for messages.
+
+    Raises:
+        BagError: lists the candidates.
+    """
+    fitting = [t.name for t in bag.topics if t.type == msgtype and t.count]
+    candidates = ", ".join(fitting) or "none"
+    if asked is not None:
+        name = asked if asked.startswith("/") else f"/{asked}"
+        if name in fitting:
+            return name
+        if asked in fitting:
+            return asked
+        msg = f"{bag.path}: no {msgtype} on topic {asked}; candidates for {option}: {candidates}"
+        raise BagError(msg)
+    if default in fitting:
+        return default
+    if len(fitting) == 1:
+        return fitting[0]
+    if not fitting:
+        there = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in bag.topics) or "none"
+        msg = f"{bag.path}: no messages of type {msgtype}; topics: {there}"
+        raise BagError(msg)
+    msg = f"{bag.path}: several topics of type {msgtype}: choose one by {option}: {candidates}"
+    raise BagError(msg)

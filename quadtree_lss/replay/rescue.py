@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can still be read of a damaged recording.
+
+An mcap file is walked record by record from its beginning, since the index at its end may be
+missing; a damaged or cut chunk costs no more than itself. A sqlite3 file is asked for its rows
+one by one. Both list in ``losses`` what was lost.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQI")
+_MESSAGE = struct.Struct("<HIQQ")
+_DAMAGE = (struct.error, zlib.error, zstandard.ZstdError, RuntimeError, ValueError, EOFError)
+
+
+class RawMessage(NamedTuple):
+    """A message as recorded: topic, time of reception, serialised bytes."""
+
+    topic: str
+    received_ns: int
+    raw: bytes
+
+
+class Extent(NamedTuple):
+    """What a first pass over a file finds."""
+
+    types: dict[str, str]
+    counts: dict[str, int]
+    start_ns: int
+    end_ns: int
+
+
+class RescuedMcap:
+    """An mcap file read without its index; use `messages` alone or after `extent`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.losses: list[str] = []
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+
+    def extent(self) -> Extent:
+        """Topics, numbers of messages and times, by reading the whole file once."""
+        counts: dict[str, int] = {}
+        start, end = 2**63 - 1, 0
+        for message in self.messages():
+            counts[message.topic] = counts.get(message.topic, 0) + 1
+            start, end = min(start, message.received_ns), max(end, message.received_ns)
+        types = {
+            c.topic: self._schemas[c.schema_id].name
+            for c in self._channels.values()
+            if c.schema_id in self._schemas
+        }
+        return Extent(types, counts, start, end)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Messages in the order of their chunks, by time within each; None for all topics."""
+        self.losses = []
+        with open(self.path, "rb") as file:
+            if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
+                self.losses.append(f"{self.path.name}: no mcap file")
+                return
+            finished = False
+            while head := file.read(_RECORD.size):
+                if len(head) < _RECORD.size:
+                    break
+                opcode, length = _RECORD.unpack(head)
+                if opcode == Opcode.FOOTER:
+                    finished = True
+                    break
+                if opcode == Opcode.CHUNK:
+                    yield from self._chunk(file, length, topics)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                    message = self._record(opcode, file.read(length), topics)
+                    if message is not None:
+                        yield message
+                else:
+                    file.seek(length, 1)
+            if not finished:
+                self.losses.append(f"{self.path.name}: ends before its end mark (truncated)")
+
+    def _chunk(
+        self, file: BinaryIO, length: int, topics: Collection[str] | None
+    ) -> Iterator[RawMessage]:
+        where = file.tell()
+        content = file.read(length)
+        found: list[RawMessage] = []
+        try:
+            records, whole = _uncompressed(content, length)
+            for opcode, payload in _records(records):
+                message = self._record(opcode, payload, topics)
+                if message is not None:
+                    found.append(message)
+        except _DAMAGE as error:
+            whole = False
+            text = f"{self.path.name}: damaged chunk at byte {where}: {error}"
+            self.losses.append(text)
+        else:
+            if not whole:
+                text = f"{self.path.name}: damaged chunk at byte {where} read in part"
+                self.losses.append(text)
+        yield from sorted(found, key=lambda message: message.received_ns)
+
+    def _record(
+        self, opcode: int, payload: bytes, topics: Collection[str] | None
+    ) -> RawMessage | None:
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(ReadDataStream(BytesIO(payload)))
+                self._schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(ReadDataStream(BytesIO(payload)))
+                self._channels[channel.id] = channel
+            elif opcode == Opcode.MESSAGE:
+                channel_id, _, log_time, _ = _MESSAGE.unpack_from(payload)
+                known = self._channels.get(channel_id)
+                if known is not None and (topics is None or known.topic in topics):
+                    return RawMessage(known.topic, log_time, payload[_MESSAGE.size :])
+        except (*_DAMAGE, McapError, UnicodeDecodeError) as error:
+            self.losses.append(f"{self.path.name}: damaged record: {error or 'cut short'}")
+        return None
+
+
+def _uncompressed(content: bytes, length: int) -> tuple[bytes, bool]:
+    """Records of a chunk, and whether they are all there; a cut chunk gives its beginning."""
+    _, _, size, checksum = _CHUNK.unpack_from(content)
+    offset = _CHUNK.size
+    (name_length,) = struct.unpack_from("<I", content, offset)
+    compression = content[offset + 4 : offset + 4 + name_length].decode()
+    data = content[offset + 4 + name_length + 8 :]
+    if compression == "zstd":
+        records = zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    elif compression == "lz4":
+        records = lz4.frame.LZ4FrameDecompressor().decompress(data)
+    elif compression == "":
+        records = data
+    else:
+        msg = f"unknown compression {compression!r}"
+        raise ValueError(msg)
+    if len(content) < length or len(records) < size:
+        return records, False
+    if checksum and zlib.crc32(records) != checksum:
+        msg = "wrong checksum"
+        raise ValueError(msg)
+    return records, True
+
+
+def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Whole records of a chunk; a cut last one is left out."""
+    offset = 0
+    while offset + _RECORD.size <= len(data):
+        opcode, length = _RECORD.unpack_from(data, offset)
+        offset += _RECORD.size
+        if offset + length > len(data):
+            return
+        yield opcode, data[offset : offset + length]
+        offset += length
+
+
+class RescuedSqlite:
+    """A rosbag2 sqlite3 file read row by row, leaving out the rows that cannot be read."""
+
+    MISSES_IN_A_ROW = 10_000
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.losses: list[str] = []
+
+    def extent(self) -> Extent:
+        """Topics, numbers of messages and times, by reading the whole file once."""
+        types = {name: kind for name, kind in self._topics().values()}
+        counts: dict[str, int] = {}
+        start, end = 2**63 - 1, 0
+        for message in self.messages():
+            counts[message.topic] = counts.get(message.topic, 0) + 1
+            start, end = min(start, message.received_ns), max(end, message.received_ns)
+        return Extent(types, counts, start, end)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Readable messages in the order in which they were written; None for all topics."""
+        self.losses = []
+        names = self._topics()
+        database = self._open()
+        try:
+            row, missing, failed, error = 0, 0, 0, ""
+            while missing < self.MISSES_IN_A_ROW:
+                row += 1
+                query = "SELECT topic_id, timestamp, data FROM messages WHERE id = ?"
+                try:
+                    found = database.execute(query, (row,)).fetchone()
+                except sqlite3.Error as problem:
+                    found, failed, error = None, failed + 1, str(problem)
+                if found is None:
+                    missing += 1
+                    continue
+                missing = 0
+                name, _ = names.get(found[0], ("", ""))
+                if name and (topics is None or name in topics):
+                    yield RawMessage(name, found[1], found[2])
+            if failed:
+                self.losses.append(f"{self.path.name}: rows that cannot be read: {error}")
+        finally:
+            database.close()
+
+    def _open(self) -> sqlite3.Connection:
+        uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
+        return sqlite3.connect(uri, uri=True)
+
+    def _topics(self) -> dict[int, tuple[str, str]]:
+        database = self._open()
+        try:
+            rows = database.execute("SELECT id, name, type FROM topics").fetchall()
+        except sqlite3.Error as error:
+            self.losses.append(f"{self.path.name}: {error}")
+            return {}
+        finally:
+            database.close()
+        return {number: (name, kind) for number, name, kind in rows}
