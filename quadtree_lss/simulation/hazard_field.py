@@ -27,11 +27,11 @@ class HazardField:
     rock_height: tuple[float, float] = (0.4, 0.6)  # of the diameter
     rock_axes: tuple[float, float] = (0.75, 1.0)  # shorter over longer axis in plan
     piles: float = 2e-3
-    craters: float = 3e-3
+    craters: float = 4e-3
     crater_smallest: float = 1.5
     crater_largest: float = 5.0
     crater_depth: float = 0.1  # of the diameter
-    slope_rms_deg: float = 1.0
+    slope_rms_deg: float = 1.5
     texture: float = 0.004
 
 
