@@ -170,120 +170,84 @@ def _spread(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
 class Quadtree:
     """Leaves of the tree as growing columns, divided to the minimum level at the start.
 
-    Columns other than the place of the leaf are declared by the owner with ``add_column``; a new
-    leaf's entries hold the column's empty value.
+    Further columns are declared by a subclass with ``declare`` before ``plant``; a new leaf's
+    entries hold the column's empty value. Columns have ``capacity`` rows, of which the first
+    ``count`` are leaves; a division may replace the arrays by longer ones.
 
     Attributes:
         count: Number of leaves.
-        level, ix, iy, x, y: Place of each row; arrays of capacity >= count.
+        level, ix, iy: Place of each row.
+        x, y: Cell centre of each row, m.
         leaf_of_finest: (n*n,) row of the leaf over each finest cell, index iy * n + ix.
     """
+
+    level: NDArray[np.uint8]
+    ix: NDArray[np.int32]
+    iy: NDArray[np.int32]
+    x: Array
+    y: Array
 
     def __init__(self, domain: Domain, max_cells: int) -> None:
         self.domain = domain
         self.max_cells = max_cells
-        self._empty: dict[str, tuple[float, tuple[int, ...], np.dtype[np.generic]]] = {}
-        self._columns: dict[str, NDArray[np.generic]] = {}
         self.count = 0
-        for name, kind in (("level", np.uint8), ("ix", np.int32), ("iy", np.int32)):
-            self.add_column(name, 0, (), kind)
-        self.add_column("x", 0.0)
-        self.add_column("y", 0.0)
-        self._plant()
+        self.capacity = 0
+        self.leaf_of_finest = np.zeros(domain.finest_count**2, dtype=np.int32)
+        self._empty: dict[str, float] = {}
+        self.declare("level", 0, (), np.uint8)
+        self.declare("ix", 0, (), np.int32)
+        self.declare("iy", 0, (), np.int32)
+        self.declare("x", 0.0)
+        self.declare("y", 0.0)
 
-    def add_column(
+    def declare(
         self,
         name: str,
         empty: float,
         shape: tuple[int, ...] = (),
         kind: type[np.generic] = np.float64,
     ) -> None:
-        """Declare a column whose rows have ``shape`` and start as ``empty``."""
-        self._empty[name] = (empty, shape, np.dtype(kind))
-        self._columns[name] = np.full((self.capacity, *shape), empty, dtype=kind)
+        """Add the column ``name``; each row has ``shape`` and starts as ``empty``."""
+        self._empty[name] = empty
+        setattr(self, name, np.full((self.capacity, *shape), empty, dtype=kind))
 
-    @property
-    def capacity(self) -> int:
-        """Rows allocated."""
-        level = self._columns.get("level")
-        return 0 if level is None else len(level)
-
-    def column(self, name: str) -> NDArray[np.generic]:
-        """The whole column including unused capacity; valid until the next division."""
-        return self._columns[name]
-
-    @property
-    def level(self) -> NDArray[np.uint8]:
-        """Level of each row."""
-        return self._columns["level"]  # type: ignore[return-value]
-
-    @property
-    def ix(self) -> NDArray[np.int32]:
-        """Index along x of each row at its own level."""
-        return self._columns["ix"]  # type: ignore[return-value]
-
-    @property
-    def iy(self) -> NDArray[np.int32]:
-        """Index along y of each row at its own level."""
-        return self._columns["iy"]  # type: ignore[return-value]
-
-    @property
-    def x(self) -> Array:
-        """Cell centre of each row, m."""
-        return self._columns["x"]  # type: ignore[return-value]
-
-    @property
-    def y(self) -> Array:
-        """Cell centre of each row, m."""
-        return self._columns["y"]  # type: ignore[return-value]
-
-    def reset(self) -> None:
-        """Forget all leaves and divide to the minimum level again."""
-        self.count = 0
-        for name, (empty, _, _) in self._empty.items():
-            self._columns[name][...] = empty
-        self._plant()
-
-    def _plant(self) -> None:
+    def plant(self) -> None:
+        """Forget all leaves and divide to the minimum level."""
+        for name, empty in self._empty.items():
+            getattr(self, name)[...] = empty
         side = 1 << self.domain.min_level
         self._reserve(side * side)
         self.count = side * side
         rows = np.arange(self.count)
-        self._place(rows, np.full(self.count, self.domain.min_level), rows % side, rows // side)
-        n = self.domain.finest_count
-        self.leaf_of_finest = np.zeros(n * n, dtype=np.int32)
-        self._claim(rows)
+        level = np.full(self.count, self.domain.min_level)
+        self._place(rows, level, rows % side, rows // side)
 
     def _place(self, rows: Index, level: Index, ix: Index, iy: Index) -> None:
         self.level[rows], self.ix[rows], self.iy[rows] = level, ix, iy
         size = self.domain.cell_size(level)
         self.x[rows] = self.domain.xmin + (ix + 0.5) * size
         self.y[rows] = self.domain.ymin + (iy + 0.5) * size
-
-    def _claim(self, rows: Index) -> None:
-        fill_blocks(
-            self.leaf_of_finest, self.domain, self.level[rows], self.ix[rows], self.iy[rows], rows
-        )
+        fill_blocks(self.leaf_of_finest, self.domain, level, ix, iy, rows)
 
     def _reserve(self, rows: int) -> None:
         if rows <= self.capacity:
             return
-        target = max(rows, min(2 * self.capacity, self.max_cells), 64)
-        for name, (empty, shape, kind) in self._empty.items():
-            grown = np.full((target, *shape), empty, dtype=kind)
-            grown[: self.count] = self._columns[name][: self.count]
-            self._columns[name] = grown
+        self.capacity = max(rows, min(2 * self.capacity, self.max_cells))
+        for name, empty in self._empty.items():
+            old = getattr(self, name)
+            grown = np.full((self.capacity, *old.shape[1:]), empty, dtype=old.dtype)
+            grown[: self.count] = old[: self.count]
+            setattr(self, name, grown)
 
-    def divide(self, rows: Index) -> Index:
-        """Divide leaves ``rows`` (K,) below the maximum level.
+    def split(self, rows: Index) -> Index:
+        """Divide leaves ``rows`` (K,), which lie below the maximum level.
 
         Returns:
-            (K', 4) rows of the children, x fastest; K' < K where ``max_cells`` leaves no room:
-            the last ones stay whole. Child columns other than the place are the parent's in the
-            first child (it takes over the parent's row) and empty in the others.
+            (K', 4) rows of the children, x fastest; K' < K where ``max_cells`` leaves no room: the
+            last ones stay whole. The first child takes over the parent's row, columns and all; the
+            others start empty.
         """
-        room = (self.max_cells - self.count) // 3
-        rows = rows[: max(room, 0)]
+        rows = rows[: max((self.max_cells - self.count) // 3, 0)]
         fresh = self.count + np.arange(3 * len(rows)).reshape(-1, 3)
         self._reserve(self.count + fresh.size)
         self.count += fresh.size
@@ -292,5 +256,4 @@ class Quadtree:
         ix = (2 * self.ix[rows].astype(np.intp)[:, None] + CHILD_X).ravel()
         iy = (2 * self.iy[rows].astype(np.intp)[:, None] + CHILD_Y).ravel()
         self._place(children.ravel(), level, ix, iy)
-        self._claim(children.ravel())
         return children

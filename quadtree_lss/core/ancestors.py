@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planes of higher levels, fused from the leaves below them (paper IV.B, IV.C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core import planes, sphere
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.scan import compact
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Ancestors:
+    """Fused planes of the cells of one level that have a measured leaf below them.
+
+    Attributes:
+        level: Their level.
+        cell: (A,) iy * 2^level + ix.
+        x, y, z: (A,) plane's elevation z above the cell's centre, m.
+        normal: (A, 3).
+        range_part, pose_part: (A, 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z).
+        of_leaf: (M,) place of each leaf's ancestor, -1 where there is none (the leaf is of a
+            higher level, or nothing below the ancestor was measured).
+    """
+
+    level: int
+    cell: Index
+    x: Array
+    y: Array
+    z: Array
+    normal: Array
+    range_part: Array
+    pose_part: Array
+    of_leaf: Index
+
+
+def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
+    """Fuse leaves to their ancestors of ``level`` by Eq. 39-45.
+
+    Each leaf's plane is moved to the ancestor's centre (exactly, value and covariance) and
+    observes it. Range noise is independent between leaves, so the range parts weigh and average:
+    E = (sum R_i^-1)^-1 sum R_i^-1 E_i. Pose error is shared, so it enters once: the mean of the
+    leaves' pose parts, weighted by their measurements. Inherited planes are no information.
+    Fusing children of children at once is the same as level by level, information being additive.
+    """
+    n = 1 << level
+    below = cells.level >= level
+    down = np.where(below, cells.level.astype(np.int64) - level, 0)
+    key = (cells.iy.astype(np.int64) >> down) * n + (cells.ix.astype(np.int64) >> down)
+    chosen = np.flatnonzero(below & cells.measured)
+    cell, group = compact(key[chosen].astype(np.intp), n * n)
+    count = len(cell)
+    size = float(cells.domain.cell_size(level))
+    x = cells.domain.xmin + (cell % n + 0.5) * size
+    y = cells.domain.ymin + (cell // n + 0.5) * size
+    weight = np.maximum(cells.count[chosen].astype(np.float64), 1.0)
+    total = np.bincount(group, weight, minlength=count)
+    share = weight / total[group]
+    z0 = np.bincount(group, share * cells.z[chosen], minlength=count)
+    normal = cells.normal[chosen]
+    sums = [np.bincount(group, share * normal[:, k], minlength=count) for k in range(3)]
+    reference = planes.unit(np.stack(sums, axis=-1)) if count else np.empty((0, 3))
+    delta = np.column_stack([x[group], y[group], z0[group]])
+    delta -= np.column_stack([cells.x[chosen], cells.y[chosen], cells.z[chosen]])
+    d, change = planes.shift_origin(normal, np.zeros(len(chosen)), delta)
+    back = change.transpose(0, 2, 1)
+    at = reference[group]
+    range_part = planes.transport(change @ cells.covariance_range[chosen] @ back, normal, at)
+    pose_part = planes.transport(change @ cells.covariance_pose[chosen] @ back, normal, at)
+    error = np.column_stack([sphere.minus(normal, at), d])
+    information = planes.inverse_symmetric(range_part)
+    pulled = (information @ error[:, :, None])[:, :, 0]
+    fused_range = planes.inverse_symmetric(_sum(group, count, information))
+    step = (fused_range @ _sum(group, count, pulled)[:, :, None])[:, :, 0]
+    fused_pose = _sum(group, count, share[:, None, None] * pose_part)
+    fused_normal = planes.upward(sphere.plus(reference, step[:, :2]))
+    rise = step[:, 2] / fused_normal[:, 2]
+    place = np.full(n * n, -1, dtype=np.intp)
+    place[cell] = np.arange(count)
+    return Ancestors(
+        level=level,
+        cell=cell,
+        x=x,
+        y=y,
+        z=z0 + rise,
+        normal=fused_normal,
+        range_part=planes.move_up(fused_normal, planes.symmetric(fused_range), rise),
+        pose_part=planes.move_up(fused_normal, planes.symmetric(fused_pose), rise),
+        of_leaf=np.where(below, place[np.where(below, key, 0)], -1),
+    )
+
+
+def _sum(group: Index, groups: int, values: Array) -> Array:
+    flat = values.reshape(len(group), -1)
+    columns = [np.bincount(group, flat[:, k], minlength=groups) for k in range(flat.shape[1])]
+    return np.stack(columns, axis=1).reshape(groups, *values.shape[1:]).astype(np.float64)

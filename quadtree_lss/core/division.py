@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a cell's plane does not describe its ground (paper IV.D): the two division criteria."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core import lidar, planes
+from quadtree_lss.core.config import MappingConfig
+from quadtree_lss.core.fitting import Fit
+from quadtree_lss.core.leaves import Leaves
+from quadtree_lss.core.planes import Moments
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+#: E[chi_1] = sqrt(2 / pi) and E[chi_3] = sqrt(2) Gamma(2) / Gamma(3/2) of Eq. 47.
+MEAN_CHI_1 = float(np.sqrt(2.0 / np.pi))
+MEAN_CHI_3 = float(2.0 * np.sqrt(2.0 / np.pi))
+
+
+def mean_absolute(group: Index, groups: int, values: Array) -> Array:
+    """Mean of |values| (N,) in each group."""
+    total = np.bincount(group, np.abs(values), minlength=groups)
+    return total / np.maximum(np.bincount(group, minlength=groups), 1)
+
+
+def distances(normal: Array, through: Array, group: Index, points: Array) -> Array:
+    """Orthogonal distances (N,) of points (3, N) to their group's plane (Eq. 19), m.
+
+    Args:
+        normal: (M, 3).
+        through: (M, 3) a point of each plane, same origin as ``points``.
+        group: (N,) plane of each point.
+    """
+    out = normal[:, 0][group] * points[0]
+    out += normal[:, 1][group] * points[1]
+    out += normal[:, 2][group] * points[2]
+    out -= np.einsum("mi,mi->m", normal, through)[group]
+    return out
+
+
+def lack_of_fit(distance: Array, noise: Array, count: Array) -> Array:
+    """Mean residual of a scan about its own fit over range noise, with sqrt(N / (N - 3)).
+
+    Args:
+        distance: (M,) mean |n.r - d|, m.
+        noise: (M,) its standard deviation from range noise, m.
+        count: (M,) points N; the plane took three degrees of freedom.
+
+    Returns:
+        (M,), of expectation E[chi_1] on planar ground; 0 where N <= 3.
+    """
+    free = np.maximum(count - 3.0, 1.0)
+    return np.where(count > 3.0, distance / noise * np.sqrt(count / free), 0.0)
+
+
+def mahalanobis_factor(
+    normal: Array, ray: Array, point_covariance: Array, plane_variance: Array
+) -> Array:
+    """d_M / |epsilon| (M,) of Eq. 46 for residuals along the ray, 1/m.
+
+    The predicted point lies on the measured point's ray, so r_hat - r_bar = epsilon u / (n.u) and
+    d_M = |epsilon| sqrt(u^T Sigma^-1 u) / |n.u| with Eq. 61's
+    Sigma = Sigma_r + u u^T (a^T Sigma_P a) / (n.u)^2.
+
+    Args:
+        normal, ray: (M, 3).
+        point_covariance: (M, 3, 3) Sigma_r, m^2.
+        plane_variance: (M,) a^T Sigma_P a, m^2; zero for a fit's own points.
+    """
+    cosine = np.maximum(np.abs(np.einsum("mi,mi->m", normal, ray)), planes.MIN_COSINE)
+    sigma = point_covariance + (plane_variance / cosine**2)[:, None, None] * (
+        ray[:, :, None] * ray[:, None, :]
+    )
+    weight = np.einsum("mi,mij,mj->m", ray, planes.inverse_symmetric(sigma), ray)
+    return np.sqrt(np.maximum(weight, 0.0)) / cosine
+
+
+def lack_of_fit_statistic(fit: Fit, moment: Moments, group: Index, points: Array) -> Array:
+    """Division statistic (M,) of fitted cells by their own fit's residuals.
+
+    Args:
+        fit, moment: M cells.
+        group: (N,) cell of each point.
+        points: (3, N) about the origin of ``moment``.
+    """
+    distance = mean_absolute(
+        group, len(fit.z), distances(fit.planes.normal, moment.mean, group, points)
+    )
+    return lack_of_fit(distance, fit.noise, moment.count)
+
+
+def mahalanobis_statistic(
+    leaves: Leaves,
+    rows: Index,
+    fit: Fit,
+    moment: Moments,
+    group: Index,
+    points: Array,
+    origin: Array,
+    pose: lidar.Pose,
+    range_noise: float,
+) -> Array:
+    """Division statistic (M,) of fitted cells by the paper's mean d_M of prefit residuals.
+
+    A cell that had a measured plane before the scan is judged by that plane, a new one by its fit
+    ("the fit quality between measurements and the initial estimate").
+
+    Args:
+        leaves: Before the fit is taken over.
+        rows: (M,) leaves of the cells.
+        origin: (3,) of ``points`` and ``moment`` in the map frame, m.
+    """
+    known = leaves.measured[rows]
+    normal = np.where(known[:, None], leaves.normal[rows], fit.planes.normal)
+    stored = np.column_stack([leaves.x[rows], leaves.y[rows], leaves.z[rows]]) - origin
+    through = np.where(known[:, None], stored, moment.mean)
+    distance = mean_absolute(group, len(rows), distances(normal, through, group, points))
+    arm = moment.mean - stored
+    basis = planes.sphere.tangent_basis(normal)
+    row = np.concatenate([-np.einsum("mij,mi->mj", basis, arm), np.ones((len(rows), 1))], axis=1)
+    total = leaves.range_part[rows] + leaves.pose_part[rows]
+    variance = np.where(known, np.einsum("mi,mij,mj->m", row, total, row), 0.0)
+    sigma = lidar.point_covariances(moment.mean + origin, pose, range_noise)
+    sigma += 1e-12 * np.eye(3)
+    return distance * mahalanobis_factor(normal, moment.ray, sigma, np.nan_to_num(variance))
+
+
+def asks(
+    leaves: Leaves,
+    rows: Index,
+    statistic: Array,
+    count: Array,
+    mean_square: Array,
+    config: MappingConfig,
+) -> Mask:
+    """Update the running mean of the division statistic; which leaves (M,) ask to be divided.
+
+    The mean is over all processed measurements (Eq. 47): each scan counts by its points.
+
+    Args:
+        rows: (M,) leaves.
+        statistic, count: (M,) this scan's statistic and points; scans of at most three points say
+            nothing of a fit.
+        mean_square: (M,) mean square residual about the fit, m^2.
+    """
+    weight = np.where(count > 3.0, count, 0.0)
+    leaves.division_sum[rows] += weight * statistic
+    leaves.division_points[rows] += weight
+    leaves.misfit[rows] = mean_square
+    points = leaves.division_points[rows]
+    expected = MEAN_CHI_1 if config.division == "lack_of_fit" else MEAN_CHI_3
+    mean = leaves.division_sum[rows] / np.maximum(points, 1.0)
+    poor = (mean > config.division_factor * expected) & (points >= config.division_min_points)
+    return poor & (leaves.level[rows] < leaves.domain.max_level)

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planes of cells from the points of one scan, or from stored points of several (paper IV.A)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core import planes, sphere
+from quadtree_lss.core.config import MappingConfig
+from quadtree_lss.core.planes import Moments, Planes
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SlopePrior:
+    """What the parent says of the slope of cells that have no measurement of their own.
+
+    Attributes:
+        normal: (M, 3) the parent's normal, any upward normal where unused.
+        spread: (M,) horizontal scatter in m^2 that it is worth; 0 for none.
+    """
+
+    normal: Array
+    spread: Array
+
+    def take(self, chosen: Index | Mask) -> SlopePrior:
+        """The chosen cells."""
+        return SlopePrior(self.normal[chosen], self.spread[chosen])
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fitted planes of M cells.
+
+    Attributes:
+        planes: d is zero about (x, y, z), the cell's centre at the plane's height.
+        z: (M,) that height, m.
+        noise: (M,) standard deviation of a residual n.r - d from range noise alone, m.
+        basis: (M, 3, 2) tangent basis at the normal.
+    """
+
+    planes: Planes
+    z: Array
+    noise: Array
+    basis: Array
+
+
+def fittable(moment: Moments, prior: SlopePrior, config: MappingConfig, range_noise: float) -> Mask:
+    """Which groups (M,) determine a plane: enough points, neither a line nor too short a base."""
+    least, greatest = planes.horizontal_conditioning(moment.scatter)
+    least, greatest = least + prior.spread, greatest + prior.spread
+    wide: Mask = least > np.maximum(
+        planes.MIN_THICKNESS * greatest, (range_noise / planes.MAX_SLOPE_SIGMA) ** 2
+    )
+    return wide & (moment.count >= config.min_points)
+
+
+def fit_scan(
+    moment: Moments,
+    centre: Array,
+    prior: SlopePrior,
+    config: MappingConfig,
+    range_noise: float,
+    lidar: Array,
+    pose_root: Array,
+) -> Fit:
+    """Planes of cells from one scan.
+
+    Args:
+        moment: M groups, map axes about an origin of the caller's.
+        centre: (M, 2) cell centres about the same origin, m.
+        prior: Slope prior.
+        config: Fit method and covariance treatment.
+        range_noise: Standard deviation of a range, m.
+        lidar: (3,) lidar position about the same origin.
+        pose_root: (6, 6) root of the pose covariance.
+    """
+    normal = _normals(moment.scatter, prior, config)
+    basis = sphere.tangent_basis(normal)
+    variance = planes.orthogonal_noise_variance(normal, moment.ray, range_noise)
+    noise = np.sqrt(variance)
+    if config.covariance == "independent":
+        variance = variance + pose_variance(normal, moment.mean - lidar, pose_root)
+    weight = 1.0 / variance
+    slope = planes.slope_covariance(
+        moment.scatter * weight[:, None, None], basis, prior.spread * weight
+    )
+
+    def pose_part(origin: Array) -> Array:
+        if config.covariance == "independent":
+            return np.zeros((len(normal), 3, 3))
+        return planes.pose_part(normal, basis, origin - lidar, pose_root)
+
+    offset = variance / moment.count
+    return _about_centre(normal, basis, noise, slope, moment.mean, offset, centre, pose_part)
+
+
+def fit_scans(
+    moment: Moments,
+    cell: Index,
+    scan: Index,
+    centre: Array,
+    prior: SlopePrior,
+    config: MappingConfig,
+    range_noise: float,
+    lidars: Array,
+    pose_roots: Array,
+) -> tuple[Fit, Mask]:
+    """Planes of cells from stored points of several scans, each with its own offset gamma_j.
+
+    The normal follows from the sum of the within-scan scatters; gamma_j = n.mean_j, and
+    d = mean of gamma_j (Eq. 22), so the range part of its variance is sum_j v_j / N_j / N_s^2
+    and the pose part sum_j Q_j / N_s^2, scans being independent.
+
+    Args:
+        moment: G groups, one for each (cell, scan) that occurs.
+        cell: (G,) cell of each group, 0 .. M - 1, all of which occur.
+        scan: (G,) index into ``lidars`` and ``pose_roots``.
+        centre: (M, 2) cell centres.
+        prior: Slope prior of the M cells.
+        lidars: (S, 3) lidar positions.
+        pose_roots: (S, 6, 6) roots of pose covariances.
+
+    Returns:
+        The fit, and which cells (M,) the points suffice for; rows of others mean nothing.
+    """
+    cells = len(centre)
+    total = _sum_by(cell, cells, moment.count)
+    scans = _sum_by(cell, cells, np.ones(len(cell)))
+    most = np.zeros(cells)
+    np.maximum.at(most, cell, moment.count)
+    weighted = moment.count[:, None] * moment.ray
+    pooled = Moments(
+        total,
+        _sum_by(cell, cells, moment.mean) / scans[:, None],
+        _sum_by(cell, cells, moment.scatter),
+        planes.unit(_sum_by(cell, cells, weighted)),
+    )
+    enough = (most >= config.min_points) | (total - scans >= config.min_points)
+    good = fittable(pooled, prior, config, range_noise) & enough
+    safe = SlopePrior(prior.normal, np.where(good, prior.spread, 1.0))
+    normal = _normals(pooled.scatter, safe, config)
+    basis = sphere.tangent_basis(normal)
+    mean_noise = np.sqrt(planes.orthogonal_noise_variance(normal, pooled.ray, range_noise))
+    variance = planes.orthogonal_noise_variance(normal[cell], moment.ray, range_noise)
+    if config.covariance == "independent":
+        arm = moment.mean - lidars[scan]
+        variance = variance + pose_variance(normal[cell], arm, pose_roots[scan])
+    weight = 1.0 / variance
+    average = _sum_by(cell, cells, weight * moment.count) / total
+    slope = planes.slope_covariance(
+        _sum_by(cell, cells, moment.scatter * weight[:, None, None]), basis, safe.spread * average
+    )
+    offset = _sum_by(cell, cells, variance / moment.count) / scans**2
+
+    def pose_part(origin: Array) -> Array:
+        if config.covariance == "independent":
+            return np.zeros((cells, 3, 3))
+        arm = origin[cell] - lidars[scan]
+        part = planes.pose_part(normal[cell], basis[cell], arm, pose_roots[scan])
+        return _sum_by(cell, cells, part) / (scans**2)[:, None, None]
+
+    fit = _about_centre(
+        normal, basis, mean_noise, slope, pooled.mean, offset, centre, pose_part
+    )
+    return fit, good
+
+
+def _normals(scatter: Array, prior: SlopePrior, config: MappingConfig) -> Array:
+    normal = planes.fit_height(scatter, prior.normal, prior.spread)
+    if config.fit == "ml":
+        normal = planes.fit_orthogonal(scatter, normal)
+    return normal
+
+
+def _about_centre(
+    normal: Array,
+    basis: Array,
+    noise: Array,
+    slope: Array,
+    mean: Array,
+    offset_variance: Array,
+    centre: Array,
+    pose_part: Callable[[Array], Array],
+) -> Fit:
+    """Plane through ``mean`` with its covariance about the cell's centre at the plane's height."""
+    to_mean = np.empty_like(mean)
+    to_mean[:, :2] = mean[:, :2] - centre
+    rise = np.einsum("mi,mi->m", normal[:, :2], to_mean[:, :2]) / normal[:, 2]
+    z = mean[:, 2] + rise
+    to_mean[:, 2] = -rise
+    lever = np.einsum("mij,mi->mj", basis, to_mean)
+    estimate = Planes(
+        normal,
+        np.zeros(len(normal)),
+        planes.covariance_about(slope, offset_variance, lever),
+        pose_part(np.column_stack([centre, z])),
+    )
+    return Fit(estimate, z, noise, basis)
+
+
+def pose_variance(normal: Array, arm: Array, pose_root: Array) -> Array:
+    """Variance (M,) that pose error gives n.r at a point ``arm`` (M, 3) from the lidar, m^2."""
+    row = np.concatenate([normal, planes.cross(arm, normal)], axis=1)
+    moved = (row[:, None, :] @ pose_root)[:, 0, :]
+    out: Array = np.einsum("mi,mi->m", moved, moved)
+    return out
+
+
+def _sum_by(group: Index, groups: int, values: Array) -> Array:
+    """Sums of ``values`` (G, ...) over equal ``group`` (G,)."""
+    flat = values.reshape(len(group), -1)
+    out = np.stack(
+        [np.bincount(group, flat[:, k], minlength=groups) for k in range(flat.shape[1])], axis=1
+    )
+    return out.reshape(groups, *values.shape[1:])

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Leaves with their plane estimates and running statistics."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core import planes
+from quadtree_lss.core.planes import Planes
+from quadtree_lss.core.quadtree import CHILD_X, CHILD_Y, Domain, Quadtree
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+class Leaves(Quadtree):
+    """The quadtree's leaves, each with a plane through (x, y, z) and what is counted on it.
+
+    Attributes:
+        z: Plane's elevation at the cell's centre, m; NaN without an estimate.
+        normal: (., 3) upward unit normal.
+        range_part, pose_part: (., 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z).
+        measured: True where own points were fitted, False if empty or inherited.
+        points_fitted: Measurements in the estimate.
+        misfit: Mean square orthogonal residual of the last scan about its own fit, m^2.
+        distance_sum: Sum of |orthogonal distance| (Eq. 55), m.
+        noise_sum: What range noise alone adds to ``distance_sum``, m.
+        exception_sum: Sum of exception masses (Eq. 48).
+        residuals: Measurements in these three sums.
+        division_sum, division_points: Sum of the division statistic and its measurements.
+        feature: (., 5) A, k, mu_x, mu_y about the centre, sigma (Eq. 51); NaN for none.
+        feature_covariance: (., 5, 5).
+    """
+
+    z: Array
+    normal: Array
+    range_part: Array
+    pose_part: Array
+    measured: Mask
+    points_fitted: Array
+    misfit: Array
+    distance_sum: Array
+    noise_sum: Array
+    exception_sum: Array
+    residuals: Array
+    division_sum: Array
+    division_points: Array
+    feature: Array
+    feature_covariance: Array
+
+    def __init__(self, domain: Domain, max_cells: int) -> None:
+        super().__init__(domain, max_cells)
+        self.declare("z", np.nan)
+        self.declare("normal", np.nan, (3,))
+        self.declare("range_part", np.nan, (3, 3))
+        self.declare("pose_part", np.nan, (3, 3))
+        self.declare("measured", False, (), np.bool_)
+        for name in _SUMS:
+            self.declare(name, 0.0)
+        self.declare("feature", np.nan, (5,))
+        self.declare("feature_covariance", np.nan, (5, 5))
+        self.plant()
+
+    @property
+    def estimated(self) -> Mask:
+        """True for rows with a plane, measured or inherited."""
+        return np.isfinite(self.z)
+
+    def planes(self, rows: Index) -> Planes:
+        """Planes of leaves ``rows`` about (x, y, z), so that d is zero."""
+        return Planes(
+            self.normal[rows], np.zeros(len(rows)), self.range_part[rows], self.pose_part[rows]
+        )
+
+    def set_planes(
+        self, rows: Index, normal: Array, z: Array, range_part: Array, pose_part: Array
+    ) -> None:
+        """Write planes through (x, y, z)."""
+        self.normal[rows], self.z[rows] = normal, z
+        self.range_part[rows], self.pose_part[rows] = range_part, pose_part
+
+    def set_fused(self, rows: Index, fused: Planes) -> None:
+        """Write planes whose d is about the present (x, y, z): the origin moves to the plane."""
+        rise = fused.d / fused.normal[:, 2]
+        self.set_planes(
+            rows,
+            fused.normal,
+            self.z[rows] + rise,
+            planes.move_up(fused.normal, fused.range_part, rise),
+            planes.move_up(fused.normal, fused.pose_part, rise),
+        )
+
+    def divide(self, rows: Index) -> Index:
+        """Divide leaves ``rows`` as far as ``max_cells`` allows; children inherit the plane.
+
+        An inherited plane is the parent's moved to the child's centre, its covariance inflated by
+        the parent's misfit m^2: m^2 on d, and m^2 / (size / 4)^2 on the tilt.
+
+        Returns:
+            The rows that were divided.
+        """
+        if not len(rows):
+            return rows
+        level = self.level[rows]
+        quarter = 0.25 * self.domain.cell_size(level)
+        normal, z = self.normal[rows], self.z[rows]
+        range_part, pose_part, misfit = self.range_part[rows], self.pose_part[rows], self.misfit[rows]
+        children = self.split(rows)
+        done = len(children)
+        for k in range(4):
+            delta = np.zeros((done, 3))
+            delta[:, 0] = (2 * CHILD_X[k] - 1) * quarter[:done]
+            delta[:, 1] = (2 * CHILD_Y[k] - 1) * quarter[:done]
+            n = normal[:done]
+            delta[:, 2] = -np.einsum("mi,mi->m", n[:, :2], delta[:, :2]) / n[:, 2]
+            _, change = planes.shift_origin(n, np.zeros(done), delta)
+            back = change.transpose(0, 2, 1)
+            inflated = change @ range_part[:done] @ back
+            tilt = misfit[:done] / quarter[:done] ** 2
+            inflated[:, 0, 0] += tilt
+            inflated[:, 1, 1] += tilt
+            inflated[:, 2, 2] += misfit[:done]
+            at = children[:, k]
+            pose = change @ pose_part[:done] @ back
+            self.set_planes(at, n, z[:done] + delta[:, 2], inflated, pose)
+        first = children[:, 0]
+        self.measured[first] = False
+        for name in _SUMS:
+            getattr(self, name)[first] = 0.0
+        self.feature[first] = np.nan
+        self.feature_covariance[first] = np.nan
+        return rows[:done]
+
+
+_SUMS = (
+    "points_fitted",
+    "misfit",
+    "distance_sum",
+    "noise_sum",
+    "exception_sum",
+    "residuals",
+    "division_sum",
+    "division_points",
+)

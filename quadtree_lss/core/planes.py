@@ -1,0 +1,389 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planes: maximum-likelihood fit, covariance, change of origin and fusion (paper IV.A, IV.B).
+
+A plane is n.(r - c) = d (Eq. 18 about an origin c near the ground, which is a cell's centre here)
+with its normal up (n_z > 0). Its error is e = (dphi_1, dphi_2, dd): dphi in the tangent plane at
+n, axes of Eq. 2, rad; dd in m. Every function treats all planes at once: leading dimension M.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core import sphere
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+#: |n.u| is taken to be at least this (grazing incidence).
+MIN_COSINE = 0.05
+#: A fit whose slope is less certain than this (rad, one sigma) is none.
+MAX_SLOPE_SIGMA = 0.5
+#: In-plane scatter thinner than this, relative to its length, is a line.
+MIN_THICKNESS = 1e-4
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Sums over the points of each group, sufficient for a fit with equal weights in a group.
+
+    Attributes:
+        count: (G,) points.
+        mean: (G, 3) centroid, m.
+        scatter: (G, 3, 3) sum of (r - mean)(r - mean)^T, m^2.
+        ray: (G, 3) unit mean direction from the lidar.
+    """
+
+    count: Array
+    mean: Array
+    scatter: Array
+    ray: Array
+
+    def take(self, chosen: Index | Mask) -> Moments:
+        """The chosen groups."""
+        return Moments(
+            self.count[chosen], self.mean[chosen], self.scatter[chosen], self.ray[chosen]
+        )
+
+
+def moments(group: Index, groups: int, points: Array, rays: Array) -> Moments:
+    """Moments of points that are given as rows.
+
+    Args:
+        group: (N,) group of each point, 0 .. groups - 1; every group has a point.
+        points: (3, N) about an origin near them (the sums are not centred first), m.
+        rays: (3, N) unit directions from the lidar.
+    """
+    count = np.bincount(group, minlength=groups).astype(np.float64)
+    inverse = 1.0 / np.maximum(count, 1.0)
+    mean = np.empty((groups, 3))
+    ray = np.empty((groups, 3))
+    for axis in range(3):
+        mean[:, axis] = np.bincount(group, points[axis], minlength=groups)
+        ray[:, axis] = np.bincount(group, rays[axis], minlength=groups)
+    mean *= inverse[:, None]
+    scatter = np.empty((groups, 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            total = np.bincount(group, points[i] * points[j], minlength=groups)
+            total -= count * mean[:, i] * mean[:, j]
+            scatter[:, i, j] = scatter[:, j, i] = np.maximum(total, 0.0) if i == j else total
+    return Moments(count, mean, scatter, unit(ray))
+
+
+def inverse_symmetric(matrices: Array) -> Array:
+    """Inverse of symmetric positive definite (M, 3, 3) by cofactors."""
+    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 0, 2]
+    d, e, f = matrices[:, 1, 1], matrices[:, 1, 2], matrices[:, 2, 2]
+    df, bf, be = d * f - e * e, c * e - b * f, b * e - c * d
+    out = np.empty_like(matrices)
+    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = df, bf, be
+    out[:, 1, 1], out[:, 1, 2] = a * f - c * c, b * c - a * e
+    out[:, 2, 2] = a * d - b * b
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = out[:, 0, 1], out[:, 0, 2], out[:, 1, 2]
+    out /= (a * df + b * bf + c * be)[:, None, None]
+    return out
+
+
+def horizontal_conditioning(scatter: Array) -> tuple[Array, Array]:
+    """Least and greatest eigenvalue (M,), m^2, of the horizontal block of (M, 3, 3) scatters."""
+    half = 0.5 * (scatter[:, 0, 0] + scatter[:, 1, 1])
+    radius = np.hypot(0.5 * (scatter[:, 0, 0] - scatter[:, 1, 1]), scatter[:, 0, 1])
+    return half - radius, half + radius
+
+
+def fit_height(scatter: Array, prior_normal: Array, prior_spread: Array) -> Array:
+    """Normals (M, 3) of the regression of height on (x, y) with a weak prior on the slope.
+
+    z = z0 + a x + b y minimises sum (z - z0 - a x - b y)^2 + s |(a, b) - (a, b)_prior|^2, which is
+    (S_xy + s I)(a, b) = S_xz + s (a, b)_prior with S the within-scan scatter.
+
+    Args:
+        scatter: (M, 3, 3), m^2.
+        prior_normal: (M, 3) normal whose slope is the prior; finite also where unused.
+        prior_spread: (M,) s, m^2: the horizontal scatter the prior stands for; 0 for none.
+    """
+    slope_x = -prior_normal[:, 0] / prior_normal[:, 2]
+    slope_y = -prior_normal[:, 1] / prior_normal[:, 2]
+    sxx, syy, sxy = scatter[:, 0, 0] + prior_spread, scatter[:, 1, 1] + prior_spread, scatter[:, 0, 1]
+    sxz = scatter[:, 0, 2] + prior_spread * slope_x
+    syz = scatter[:, 1, 2] + prior_spread * slope_y
+    determinant = sxx * syy - sxy * sxy
+    a = (syy * sxz - sxy * syz) / determinant
+    b = (sxx * syz - sxy * sxz) / determinant
+    return normal_from_slopes(a, b)
+
+
+def normal_from_slopes(a: Array, b: Array) -> Array:
+    """Upward unit normals (M, 3) of z = a x + b y."""
+    normal = np.stack([-a, -b, np.ones_like(a)], axis=-1)
+    normal /= np.sqrt(a * a + b * b + 1.0)[:, None]
+    return normal
+
+
+def fit_orthogonal(scatter: Array, start: Array, iterations: int = 4) -> Array:
+    """Normals (M, 3) of the paper's ML fit (Eq. 23-36) by Newton's method on the sphere.
+
+    With one free offset per scan and weights constant in a (cell, scan), the cost of Eq. 25 is
+    n^T S n / 2, S the sum of within-scan scatters times their weights 1 / (n^T Sigma n), held at
+    the current normal as in Eq. 35. With B the tangent basis at n: gradient B^T S n, Hessian
+    B^T S B - (n^T S n) I. Where that is not positive definite the Gauss-Newton Hessian B^T S B
+    of Eq. 33 serves.
+
+    Args:
+        scatter: (M, 3, 3) weighted within-scan scatter.
+        start: (M, 3) first normals.
+        iterations: Newton steps; convergence is cubic.
+    """
+    normal = start
+    for _ in range(iterations):
+        basis = sphere.tangent_basis(normal)
+        image = (scatter @ normal[:, :, None])[:, :, 0]
+        gradient = np.einsum("mij,mi->mj", basis, image)
+        hessian = basis.transpose(0, 2, 1) @ scatter @ basis
+        cost = np.einsum("mi,mi->m", normal, image)
+        h00, h11, h01 = hessian[:, 0, 0] - cost, hessian[:, 1, 1] - cost, hessian[:, 0, 1]
+        sound = (h00 > 0.0) & (h00 * h11 - h01 * h01 > 0.0)
+        h00, h11 = np.where(sound, h00, h00 + cost), np.where(sound, h11, h11 + cost)
+        determinant = np.maximum(h00 * h11 - h01 * h01, 1e-300)
+        step = np.empty_like(gradient)
+        step[:, 0] = -(h11 * gradient[:, 0] - h01 * gradient[:, 1]) / determinant
+        step[:, 1] = -(h00 * gradient[:, 1] - h01 * gradient[:, 0]) / determinant
+        length = np.hypot(step[:, 0], step[:, 1])
+        step *= np.minimum(1.0, 0.5 / np.maximum(length, 1e-300))[:, None]
+        normal = upward(sphere.plus(normal, step))
+    return normal
+
+
+def upward(normals: Array) -> Array:
+    """(n, d) and (-n, -d) are one plane: normals (M, 3) turned to n_z > 0 and off the horizon."""
+    up = np.where(normals[:, 2:] < 0.0, -normals, normals)
+    low = up[:, 2] < 1e-3
+    if low.any():
+        up[low, 2] = 1e-3
+        up[low] /= np.linalg.norm(up[low], axis=-1, keepdims=True)
+    return up
+
+
+def orthogonal_noise_variance(normal: Array, ray: Array, range_noise: float) -> Array:
+    """Variance (M,) of Eq. 19's residual from range noise: sigma^2 (n.u)^2, m^2."""
+    cosine = np.abs(np.einsum("mi,mi->m", normal, ray))
+    return (range_noise * np.maximum(cosine, MIN_COSINE)) ** 2
+
+
+def slope_covariance(scatter: Array, basis: Array, spread: Array) -> Array:
+    """Covariance (M, 2, 2) of dphi: (B^T S B + s I)^-1, the phi block of H^-1 (Eq. 35).
+
+    Args:
+        scatter: (M, 3, 3) within-scan scatter over the residual's variance.
+        basis: (M, 3, 2) tangent basis.
+        spread: (M,) what the slope prior adds, likewise over the variance.
+    """
+    h = basis.transpose(0, 2, 1) @ scatter @ basis
+    h00, h11, h01 = h[:, 0, 0] + spread, h[:, 1, 1] + spread, h[:, 0, 1]
+    determinant = h00 * h11 - h01 * h01
+    out = np.empty((len(h), 2, 2))
+    out[:, 0, 0], out[:, 1, 1] = h11 / determinant, h00 / determinant
+    out[:, 0, 1] = out[:, 1, 0] = -h01 / determinant
+    return out
+
+
+def covariance_about(slope: Array, offset_variance: Array, lever: Array) -> Array:
+    """Covariance (M, 3, 3) of (dphi, dd) about an origin away from the centroid.
+
+    The plane passes through the centroid: d = n.(centroid - origin), so with dphi and the
+    centroid's offset dd_0 independent, dd = dd_0 + lever^T dphi.
+
+    Args:
+        slope: (M, 2, 2) covariance of dphi.
+        offset_variance: (M,) variance of dd_0, m^2.
+        lever: (M, 2) B^T (centroid - origin), m.
+    """
+    out = np.empty((len(slope), 3, 3))
+    cross = (slope @ lever[:, :, None])[:, :, 0]
+    out[:, :2, :2] = slope
+    out[:, :2, 2] = out[:, 2, :2] = cross
+    out[:, 2, 2] = offset_variance + np.einsum("mi,mi->m", lever, cross)
+    return out
+
+
+def pose_jacobian(normal: Array, basis: Array, arm: Array) -> Array:
+    """How a scan's pose error moves its planes: (M, 3, 6) of (dphi, dd) by (dm, dw), map axes.
+
+    A rigid motion turns n by dw x n and carries the plane's point at the origin along by
+    dm + dw x arm, so dphi = B^T (dw x n) and dd = n.dm + (arm x n).dw.
+
+    Args:
+        normal: (M, 3).
+        basis: (M, 3, 2) tangent basis.
+        arm: (M, 3) plane's origin minus the lidar's position, m.
+    """
+    out = np.zeros((len(normal), 3, 6))
+    # b . (dw x n) = dw . (n x b)
+    out[:, 0, 3:] = cross(normal, basis[:, :, 0])
+    out[:, 1, 3:] = cross(normal, basis[:, :, 1])
+    out[:, 2, :3] = normal
+    out[:, 2, 3:] = cross(arm, normal)
+    return out
+
+
+def unit(vectors: Array) -> Array:
+    """Vectors (M, 3) over their length."""
+    out: Array = vectors / np.sqrt(np.einsum("mi,mi->m", vectors, vectors))[:, None]
+    return out
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross products of (M, 3) by (M, 3)."""
+    out = np.empty_like(a)
+    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return out
+
+
+def pose_part(normal: Array, basis: Array, arm: Array, root: Array) -> Array:
+    """J Sigma_pose J^T, (M, 3, 3), of planes that one scan's pose error moves together.
+
+    Args:
+        root: (6, 6) or (M, 6, 6) with Sigma_pose = root root^T.
+    """
+    moved = pose_jacobian(normal, basis, arm) @ root
+    return moved @ moved.transpose(0, 2, 1)
+
+
+def covariance_root(covariance: Array) -> Array:
+    """Matrix root of symmetric (..., K, K), negative eigenvalues taken as zero."""
+    values, vectors = np.linalg.eigh(covariance)
+    out: Array = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return out
+
+
+def elevation_at_origin(normal: Array, d: Array, origin_z: Array) -> Array:
+    """Height (M,) of the plane n.(r - c) = d straight above its origin c: c_z + d / n_z, m."""
+    return origin_z + d / normal[:, 2]
+
+
+def transport(covariance: Array, of: Array, to: Array) -> Array:
+    """Covariance (M, 3, 3) of errors in the tangent at ``of`` (M, 3), seen in the tangent at ``to``.
+
+    With w = R_to^T of, the error of (of [-] to) is dlog(w) R_to^T B_of dphi.
+    """
+    turn = np.swapaxes(sphere.rotation_to(to), -1, -2)
+    seen = (turn @ of[:, :, None])[:, :, 0]
+    change = sphere.log_jacobian(seen) @ (turn @ sphere.tangent_basis(of))
+    full = np.zeros((len(of), 3, 3))
+    full[:, :2, :2] = change
+    full[:, 2, 2] = 1.0
+    return full @ covariance @ full.transpose(0, 2, 1)
+
+
+def shift_origin(normal: Array, d: Array, delta: Array) -> tuple[Array, Array]:
+    """Move the origin of planes by ``delta`` (M, 3), m: exact value and linear map of the error.
+
+    d' = d - n.delta, and as dn = B dphi, dd' = dd - (B^T delta).dphi.
+
+    Returns:
+        d' (M,) and T (M, 3, 3) with e' = T e.
+    """
+    change = np.zeros((len(normal), 3, 3))
+    change[:, 0, 0] = change[:, 1, 1] = change[:, 2, 2] = 1.0
+    basis = sphere.tangent_basis(normal)
+    change[:, 2, :2] = -np.einsum("mij,mi->mj", basis, delta)
+    return d - np.einsum("mi,mi->m", normal, delta), change
+
+
+def move_up(normal: Array, covariance: Array, delta_z: Array) -> Array:
+    """Covariance (M, 3, 3) after moving the origin up by ``delta_z`` (M,), m.
+
+    The vertical case of ``shift_origin``: B^T (0, 0, 1) = -(n_x, n_y), so
+    dd' = dd + delta_z (n_x, n_y).dphi.
+    """
+    lever = normal[:, :2] * delta_z[:, None]
+    out = covariance.copy()
+    added = (covariance[:, :2, :2] @ lever[:, :, None])[:, :, 0]
+    cross = covariance[:, :2, 2]
+    out[:, :2, 2] += added
+    out[:, 2, :2] = out[:, :2, 2]
+    out[:, 2, 2] += 2.0 * np.einsum("mi,mi->m", lever, cross) + np.einsum("mi,mi->m", lever, added)
+    return out
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Estimates of M planes with the two parts of their covariance.
+
+    Attributes:
+        normal: (M, 3), up.
+        d: (M,) about an origin that the owner knows, m.
+        range_part: (M, 3, 3) covariance from range noise.
+        pose_part: (M, 3, 3) covariance from pose error.
+    """
+
+    normal: Array
+    d: Array
+    range_part: Array
+    pose_part: Array
+
+
+def fuse_pair(prior: Planes, update: Planes) -> Planes:
+    """Eq. 39-45 for two estimates of each plane about the same origin, parts carried along.
+
+    e = (n_update [-] n_prior, d_update - d_prior) in the prior's tangent; with the total
+    covariances P and R: K = P (P + R)^-1, fused = prior [+] K e, and each part of the covariance
+    becomes (I - K) P_part (I - K)^T + K R_part K^T, which sums to (P^-1 + R^-1)^-1.
+    """
+    range_part = transport(update.range_part, update.normal, prior.normal)
+    pose = transport(update.pose_part, update.normal, prior.normal)
+    error = np.empty((len(prior.d), 3))
+    error[:, :2] = sphere.minus(update.normal, prior.normal)
+    error[:, 2] = update.d - prior.d
+    total = prior.range_part + prior.pose_part
+    gain = total @ inverse_symmetric(total + range_part + pose)
+    rest = np.eye(3) - gain
+    step = (gain @ error[:, :, None])[:, :, 0]
+    normal = upward(sphere.plus(prior.normal, step[:, :2]))
+    rest_t, gain_t = rest.transpose(0, 2, 1), gain.transpose(0, 2, 1)
+    return Planes(
+        normal,
+        prior.d + step[:, 2],
+        symmetric(rest @ prior.range_part @ rest_t + gain @ range_part @ gain_t),
+        symmetric(rest @ prior.pose_part @ rest_t + gain @ pose @ gain_t),
+    )
+
+
+def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose: Array) -> Planes:
+    """Fuse one orthogonal distance per plane: what too few points for a fit still tell.
+
+    The mean residual A = n.(mean - c) - d of the points (Eq. 29) observes (B^T(c - mean), 1).e
+    with variance noise + pose.
+
+    Args:
+        prior: M planes.
+        lever: (M, 2) B^T (mean - origin), m.
+        height: (M,) A, m.
+        noise, pose: (M,) its variances from range noise and pose, m^2.
+    """
+    row = np.concatenate([-lever, np.ones((len(lever), 1))], axis=1)
+    total = prior.range_part + prior.pose_part
+    image = (total @ row[:, :, None])[:, :, 0]
+    gain = image / (np.einsum("mi,mi->m", row, image) + noise + pose)[:, None]
+    step = gain * height[:, None]
+    rest = np.eye(3) - gain[:, :, None] * row[:, None, :]
+    rest_t = rest.transpose(0, 2, 1)
+    square = gain[:, :, None] * gain[:, None, :]
+    return Planes(
+        upward(sphere.plus(prior.normal, step[:, :2])),
+        prior.d + step[:, 2],
+        symmetric(rest @ prior.range_part @ rest_t + noise[:, None, None] * square),
+        symmetric(rest @ prior.pose_part @ rest_t + pose[:, None, None] * square),
+    )
+
+
+def symmetric(matrices: Array) -> Array:
+    """Mean of (M, K, K) and its transpose."""
+    return 0.5 * (matrices + matrices.transpose(0, 2, 1))

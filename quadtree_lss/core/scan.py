@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One scan on its way into the map: validated, taken to the map frame, binned (paper IV.A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.config import LidarConfig
+from quadtree_lss.core.lidar import Pose, isolated_returns
+from quadtree_lss.core.planes import covariance_root
+from quadtree_lss.core.quadtree import Domain
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class RegisteredScan:
+    """Points of one scan inside the domain.
+
+    Attributes:
+        pose: Lidar pose.
+        pose_root: (6, 6) root of the pose covariance.
+        points: (3, N) map frame, m.
+        rays: (3, N) unit directions from the lidar, map axes.
+        finest: (N,) index iy * n + ix of the finest cell under each point.
+    """
+
+    pose: Pose
+    pose_root: Array
+    points: Array
+    rays: Array
+    finest: Index
+
+
+def register(
+    points_lidar: Array, pose: Pose, lidar: LidarConfig, domain: Domain
+) -> tuple[RegisteredScan, dict[str, int]]:
+    """Keep the sound returns, apply Eq. 15 and find each one's finest cell.
+
+    Args:
+        points_lidar: (H, W, 3) organised or (N, 3), lidar axes, m; not finite = no return.
+
+    Returns:
+        The scan and how many points were dropped, by reason: ``no_return``, ``range``,
+        ``isolated``, ``outside`` (of the domain).
+    """
+    shape = points_lidar.shape[:-1]
+    flat = points_lidar.reshape(-1, 3)
+    with np.errstate(invalid="ignore", over="ignore"):
+        ranges = np.sqrt(np.einsum("ij,ij->i", flat, flat))
+        finite = np.isfinite(ranges)
+        valid = finite & (ranges >= lidar.min_range) & (ranges <= lidar.max_range)
+    returns = int(np.count_nonzero(finite))
+    in_range = int(np.count_nonzero(valid))
+    if in_range:
+        lonely = isolated_returns(
+            points_lidar, valid.reshape(shape), ranges.reshape(shape), lidar.outlier_gate
+        )
+        valid &= ~lonely.ravel()
+    kept = int(np.count_nonzero(valid))
+    if kept < len(flat):
+        flat, ranges = flat[valid], ranges[valid]
+    rays = pose.rotation_map_lidar @ flat.T
+    points = rays + pose.position[:, None]
+    rays /= ranges
+    n = domain.finest_count
+    scale = 1.0 / domain.finest_size
+    column = np.floor((points[0] - domain.xmin) * scale)
+    row = np.floor((points[1] - domain.ymin) * scale)
+    inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
+    if not inside.all():
+        points, rays = points[:, inside], rays[:, inside]
+        column, row = column[inside], row[inside]
+    finest = (row * n + column).astype(np.intp)
+    dropped = {
+        "no_return": len(valid) - returns,
+        "range": returns - in_range,
+        "isolated": in_range - kept,
+        "outside": kept - len(finest),
+    }
+    scan = RegisteredScan(pose, covariance_root(pose.covariance), points, rays, finest)
+    return scan, dropped
+
+
+def compact(values: Index, bound: int) -> tuple[Index, Index]:
+    """Distinct values, ascending, and the place of each value among them, without sorting.
+
+    Args:
+        values: (N,) in 0 .. bound - 1.
+    """
+    mark = np.zeros(bound, dtype=np.bool_)
+    mark[values] = True
+    distinct = np.flatnonzero(mark)
+    place = np.empty(bound, dtype=np.intp)
+    place[distinct] = np.arange(len(distinct))
+    return distinct, place[values]
