@@ -97,7 +97,7 @@ class Intake:
                 unknown_attitude_sigma_deg=limits.unknown_attitude_sigma_deg,
             )
         except MessageError as error:
-            self._reject("pose", error)
+            self.reject("pose", error)
             return
         if has_unknown_covariance(msg):
             self._notices.append(
@@ -118,24 +118,29 @@ class Intake:
         try:
             self._add(self._gimbal, mount_from_message(msg), "gimbal")
         except MessageError as error:
-            self._reject("gimbal", error)
+            self.reject("gimbal", error)
 
-    def on_cloud(self, msg: Any, arrival_ns: int) -> None:
-        """Takes a ``PointCloud2``; ``arrival_ns`` is of any steady clock, see `ready`."""
+    def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
+        """Takes a ``PointCloud2``; ``arrival_ns`` is of any steady clock, see `ready`.
+
+        Returns:
+            The scan's stamp, or None if it cannot be used.
+        """
         try:
             points, stamp = points_from_cloud(msg), stamp_ns(msg.header)
         except MessageError as error:
-            self._reject("cloud", error)
-            return
+            self.reject("cloud", error)
+            return None
         if points.size == 0:
-            self._reject("cloud", MessageError("empty", "cloud has no points"))
-            return
+            self.reject("cloud", MessageError("empty", "cloud has no points"))
+            return None
         self.scans += 1
         jumps = self.queue.jumps
         self.queue.push_scan(stamp, points, arrival_ns)
         if self.queue.jumps != jumps:
             text = "scan stamps jumped back (a looping bag?): waiting scans dropped, map kept"
             self._notices.append(Notice("time_jump", text))
+        return stamp
 
     def ready(self, now_ns: int) -> list[ReadyScan]:
         """Scans whose pose is known, oldest first; gives up those that have waited too long.
@@ -160,6 +165,11 @@ class Intake:
         told, self._notices = self._notices, []
         return told
 
+    def reject(self, what: str, error: MessageError) -> None:
+        """Counts and tells a message that cannot be used; ``what`` is cloud, pose or gimbal."""
+        self.rejected[f"{what}_{error.reason}"] += 1
+        self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
+
     def _buffer(self) -> PoseBuffer:
         limits = self._pose_config
         return PoseBuffer(round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS))
@@ -172,10 +182,6 @@ class Intake:
         consequence = "older ones forgotten" if reason == "time_jump" else "ignored"
         text = f"{what} with stamp {pose.stamp_ns} ns: {reason}, {consequence}"
         self._notices.append(Notice(f"{what}_{reason}", text))
-
-    def _reject(self, what: str, error: MessageError) -> None:
-        self.rejected[f"{what}_{error.reason}"] += 1
-        self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
 
     def _tell(self, drops: list[Drop]) -> None:
         self._notices += [Notice(drop.reason, drop.text) for drop in drops]
