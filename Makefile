@@ -12,11 +12,11 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 # A sourced ROS 2 whose rclpy this python can import is used as it is; otherwise ROS 2 Jazzy is
 # installed into .venv as wheels. Each way has its own stamp, so that changing over starts anew.
-ROS := $(shell test -n "$$ROS_DISTRO" && $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced || echo wheels)
+ROS := $(shell test -n "$${ROS_DISTRO-}" && $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced || echo wheels)
 DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
 PACKAGE := $(VENV)/.package
 SOURCES := $(shell find quadtree_lss launch config scripts resource -type f \
-    -not -path '*/__pycache__/*') package.xml setup.py setup.cfg README.md
+    -not -path '*/__pycache__/*') package.xml setup.py setup.cfg
 
 # The installed package, not the checkout, is what every target runs.
 export PYTHONSAFEPATH := 1
@@ -62,10 +62,10 @@ demo: setup
 	$(BIN)/python -m quadtree_lss.ros.demo --out demo_output
 
 test: setup
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS)
+	$(BIN)/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS)
 
 test-all: setup
-	$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -43,6 +43,9 @@ setup(
         "tqdm>=4.64",
         "rosbags>=0.11",
         "mcap>=1.1",
+        "apsw>=3.45",
+        "lz4>=4.0",
+        "zstandard>=0.20",
     ],
     extras_require={
         # ROS 2 Jazzy from the Python package index, for computers without a ROS installation.

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Start a node, spin it, end it: the same for both nodes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+from quadtree_lss.core.config import parameters
+from quadtree_lss.errors import QuadtreeLssError
+
+
+def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | None = None) -> int:
+    """Run one node until SIGINT, SIGTERM or shutdown.
+
+    Args:
+        make_node: Called once ROS is initialised.
+        description: What ``--help`` prints first.
+        args: Command line with the program's name, ``sys.argv`` by default.
+
+    Returns:
+        Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong usage.
+    """
+    argv = list(sys.argv if args is None else args)
+    own = remove_ros_args(argv)[1:]
+    if "-h" in own or "--help" in own:
+        print(_help(os.path.basename(argv[0]), description))
+        return 0
+    if own:
+        print(f"unknown argument {own[0]!r}; ROS arguments follow --ros-args", file=sys.stderr)
+        return 2
+    if "ROS_LOG_DIR" not in os.environ and "HOME" not in os.environ:
+        os.environ["ROS_LOG_DIR"] = tempfile.gettempdir()
+    return _spin(make_node, argv)
+
+
+def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
+    executor: SingleThreadedExecutor | None = None
+    node: Node | None = None
+    try:
+        rclpy.init(args=argv)
+        node = make_node()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=1.0)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    except QuadtreeLssError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if executor is not None:
+            executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _help(program: str, description: str) -> str:
+    lines = [
+        description,
+        "",
+        f"usage: {program} [--ros-args --params-file FILE -p NAME:=VALUE -r FROM:=TO ...]",
+        "",
+        "parameters (live ones may be set while running):",
+    ]
+    for row in parameters():
+        unit = f" {row.unit}" if row.unit else ""
+        live = ", live" if row.live else ""
+        lines.append(f"  {row.name} ({row.type.__name__}, default {row.default}{unit}{live})")
+        lines.append(f"      {row.doc}")
+    return "\n".join(lines)

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plays the scans and poses of a bag to running nodes, their bytes as they were recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rclpy
+import zstandard
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+from tqdm import tqdm
+
+from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.replay.bags import (
+    POSE_TOPIC,
+    POSE_TYPE,
+    SCAN_TOPIC,
+    SCAN_TYPE,
+    Bag,
+    choose_topic,
+)
+from quadtree_lss.ros.messages import time_message
+from quadtree_lss.ros.qos import stream
+
+SECOND_NS = 1_000_000_000
+CLOCK_PERIOD_S = 0.02
+MATCH_PAUSE_S = 0.5
+"""After a publisher sees its match the subscriber may not be ready yet."""
+DEPTH = 200
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+class PlayError(QuadtreeLssError):
+    """The bag cannot be played, or nobody listens."""
+
+
+@dataclass(frozen=True)
+class PlayReport:
+    """What was sent.
+
+    Attributes:
+        scans, poses: Number of messages.
+        duration: Time it took, s.
+        losses: One line for each piece of the bag that could not be read.
+    """
+
+    scans: int
+    poses: int
+    duration: float
+    losses: tuple[str, ...]
+
+
+def play(
+    bag: str | Path,
+    *,
+    rate: float = 1.0,
+    clock: bool = True,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+    wait: float = 15.0,
+    namespace: str = "",
+    domain_id: int | None = None,
+    progress: bool = False,
+) -> PlayReport:
+    """Plays a ROS 2 bag on ``lidar/points`` and ``nav/pose``, as fast as it was recorded.
+
+    Waits until both topics have a subscriber, and at the end until all was acknowledged.
+
+    Args:
+        bag: Directory or single file.
+        rate: Bag seconds per second.
+        clock: Publish the bag's time on ``/clock``.
+        scan_topic, pose_topic: Topics in the bag, found as in a replay if None.
+        start, duration: Part of the bag, s from its first message.
+        wait: How long to wait for subscribers, s.
+        namespace: Of the topics published on.
+        domain_id: ROS domain, that of the environment if None.
+        progress: Show a progress bar.
+
+    Raises:
+        BagError: the bag cannot be read or its topics are not clear.
+        PlayError: ROS 1 bag, rate not positive, no subscriber in time.
+    """
+    if not rate > 0.0:
+        msg = f"rate {rate:g} is not positive"
+        raise PlayError(msg)
+    path = Path(bag)
+    if ".bag" in path.suffixes or (path.is_dir() and any(path.glob("*.bag*"))):
+        msg = f"{path} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"
+        raise PlayError(msg)
+    context = Context()
+    with Bag(path) as source:
+        names = {
+            choose_topic(source, scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic"): SCAN_TOPIC,
+            choose_topic(source, pose_topic, POSE_TOPIC, POSE_TYPE, "--pose-topic"): POSE_TOPIC,
+        }
+        rclpy.init(context=context, domain_id=domain_id)
+        try:
+            node = Node("bag_player", context=context, namespace=namespace)
+            publishers = _publishers(node, names)
+            times = _Times(node if clock else None, rate)
+            _wait_for_subscribers(list(publishers.values()), wait)
+            first = source.start_ns + round(start * SECOND_NS)
+            last = source.end_ns + 1
+            if duration is not None:
+                last = min(last, first + round(duration * SECOND_NS))
+            began = time.monotonic()
+            count = sum(topic.count for topic in source.topics if topic.name in names)
+            messages = source.messages(list(names), first, last)
+            sent = _send(
+                tqdm(messages, total=count, unit="msg", disable=not progress), publishers, times
+            )
+            for publisher in publishers.values():
+                publisher.wait_for_all_acked(Duration(seconds=5))
+            scans, poses = (sent[name] for name in names)
+            return PlayReport(scans, poses, time.monotonic() - began, tuple(source.losses))
+        finally:
+            context.try_shutdown()
+
+
+class _Times:
+    """Waits for the time of each message and tells it on ``/clock`` meanwhile."""
+
+    def __init__(self, node: Node | None, rate: float) -> None:
+        self._rate = rate
+        self._first: tuple[int, float] | None = None
+        self._clock: Publisher | None = None
+        if node is not None:
+            self._clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
+
+    def wait_until(self, bag_ns: int) -> None:
+        if self._first is None:
+            self._first = bag_ns, time.monotonic()
+        start_ns, started = self._first
+        while True:
+            elapsed = time.monotonic() - started
+            now_ns = start_ns + round(elapsed * self._rate * SECOND_NS)
+            left = (bag_ns - now_ns) / (self._rate * SECOND_NS)
+            if self._clock is not None:
+                self._clock.publish(Clock(clock=time_message(min(now_ns, bag_ns))))
+            if left <= 0.0:
+                return
+            time.sleep(min(left, CLOCK_PERIOD_S))
+
+
+def _send(
+    messages: Iterable[Any], publishers: Mapping[str, Publisher], times: _Times
+) -> dict[str, int]:
+    counts = dict.fromkeys(publishers, 0)
+    for topic, received_ns, raw in messages:
+        times.wait_until(received_ns)
+        if raw[:4] == ZSTD_MAGIC:
+            raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
+        publishers[topic].publish(bytes(raw))
+        counts[topic] += 1
+    return counts
+
+
+def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
+    """For each topic of the bag the publisher of its messages."""
+    kinds = {SCAN_TOPIC: PointCloud2, POSE_TOPIC: PoseWithCovarianceStamped}
+    profile = stream(DEPTH, reliable=True)
+    return {
+        recorded: node.create_publisher(kinds[name], name.lstrip("/"), profile)
+        for recorded, name in names.items()
+    }
+
+
+def _wait_for_subscribers(publishers: Sequence[Publisher], wait: float) -> None:
+    deadline = time.monotonic() + wait
+    while missing := [p.topic_name for p in publishers if not p.get_subscription_count()]:
+        if time.monotonic() > deadline:
+            msg = f"nobody subscribed to {', '.join(missing)} within {wait:g} s: are nodes running?"
+            raise PlayError(msg)
+        time.sleep(0.05)
+    time.sleep(MATCH_PAUSE_S)

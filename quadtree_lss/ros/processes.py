@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starting and ending the installed programs as processes of their own."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from quadtree_lss.errors import QuadtreeLssError
+
+PACKAGE = "quadtree_lss"
+
+
+class ProcessError(QuadtreeLssError):
+    """A program is not installed or ended when it should not."""
+
+
+def program(name: str) -> Path:
+    """Path of an installed executable as ``ros2 run quadtree_lss <name>`` finds it.
+
+    Raises:
+        ProcessError: it is not installed.
+    """
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    for prefix in (sys.prefix, *prefixes):
+        path = Path(prefix) / "lib" / PACKAGE / name
+        if path.is_file():
+            return path
+    msg = f"{name} is not installed under {sys.prefix}: run `make setup` (or colcon build) first"
+    raise ProcessError(msg)
+
+
+def free_domain_id() -> int:
+    """A ROS domain that no process of this computer takes part in at the moment."""
+    candidates = list(range(1, 102))
+    random.SystemRandom().shuffle(candidates)
+    for domain in candidates:
+        # The first participant of a domain holds this port (RTPS specification, 9.6.1.1).
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7410 + 250 * domain))
+            except OSError:
+                continue
+            return domain
+    msg = "no free ROS domain between 1 and 101"
+    raise ProcessError(msg)
+
+
+def local_environment(domain: int, log_dir: Path) -> dict[str, str]:
+    """This process's environment with a ROS domain of its own that stays on this computer."""
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(log_dir),
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+class NodeProcess:
+    """One of our nodes as a process; ends it when the context is left.
+
+    Args:
+        name: Executable, ``mapping_node`` or ``lss_node``.
+        ros_args: What follows ``--ros-args``.
+        env: Its environment.
+        log: File that takes its output.
+    """
+
+    def __init__(self, name: str, ros_args: Sequence[str], env: dict[str, str], log: Path) -> None:
+        self.name = name
+        self.log = log
+        command = [str(program(name)), "--ros-args", *ros_args]
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("wb") as output:
+            self.process = subprocess.Popen(
+                command, env=env, stdout=output, stderr=subprocess.STDOUT
+            )
+
+    def output(self) -> str:
+        """Everything it has written so far."""
+        return self.log.read_text(encoding="utf-8", errors="replace")
+
+    def check(self) -> None:
+        """Raises ProcessError if it has ended."""
+        code = self.process.poll()
+        if code is not None:
+            msg = f"{self.name} ended with exit code {code}: {self.output().strip()[-500:]}"
+            raise ProcessError(msg)
+
+    def stop(self, signal_number: int = signal.SIGINT, timeout: float = 15.0) -> int:
+        """Asks it to end, kills it if it does not; its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal_number)
+        try:
+            return self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+    def __enter__(self) -> NodeProcess:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service of every topic, and what the log says when two ends do not match."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+
+def latched() -> QoSProfile:
+    """One message that late subscribers get as well."""
+    return QoSProfile(
+        depth=1,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def stream(depth: int, *, reliable: bool) -> QoSProfile:
+    """Measurements: the newest ``depth``, nothing for late subscribers."""
+    return QoSProfile(
+        depth=depth,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+
+
+def _overridable() -> QoSOverridingOptions:
+    kinds = (
+        QoSPolicyKind.HISTORY,
+        QoSPolicyKind.DEPTH,
+        QoSPolicyKind.RELIABILITY,
+        QoSPolicyKind.DURABILITY,
+    )
+    return QoSOverridingOptions(kinds)
+
+
+def subscribe(
+    node: Node, kind: Any, topic: str, callback: Any, profile: QoSProfile
+) -> Subscription:
+    """Subscription that warns by name when a publisher's QoS cannot be matched."""
+    name = node.resolve_topic_name(topic)
+
+    def incompatible(event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        node.get_logger().warning(
+            f"a publisher of '{name}' offers a {policy} that this subscription does not accept"
+            f" ({profile.reliability.name}, {profile.durability.name}): none of its messages will"
+            f" arrive; change it, or qos.scan_reliability, or qos_overrides.{name}.subscription.*"
+        )
+
+    return node.create_subscription(
+        kind,
+        topic,
+        callback,
+        profile,
+        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
+        qos_overriding_options=_overridable(),
+    )
+
+
+def advertise(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Publisher:
+    """Publisher that warns by name when a subscriber's QoS cannot be matched."""
+    name = node.resolve_topic_name(topic)
+
+    def incompatible(event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        node.get_logger().warning(
+            f"a subscriber of '{name}' requests a {policy} that is not offered"
+            f" ({profile.reliability.name}, {profile.durability.name}): it will get no messages"
+        )
+
+    return node.create_publisher(
+        kind,
+        topic,
+        profile,
+        event_callbacks=PublisherEventCallbacks(incompatible_qos=incompatible),
+        qos_overriding_options=_overridable(),
+    )

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Publish what changed, not too often, and never leave out the last change."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+
+class ChangePublisher:
+    """Calls ``publish`` after changes, at most ``rate`` times a second.
+
+    A change that comes too soon is published by a timer as soon as it may be, on a steady clock:
+    the last state goes out even if ``/clock`` has stopped. Without changes there is no timer.
+
+    Args:
+        node: Owner of the timer.
+        rate: Hz.
+        publish: Sends the present state.
+    """
+
+    def __init__(self, node: Node, rate: float, publish: Callable[[], None]) -> None:
+        self._period_ns = round(1e9 / rate)
+        self._publish = publish
+        self._due_ns = 0
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(1.0 / rate, self._send, clock=clock)
+        self._timer.cancel()
+
+    def changed(self) -> None:
+        """The state changed: send it now, or when the period has passed."""
+        wait_ns = self._due_ns - time.monotonic_ns()
+        if wait_ns <= 0:
+            self._send()
+        elif self._timer.is_canceled():
+            self._timer.timer_period_ns = wait_ns
+            self._timer.reset()
+
+    def _send(self) -> None:
+        self._timer.cancel()
+        self._due_ns = time.monotonic_ns() + self._period_ns
+        self._publish()
