@@ -1,0 +1,419 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landing sites: what may be landed on, how good it is, and the best of it (paper V.D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import distance_transform_edt, maximum_filter
+
+from quadtree_lss.core import hazards
+from quadtree_lss.core.config import Config, LssConfig
+from quadtree_lss.core.planes import normal_from_slopes
+from quadtree_lss.core.polygons import signed_distance
+from quadtree_lss.core.quadtree import CellMap, Domain
+from quadtree_lss.core.terrain_raster import TerrainRaster, rasterise
+from quadtree_lss.core.touchdown import Disc, NodePlanes, disc, node_planes, node_sums, unsafe_nodes
+
+Array = NDArray[np.float64]
+Bits = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Ranked sites, best first; K rows, map frame.
+
+    Attributes:
+        position: (K, 3) on the terrain, m.
+        normal: (K, 3) of the ground at the lander's scale.
+        score: (K,) mean score density over the zone (Eq. 59), lower is better.
+        slope_deg: (K,) at the lander's scale.
+        roughness: (K,) greatest roughness density in the zone, m^3.
+        hazard_distance: (K,) least distance of the zone's ground from a hazard, m.
+        subscale_height: (K,) greatest height of a subscale feature in the zone, m.
+        reasons: A sentence for each.
+    """
+
+    position: Array
+    normal: Array
+    score: Array
+    slope_deg: Array
+    roughness: Array
+    hazard_distance: Array
+    subscale_height: Array
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LandingAssessment:
+    """Where the map allows landing.
+
+    Attributes:
+        stamp_ns: The map's stamp.
+        sites: Ranked sites, none if no ground is safe.
+        x, y: (nx,), (ny,) grid nodes, m.
+        elevation: (ny, nx) ground at the node, m, NaN if unknown.
+        slope_deg: (ny, nx) slope at the lander's scale, NaN if unknown.
+        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 128 unseen.
+        safe: (ny, nx) landing centred here is allowed by the ground itself.
+        score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
+        explanation: Why there are no sites, or how many nodes were safe.
+    """
+
+    stamp_ns: int
+    sites: Sites
+    x: Array
+    y: Array
+    elevation: Array
+    slope_deg: Array
+    hazard: Bits
+    safe: Mask
+    score: Array
+    explanation: str
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Everything on the lattice of finest-cell corners, (n + 1, n + 1)."""
+
+    planes: NodePlanes
+    hazard: Bits
+    safe: Mask
+    score: Array
+    clearance: Array
+    roughness: Array
+    subscale: Array
+
+
+@dataclass
+class LandingSiteSelector:
+    """Assesses maps; keeps only the last first-ranked site, for ``lss.hysteresis``."""
+
+    config: Config
+    _last_first: Array | None = field(default=None, init=False)
+
+    def assess(
+        self,
+        cells: CellMap,
+        *,
+        area: ArrayLike | None = None,
+        keep_out: ArrayLike | None = None,
+        target: ArrayLike | None = None,
+    ) -> LandingAssessment:
+        """Rank landing sites on a map.
+
+        Args:
+            cells: The map message's content; points are never needed.
+            area: (V, 2) polygon that the landing zone must lie in, map frame, m.
+            keep_out: (V, 2) polygon that the zone must not touch.
+            target: (2,) or (3,) place to be near to.
+
+        Raises:
+            ValueError: a polygon with fewer than three finite vertices.
+        """
+        lss, domain = self.config.lss, cells.domain
+        x, y = (_grid(low, domain.size, lss.grid_spacing) for low in (domain.xmin, domain.ymin))
+        raster = rasterise(cells, lss.max_gap)
+        if not raster.seen.any():
+            return _nothing(cells.stamp_ns, x, y, "nothing is mapped yet")
+        nodes = _assess_nodes(cells, raster, lss)
+        at = _Sampler(domain, x, y)
+        safe = at.everywhere(nodes.safe)
+        score = np.where(safe, at.nearest(nodes.score), np.nan)
+        explanation = f"{np.count_nonzero(safe)} of {safe.size} grid nodes are safe"
+        if not safe.any():
+            explanation = _why_none(nodes, raster, lss)
+        zone = 0.5 * lss.vehicle_diameter + lss.margin
+        grid_x, grid_y = np.meshgrid(x, y)
+        if area is not None:
+            score[signed_distance(area, grid_x, grid_y) < zone] = np.nan
+        if keep_out is not None:
+            score[signed_distance(keep_out, grid_x, grid_y) > -zone] = np.nan
+        if target is not None:
+            goal = np.asarray(target, dtype=np.float64)
+            score += lss.weight_target * np.hypot(grid_x - goal[0], grid_y - goal[1])
+        if safe.any() and not np.isfinite(score).any():
+            explanation = "no safe ground within the landing area and outside the keep-out"
+        sites = self._rank(nodes, at, score, x, y)
+        unseen = (at.any(nodes.hazard) & hazards.UNSEEN) > 0
+        return LandingAssessment(
+            stamp_ns=cells.stamp_ns,
+            sites=sites,
+            x=x,
+            y=y,
+            elevation=np.where(unseen, np.nan, at.linear(nodes.planes.elevation)),
+            slope_deg=np.where(unseen, np.nan, at.nearest(_slope_deg(nodes.planes))),
+            hazard=at.any(nodes.hazard),
+            safe=safe,
+            score=score,
+            explanation=explanation,
+        )
+
+    def _rank(self, nodes: _Nodes, at: _Sampler, score: Array, x: Array, y: Array) -> Sites:
+        """The best nodes, one after the other, each ``min_separation`` from those before."""
+        lss = self.config.lss
+        allowed = np.flatnonzero(np.isfinite(score))
+        order = allowed[np.argsort(score.ravel()[allowed], kind="stable")]
+        row, column = np.unravel_index(order, score.shape)
+        place = np.column_stack([x[column], y[row]])
+        ranked = score.ravel()[order]
+        chosen: list[int] = []
+        open_ = np.ones(len(order), dtype=np.bool_)
+        first = self._keep_first(place, ranked)
+        while len(chosen) < lss.sites and open_.any():
+            best = first if not chosen and first is not None else int(np.argmax(open_))
+            chosen.append(best)
+            open_ &= np.hypot(*(place - place[best]).T) >= lss.min_separation
+            open_[best] = False
+        self._last_first = place[chosen[0]].copy() if chosen else None
+        where = (row[chosen], column[chosen])
+        slopes = [at.nearest(v)[where] for v in (nodes.planes.slope_x, nodes.planes.slope_y)]
+        sites = Sites(
+            position=np.column_stack([place[chosen], at.linear(nodes.planes.elevation)[where]]),
+            normal=normal_from_slopes(*slopes),
+            score=ranked[chosen],
+            slope_deg=at.nearest(_slope_deg(nodes.planes))[where],
+            roughness=at.nearest(nodes.roughness)[where],
+            hazard_distance=at.nearest(nodes.clearance)[where],
+            subscale_height=at.nearest(nodes.subscale)[where],
+            reasons=(),
+        )
+        return _with_reasons(sites, lss)
+
+    def _keep_first(self, place: Array, ranked: Array) -> int | None:
+        """Hysteresis: the last first site, while it is allowed and not worse by the set score."""
+        lss = self.config.lss
+        if lss.hysteresis <= 0.0 or self._last_first is None or not len(place):
+            return None
+        same = np.flatnonzero((place == self._last_first).all(axis=1))
+        if not len(same) or ranked[same[0]] - ranked[0] > lss.hysteresis:
+            return None
+        return int(same[0])
+
+
+def _grid(low: float, size: float, spacing: float) -> Array:
+    """Nodes from ``low`` in steps of ``spacing`` up to the domain's far edge, inclusive."""
+    return low + spacing * np.arange(int(np.floor(size / spacing + 1e-9)) + 1)
+
+
+class _Sampler:
+    """Values on the finest lattice seen from the user's grid.
+
+    A grid node that coincides with a lattice node takes its value; one between lattice nodes is
+    judged by all (up to four) around it.
+    """
+
+    def __init__(self, domain: Domain, x: Array, y: Array) -> None:
+        n, side = domain.finest_count, domain.finest_size
+        column, row = (x - domain.xmin) / side, (y - domain.ymin) / side
+        self.column0 = np.clip(np.floor(column + 1e-6).astype(np.intp), 0, n)
+        self.row0 = np.clip(np.floor(row + 1e-6).astype(np.intp), 0, n)
+        self.column1 = np.clip(np.ceil(column - 1e-6).astype(np.intp), 0, n)
+        self.row1 = np.clip(np.ceil(row - 1e-6).astype(np.intp), 0, n)
+        self.u = np.clip(column - self.column0, 0.0, 1.0)
+        self.v = np.clip(row - self.row0, 0.0, 1.0)[:, None]
+
+    def _corners(self, values: NDArray[np.generic]) -> tuple[NDArray[np.generic], ...]:
+        low, high = values[self.row0], values[self.row1]
+        return (
+            low[:, self.column0],
+            low[:, self.column1],
+            high[:, self.column0],
+            high[:, self.column1],
+        )
+
+    def everywhere(self, values: Mask) -> Mask:
+        """True where all surrounding lattice nodes are."""
+        a, b, c, d = self._corners(values)
+        return np.asarray(a & b & c & d, dtype=np.bool_)
+
+    def any(self, values: Bits) -> Bits:
+        """Bits set in any surrounding lattice node."""
+        a, b, c, d = self._corners(values)
+        return np.asarray(a | b | c | d, dtype=np.uint8)
+
+    def nearest(self, values: Array) -> Array:
+        """Value of the nearest lattice node."""
+        row = np.where(self.v[:, 0] < 0.5, self.row0, self.row1)
+        return values[row][:, np.where(self.u < 0.5, self.column0, self.column1)]
+
+    def linear(self, values: Array) -> Array:
+        """Bilinear interpolation."""
+        a, b, c, d = (np.asarray(part, dtype=np.float64) for part in self._corners(values))
+        u, v = self.u, self.v
+        out: Array = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+        return out
+
+
+def _slope_deg(planes: NodePlanes) -> Array:
+    return np.degrees(np.arctan(np.hypot(planes.slope_x, planes.slope_y)))
+
+
+def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Bits of the up to four cells that meet at each node: (n, n) to (n + 1, n + 1)."""
+    padded = np.pad(cells, 1)
+    out: NDArray[np.uint8] = padded[:-1, :-1] | padded[1:, :-1] | padded[:-1, 1:] | padded[1:, 1:]
+    return out
+
+
+def distance_to(cells: Mask, side: float) -> Array:
+    """Distance in m of each node (n + 1, n + 1) to the edge of the nearest marked cell (n, n).
+
+    The point of a lattice square that is nearest to a lattice node is a lattice node itself, so
+    the distance to the nearest corner of a marked cell is exact. Infinite if none is marked.
+    """
+    corner = touching(cells.astype(np.uint8)) > 0
+    if not corner.any():
+        return np.full(corner.shape, np.inf)
+    out: Array = distance_transform_edt(~corner) * side
+    return out
+
+
+def _assess_nodes(cells: CellMap, raster: TerrainRaster, lss: LssConfig) -> _Nodes:
+    """Hazards, safety and score on the finest lattice."""
+    domain = cells.domain
+    n, side = domain.finest_count, domain.finest_size
+    radius = 0.5 * lss.vehicle_diameter
+    zone = radius + lss.margin
+    leaf_bits = hazards.avoided_features(cells, lss)
+    bits = np.where(raster.seen, leaf_bits[raster.leaf], 0).astype(np.uint8)
+    planes = node_planes(raster, 0.75 * radius)
+    lattice = np.arange(n + 1)
+    border = np.minimum(lattice, n - lattice) * side
+    inside = np.minimum(border[:, None], border) >= zone - 1e-9
+    reachable = inside & (distance_to(~raster.seen, side) > zone)
+    hazard = touching(bits)
+    if lss.assessment == "touchdown":
+        landable = inside & (distance_to(~raster.seen, side) > radius)
+        unsafe = unsafe_nodes(raster, planes, landable, lss)
+        hazard[unsafe] |= hazards.TOUCHDOWN
+        near_exception = distance_to((bits & hazards.EXCEPTION) > 0, side) <= radius
+        bad = unsafe | (near_exception & landable)
+        clearance = _distance_from(bad, side)
+        safe = reachable & ~bad & (clearance > lss.margin)
+        density_slope = np.arctan(np.hypot(planes.slope_x, planes.slope_y))
+        density_slope = 0.25 * sum_of_corners(density_slope)
+    else:
+        clearance = distance_to(bits > 0, side)
+        safe = reachable & (clearance > zone)
+        density_slope = hazards.slope(cells.normal)[raster.leaf]
+    hazard[touching((~raster.seen).astype(np.uint8)) > 0] |= hazards.UNSEEN
+    over = disc(zone, side)
+    rough = np.nan_to_num(cells.roughness[raster.leaf])
+    score = _score(raster, density_slope, rough, clearance, over, lss)
+    return _Nodes(
+        planes,
+        hazard,
+        safe,
+        score,
+        _worst_clearance(clearance, zone),
+        _greatest(rough, over),
+        _greatest(raster.subscale, over),
+    )
+
+
+def sum_of_corners(nodes: Array) -> Array:
+    """Sum of the four nodes of each cell: (n + 1, n + 1) to (n, n)."""
+    return nodes[:-1, :-1] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[1:, 1:]
+
+
+def _distance_from(marked: Mask, side: float) -> Array:
+    """Distance in m of each node to the nearest marked node, infinite if there is none."""
+    if not marked.any():
+        return np.full(marked.shape, np.inf)
+    out: Array = distance_transform_edt(~marked) * side
+    return out
+
+
+def _worst_clearance(clearance: Array, zone: float) -> Array:
+    """Least distance to a hazard over the zone about each node: the distance less the radius."""
+    return np.maximum(clearance - zone, 0.0)
+
+
+def _greatest(values: Array, over: Disc) -> Array:
+    """Greatest cell value in the disc about each node: (n, n) to (n + 1, n + 1)."""
+    if not values.any():
+        return np.zeros((len(values) + 1, len(values) + 1))
+    reach = over.reach
+    footprint = np.zeros((2 * reach, 2 * reach), dtype=np.bool_)
+    footprint[reach + over.row, reach + over.column] = True
+    padded = np.pad(values, ((1, 1), (1, 1)))
+    # An even window's centre lies right of its middle: node (i, j) is the corner before cell (i, j).
+    return maximum_filter(padded, footprint=footprint, mode="constant")[1:, 1:]
+
+
+def _score(
+    raster: TerrainRaster,
+    slope: Array,
+    roughness: Array,
+    clearance: Array,
+    over: Disc,
+    lss: LssConfig,
+) -> Array:
+    """Eq. 58 on the finest cells, Eq. 59 as the mean over the disc of each node.
+
+    The distance to a hazard counts up to ``hazard_distance_cap``.
+    """
+    distance = 0.25 * sum_of_corners(np.minimum(clearance, lss.hazard_distance_cap))
+    density = (
+        lss.weight_slope * np.nan_to_num(slope)
+        + lss.weight_roughness * roughness
+        - lss.weight_hazard_distance * distance
+        + lss.weight_subscale * raster.subscale
+    )
+    return node_sums(density, np.full(len(over.x), 1.0 / len(over.x)), over)
+
+
+def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
+    lines = []
+    for k in range(len(sites.score)):
+        clear = sites.hazard_distance[k]
+        nearest = f"{clear:.1f} m clear of hazards" if np.isfinite(clear) else "no hazard in sight"
+        bump = sites.subscale_height[k]
+        lines.append(
+            f"slope {sites.slope_deg[k]:.1f} deg of {lss.max_slope_deg:g}, {nearest}, "
+            f"roughness {sites.roughness[k]:.3f} m^3, "
+            + (f"features up to {bump:.2f} m" if bump > 0.0 else "no subscale feature")
+        )
+    return Sites(
+        sites.position,
+        sites.normal,
+        sites.score,
+        sites.slope_deg,
+        sites.roughness,
+        sites.hazard_distance,
+        sites.subscale_height,
+        tuple(lines),
+    )
+
+
+def _why_none(nodes: _Nodes, raster: TerrainRaster, lss: LssConfig) -> str:
+    seen = float(np.mean(raster.seen))
+    hazardous = (nodes.hazard & 0x7F > 0) & (nodes.hazard & hazards.UNSEEN == 0)
+    return (
+        f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
+        f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
+        f"{0.5 * lss.vehicle_diameter + lss.margin:.2f} m radius is both seen and safe"
+    )
+
+
+def _nothing(stamp_ns: int, x: Array, y: Array, explanation: str) -> LandingAssessment:
+    """The assessment of a map without a measurement."""
+    shape = (len(y), len(x))
+    none = np.zeros(0)
+    sites = Sites(np.zeros((0, 3)), np.zeros((0, 3)), none, none, none, none, none, ())
+    return LandingAssessment(
+        stamp_ns=stamp_ns,
+        sites=sites,
+        x=x,
+        y=y,
+        elevation=np.full(shape, np.nan),
+        slope_deg=np.full(shape, np.nan),
+        hazard=np.full(shape, hazards.UNSEEN, dtype=np.uint8),
+        safe=np.zeros(shape, dtype=np.bool_),
+        score=np.full(shape, np.nan),
+        explanation=explanation,
+    )
