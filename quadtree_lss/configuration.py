@@ -82,10 +82,12 @@ def load_config(
         _check_keys(read, str(found))
         values |= read
         files.append(str(found))
+    wanted = flatten(overrides or {})
+    _check_keys(wanted, "overrides")
     try:
-        return config_from_values(values | flatten(overrides or {}))
+        return config_from_values(values | wanted)
     except ConfigError as error:  # values that contradict one another
-        where = ", ".join(files + ["overrides"] * bool(overrides))
+        where = ", ".join(files + ["overrides"] * bool(wanted))
         msg = f"{where}: {error}" if where else str(error)
         raise ConfigError(msg) from None
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -94,11 +95,19 @@ def checked_covariance(values: Any) -> Array:
     Args:
         values: 36 numbers, row by row.
 
+    Returns:
+        (6, 6), read-only.
+
     Raises:
         MessageError: ``covariance`` if it has another length, is not finite, not symmetric or
             has a negative eigenvalue.
     """
-    entries = np.array(values, dtype=np.float64).reshape(-1)
+    return _checked_covariance(np.asarray(values, dtype=np.float64).tobytes())
+
+
+@lru_cache(maxsize=8)  # most publishers repeat theirs, and poses come at hundreds a second
+def _checked_covariance(content: bytes) -> Array:
+    entries = np.frombuffer(content)
     if entries.size != 36:
         text = f"pose covariance has {entries.size} entries; 36 are needed"
         raise MessageError("covariance", text)
@@ -125,6 +134,7 @@ def checked_covariance(values: Any) -> Array:
     if eigenvalues[0] < 0.0:
         scaled = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
     covariance: Array = scaled * np.outer(scale, scale)
+    covariance.flags.writeable = False
     return covariance
 
 

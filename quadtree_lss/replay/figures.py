@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of a map and its landing sites; each function returns a matplotlib figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Patch
+from numpy.typing import NDArray
+
+from quadtree_lss.core.config import Config
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.sites import LandingAssessment
+from quadtree_lss.replay.results import ScanTiming
+
+Array = NDArray[np.float64]
+
+UNSEEN = 128
+# Bit, name and colour of hazards, the first that applies is drawn (Okabe-Ito colours).
+HAZARDS = (
+    (UNSEEN, "unseen", "#bbbbbb"),
+    (1, "slope", "#d55e00"),
+    (2, "elevation", "#cc79a7"),
+    (4, "exception", "#56b4e9"),
+    (8, "touchdown", "#e69f00"),
+)
+SAFE_COLOUR, CLEAR_COLOUR = "#009e73", "#f0e9c8"
+
+
+def elevation_figure(cells: CellMap, assessment: LandingAssessment) -> Figure:
+    """Elevation of the leaves' planes, with the edges of the leaves and the ranked sites."""
+    domain = cells.domain
+    figure, axes = _map_axes("Elevation of the planes, and the quadtree")
+    extent = (domain.xmin, domain.xmin + domain.size, domain.ymin, domain.ymin + domain.size)
+    heights = finest_elevation(cells)
+    low, high = _limits(heights)
+    image = axes.imshow(heights, origin="lower", extent=extent, cmap="viridis", vmin=low, vmax=high)
+    width = float(np.clip(60.0 / np.sqrt(max(len(cells.level), 1)), 0.08, 0.6))
+    axes.add_collection(
+        LineCollection(list(leaf_edges(cells)), colors="black", linewidths=width, alpha=0.35)
+    )
+    _draw_sites(axes, assessment, radius=0.0)
+    figure.colorbar(image, ax=axes, label="elevation, m", shrink=0.85)
+    return figure
+
+
+def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
+    """Slope at the lander's scale, with the tolerance as a contour."""
+    figure, axes = _map_axes("Slope at the lander's scale")
+    top = 3.0 * config.lss.max_slope_deg
+    image = axes.imshow(
+        assessment.slope_deg,
+        origin="lower",
+        extent=_node_extent(assessment),
+        cmap="cividis",
+        vmin=0.0,
+        vmax=top,
+    )
+    bar = figure.colorbar(image, ax=axes, label="slope, deg", shrink=0.85, extend="max")
+    bar.ax.axhline(config.lss.max_slope_deg, color="white")
+    axes.set_facecolor("#dddddd")
+    return figure
+
+
+def hazard_figure(assessment: LandingAssessment) -> Figure:
+    """Kinds of hazards, terrain that is clear, and where the vehicle may land."""
+    figure, axes = _map_axes("Hazards and safe terrain")
+    kind = np.where(assessment.safe, 1, 0)
+    for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=2))):
+        kind[(assessment.hazard & bit) > 0] = place
+    colours = [CLEAR_COLOUR, SAFE_COLOUR, *(colour for _, _, colour in HAZARDS)]
+    axes.imshow(
+        kind,
+        origin="lower",
+        extent=_node_extent(assessment),
+        cmap=ListedColormap(colours),
+        norm=BoundaryNorm(np.arange(-0.5, len(colours)), len(colours)),
+        interpolation="nearest",
+    )
+    names = ["no hazard, but one in the zone", "landing allowed", *(name for _, name, _ in HAZARDS)]
+    shares = [np.mean(kind == k) for k in range(len(names))]
+    handles = [
+        Patch(facecolor=colour, edgecolor="black", linewidth=0.4, label=f"{name} {share:.1%}")
+        for colour, name, share in zip(colours, names, shares, strict=True)
+    ]
+    _legend_beside(axes, handles)
+    return figure
+
+
+def score_figure(assessment: LandingAssessment, config: Config) -> Figure:
+    """Score of the landing zones (lower is better) with the ranked sites and their zones."""
+    figure, axes = _map_axes("Landing site score (lower is better)")
+    scores = assessment.score
+    low, high = _limits(scores)
+    image = axes.imshow(
+        scores,
+        origin="lower",
+        extent=_node_extent(assessment),
+        cmap="viridis_r",
+        vmin=low,
+        vmax=high,
+    )
+    axes.set_facecolor("#dddddd")
+    _draw_sites(axes, assessment, 0.5 * config.lss.vehicle_diameter + config.lss.margin)
+    figure.colorbar(image, ax=axes, label="score", shrink=0.85)
+    if not len(assessment.sites.score):
+        axes.text(0.5, 0.5, "no safe site", transform=axes.transAxes, ha="center", size=18)
+    return figure
+
+
+def timing_figure(timings: Sequence[ScanTiming]) -> Figure:
+    """Time of each map update, and the leaves after it."""
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    axes = figure.add_subplot()
+    stamps = np.array([row.stamp_ns for row in timings], dtype=np.int64)
+    seconds = (stamps - stamps[0]) / 1e9
+    times = np.array([row.map_ms for row in timings])
+    axes.plot(seconds, times, ".-", color="#0072b2", linewidth=0.7, markersize=3)
+    median = float(np.median(times))
+    axes.axhline(median, color="#0072b2", linestyle="--", linewidth=0.8)
+    axes.set_title(f"Map update: median {median:.2f} ms, worst {times.max():.2f} ms")
+    axes.set_xlabel("time since the first scan, s")
+    axes.set_ylabel("map update, ms", color="#0072b2")
+    axes.set_ylim(bottom=0.0)
+    other = axes.twinx()
+    other.plot(seconds, [row.leaves for row in timings], color="#d55e00", linewidth=1.2)
+    other.set_ylabel("leaves", color="#d55e00")
+    other.set_ylim(bottom=0.0)
+    return figure
+
+
+def finest_elevation(cells: CellMap) -> Array:
+    """(n, n) [iy, ix] elevation of the leaf planes at the centres of the finest cells, m."""
+    domain = cells.domain
+    row = cells.leaf_raster()
+    centres = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
+    slope = -cells.normal[:, :2] / cells.normal[:, 2:]
+    east = domain.xmin + centres[None, :] - cells.x[row]
+    north = domain.ymin + centres[:, None] - cells.y[row]
+    heights: Array = cells.z[row] + slope[row, 0] * east + slope[row, 1] * north
+    return heights
+
+
+def leaf_edges(cells: CellMap) -> Array:
+    """(2 M, 2, 2) lines: the southern and western edge of each leaf, which draw each once."""
+    half = 0.5 * cells.size
+    west, south = cells.x - half, cells.y - half
+    corner = np.column_stack([west, south])
+    east_end = np.column_stack([west + cells.size, south])
+    north_end = np.column_stack([west, south + cells.size])
+    return np.concatenate(
+        [np.stack([corner, east_end], axis=1), np.stack([corner, north_end], axis=1)]
+    )
+
+
+def _map_axes(title: str) -> tuple[Figure, Any]:
+    figure = Figure(figsize=(8.0, 6.6), layout="constrained")
+    axes = figure.add_subplot()
+    axes.set_title(title)
+    axes.set_xlabel("x (map), m")
+    axes.set_ylabel("y (map), m")
+    axes.set_aspect("equal")
+    return figure, axes
+
+
+def _node_extent(assessment: LandingAssessment) -> tuple[float, float, float, float]:
+    """Nodes are points: the image reaches half a step beyond the outer ones."""
+    x, y = assessment.x, assessment.y
+    step = float(x[1] - x[0]) if len(x) > 1 else 1.0
+    return (x[0] - step / 2, x[-1] + step / 2, y[0] - step / 2, y[-1] + step / 2)
+
+
+def _limits(values: Array) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, [0.5, 99.5])
+    return float(low), float(high) if high > low else float(low) + 1e-6
+
+
+def _draw_sites(axes: Any, assessment: LandingAssessment, radius: float) -> None:
+    for rank, (x, y, _) in enumerate(assessment.sites.position, start=1):
+        if radius > 0.0:
+            axes.add_patch(Circle((x, y), radius, fill=False, color="#d55e00", linewidth=1.4))
+        axes.annotate(
+            str(rank),
+            (x, y),
+            color="white",
+            size=8,
+            ha="center",
+            va="center",
+            bbox={"boxstyle": "circle,pad=0.2", "facecolor": "#d55e00", "edgecolor": "white"},
+        )
+
+
+def _legend_beside(axes: Any, handles: list[Patch]) -> None:
+    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a results folder: names, keys and units other tools rely on.
+
+Each file is written beside its place and then moved there, so that a reader never sees half of
+one and a failed run leaves the files of the last.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.sites import LandingAssessment
+
+SITE_COLUMNS = (
+    "rank",
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "score",
+    "slope_deg",
+    "roughness",
+    "hazard_distance",
+    "subscale_height",
+)
+
+
+REPORT = "report.html"
+FIGURES = ("elevation", "slope", "hazards", "score", "timing")
+"""Names of the figures, ``figures/<name>.png``, in the order of the page."""
+
+
+class ScanTiming(NamedTuple):
+    """A row of ``timing.csv``; ``map_ms`` is from the decoded message to the divided map."""
+
+    stamp_ns: int
+    points: int
+    points_used: int
+    leaves: int
+    divisions: int
+    map_ms: float
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Writes a file beside ``path`` and moves it there; makes the folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def remove_report(out: Path) -> None:
+    """Takes away the page and figures of an earlier run, which would contradict this one."""
+    (out / REPORT).unlink(missing_ok=True)
+    for name in FIGURES:
+        (out / "figures" / f"{name}.png").unlink(missing_ok=True)
+
+
+def write_sites(path: Path, assessment: LandingAssessment) -> None:
+    """``sites.csv``: ranked sites, best first; map frame, m."""
+    sites = assessment.sites
+    columns = np.column_stack(
+        [
+            sites.position,
+            sites.normal,
+            sites.score,
+            sites.slope_deg,
+            sites.roughness,
+            sites.hazard_distance,
+            sites.subscale_height,
+        ]
+    )
+    rows = ([rank, *map(float, row)] for rank, row in enumerate(columns, start=1))
+    _write_csv(path, SITE_COLUMNS, rows)
+
+
+def write_timing(path: Path, timings: Iterable[ScanTiming]) -> None:
+    """``timing.csv``: one row per mapped scan."""
+    rows = ([*row[:-1], f"{row.map_ms:.4f}"] for row in timings)
+    _write_csv(path, ScanTiming._fields, rows)
+
+
+def write_cells(path: Path, cells: CellMap) -> None:
+    """``cells.npz``: one array per field of the leaves, in Morton order."""
+    domain = cells.domain
+    _write_npz(
+        path,
+        {
+            "level": cells.level,
+            "ix": cells.ix,
+            "iy": cells.iy,
+            "x": cells.x,
+            "y": cells.y,
+            "size": cells.size,
+            "z": cells.z,
+            "nx": cells.normal[:, 0],
+            "ny": cells.normal[:, 1],
+            "nz": cells.normal[:, 2],
+            "covariance": cells.covariance,
+            "count": cells.count,
+            "measured": cells.measured,
+            "roughness": cells.roughness,
+            "exception_fraction": cells.exception_fraction,
+            "feature": cells.feature,
+            "domain": np.array(
+                [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
+            ),
+        },
+    )
+
+
+def write_grid(path: Path, assessment: LandingAssessment) -> None:
+    """``grid.npz``: the nodes of the landing site selection, arrays (ny, nx)."""
+    _write_npz(
+        path,
+        {
+            "x": assessment.x,
+            "y": assessment.y,
+            "elevation": assessment.elevation,
+            "slope_deg": assessment.slope_deg,
+            "hazard": assessment.hazard,
+            "safe": assessment.safe,
+            "score": assessment.score,
+        },
+    )
+
+
+def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
+    """``summary.json``; numbers that are not finite become null."""
+    text = json.dumps(_plain(summary), indent=2, allow_nan=False)
+    write_bytes(path, (text + "\n").encode())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def _write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_bytes(path, text.getvalue().encode())
+
+
+def _write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
+    write_bytes(path, content.getvalue())
