@@ -25,6 +25,14 @@ Mask = NDArray[np.bool_]
 ITERATIONS = 12
 #: Points this many standard deviations above the plane make a cell a candidate.
 HIGH = 3.0
+#: Fraction of points that noise alone raises so high, P(N(0, 1) > 3).
+CHANCE = 0.00135
+#: Half side of the square around a bump whose points are used, in sigma.
+WINDOW = 5.0
+#: Points of one scan that a cell's feature is estimated from, at most.
+MAX_SAMPLES = 512
+#: Relative change of the cost at which an estimate has converged.
+SETTLED = 1e-3
 #: A first estimate must lower the cost (a chi-square) by this much against flat ground.
 SIGNIFICANCE = 25.0
 #: Candidates treated in one scan; the rest wait for the next, the strongest go first.
@@ -46,24 +54,50 @@ def height(state: Array, x: Array, y: Array) -> Array:
 
 @dataclass(frozen=True)
 class Samples:
-    """Heights over C cells.
+    """Heights over C cells, laid out by cell and padded to the same number P.
 
     Attributes:
-        cell: (N,) cell of each sample, 0 .. C - 1.
-        x, y: (N,) relative to the cell's centre, m.
-        z: (N,) height above the cell's plane, m.
-        variance: (C,) of z, m^2.
+        x, y: (C, P) relative to the cell's centre, m.
+        z: (C, P) height above the cell's plane, m.
+        weight: (C, P) one over the variance of z, m^-2; 0 where padded.
     """
 
-    cell: Index
     x: Array
     y: Array
     z: Array
-    variance: Array
+    weight: Array
 
-    def sum(self, values: Array) -> Array:
-        """Sums of (N,) by cell."""
-        return np.bincount(self.cell, values, minlength=len(self.variance))
+    def take(self, chosen: Index) -> Samples:
+        """The chosen cells."""
+        return Samples(self.x[chosen], self.y[chosen], self.z[chosen], self.weight[chosen])
+
+
+def lay_out(cell: Index, variance: Array, x: Array, y: Array, z: Array) -> Samples:
+    """Samples from points (N,) of cells (N,), ``variance`` (C,) of each cell's heights.
+
+    A cell with more than ``MAX_SAMPLES`` points keeps every k-th.
+    """
+    cells = len(variance)
+    order = np.argsort(cell, kind="stable")
+    ordered = cell[order]
+    count = np.bincount(cell, minlength=cells)
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    stride = -(-count // MAX_SAMPLES)[ordered]
+    kept = rank % stride == 0
+    order, at = order[kept], (ordered[kept], (rank // stride)[kept])
+    width = int(at[1].max()) + 1 if len(order) else 1
+    out = np.zeros((4, cells, width))
+    for axis, values in enumerate((x[order], y[order], z[order], 1.0 / variance[at[0]])):
+        out[axis][at] = values
+    return Samples(out[0], out[1], out[2], out[3])
+
+
+def flat_cost(samples: Samples) -> Array:
+    """Chi-square (C,) of heights about their own mean: the ground without a bump."""
+    total = np.maximum(samples.weight.sum(axis=1), 1e-300)
+    mean = (samples.weight * samples.z).sum(axis=1) / total
+    out: Array = (samples.weight * (samples.z - mean[:, None]) ** 2).sum(axis=1)
+    return out
 
 
 def estimate(
@@ -86,31 +120,32 @@ def estimate(
     state = _bounded(mean, half, finest)
     damping = np.full(len(state), 1e-2)
     cost, data, normal, gradient = _linearise(samples, state, mean, information)
-    active = np.ones(len(state), dtype=np.bool_)
+    active = np.arange(len(state))
     for _ in range(ITERATIONS):
-        scale = np.einsum("cii->ci", normal)
-        damped = normal + damping[:, None, None] * (scale[:, :, None] * np.eye(5))
-        step = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
-        step[~active] = 0.0
-        trial = _bounded(state + step, half, finest)
-        t_cost, t_data, t_normal, t_gradient = _linearise(samples, trial, mean, information)
-        better = active & (t_cost < cost)
-        settled = better & (cost - t_cost < 1e-3 * (1.0 + cost) * 0.01)
-        state = np.where(better[:, None], trial, state)
-        cost, data = np.where(better, t_cost, cost), np.where(better, t_data, data)
-        normal = np.where(better[:, None, None], t_normal, normal)
-        gradient = np.where(better[:, None], t_gradient, gradient)
-        damping = np.clip(np.where(better, 0.2 * damping, 6.0 * damping), 1e-9, 1e9)
-        active &= ~settled & (damping < 1e6)
-        if not active.any():
+        scale = np.einsum("cii->ci", normal[active])
+        damped = normal[active] + (damping[active, None] * scale)[:, :, None] * np.eye(5)
+        step = np.linalg.solve(damped, gradient[active, :, None])[:, :, 0]
+        trial = _bounded(state[active] + step, half[active], finest[active])
+        t_cost, t_data, t_normal, t_gradient = _linearise(
+            samples.take(active), trial, mean[active], information[active]
+        )
+        gain = cost[active] - t_cost
+        better = gain > 0.0
+        won = active[better]
+        state[won], cost[won], data[won] = trial[better], t_cost[better], t_data[better]
+        normal[won], gradient[won] = t_normal[better], t_gradient[better]
+        damping[active] *= np.where(better, 0.2, 6.0)
+        settled = (np.abs(gain) < SETTLED * (1.0 + t_cost)) | (damping[active] > 1e6)
+        active = active[~settled]
+        if not len(active):
             break
     return state, np.linalg.inv(normal), data
 
 
 def _bounded(state: Array, half: Array, finest: Array) -> Array:
     out = state.copy()
-    out[:, 2:4] = np.clip(out[:, 2:4], -half[:, None], half[:, None])
-    out[:, 4] = np.clip(np.abs(out[:, 4]), finest, 4.0 * half)
+    out[:, 2:4] = np.minimum(np.maximum(out[:, 2:4], -half[:, None]), half[:, None])
+    out[:, 4] = np.minimum(np.maximum(np.abs(out[:, 4]), finest), 4.0 * half)
     return out
 
 
@@ -118,66 +153,100 @@ def _linearise(
     samples: Samples, state: Array, mean: Array, information: Array
 ) -> tuple[Array, Array, Array, Array]:
     """MAP cost, its measurement part, Gauss-Newton matrix and descent direction at ``state``."""
-    cell = samples.cell
-    a, k, mx, my, sigma = state.T
-    dx, dy = samples.x - mx[cell], samples.y - my[cell]
+    a, k, mx, my, sigma = state.T[:, :, None]
     inverse_square = 1.0 / sigma**2
-    square = (dx * dx + dy * dy) * inverse_square[cell]
+    dx, dy = samples.x - mx, samples.y - my
+    square = (dx * dx + dy * dy) * inverse_square
     bell = np.exp(-0.5 * square)
-    bump = (k * k * inverse_square / (2.0 * np.pi))[cell] * bell
-    residual = samples.z - a[cell] - bump
-    jacobian = (
-        np.ones_like(bump),
-        (k * inverse_square / np.pi)[cell] * bell,
-        bump * dx * inverse_square[cell],
-        bump * dy * inverse_square[cell],
-        bump * (square - 2.0) / sigma[cell],
-    )
-    weight = 1.0 / samples.variance
-    normal = np.empty((len(state), 5, 5))
-    gradient = np.empty((len(state), 5))
-    for i in range(5):
-        gradient[:, i] = weight * samples.sum(jacobian[i] * residual)
-        for j in range(i, 5):
-            normal[:, i, j] = normal[:, j, i] = weight * samples.sum(jacobian[i] * jacobian[j])
-    data = weight * samples.sum(residual * residual)
+    bump = (k * k * inverse_square / (2.0 * np.pi)) * bell
+    rows = np.empty((len(state), 6, samples.x.shape[1]))
+    rows[:, 0] = 1.0
+    rows[:, 1] = (k * inverse_square / np.pi) * bell
+    rows[:, 2] = bump * dx * inverse_square
+    rows[:, 3] = bump * dy * inverse_square
+    rows[:, 4] = bump * (square - 2.0) / sigma
+    rows[:, 5] = samples.z - a - bump
+    products = (rows * samples.weight[:, None, :]) @ rows.transpose(0, 2, 1)
     off = state - mean
     pull = (information @ off[:, :, None])[:, :, 0]
     return (
-        data + np.einsum("ci,ci->c", off, pull),
-        data,
-        normal + information,
-        gradient - pull,
+        products[:, 5, 5] + np.einsum("ci,ci->c", off, pull),
+        products[:, 5, 5].copy(),
+        products[:, :5, :5] + information,
+        products[:, :5, 5] - pull,
     )
 
 
-def start(samples: Samples, high: Mask, area: Array) -> Array:
+@dataclass(frozen=True)
+class Raised:
+    """Samples that stand out of C cells, ``K`` of them at most in each, padded with height 0.
+
+    Attributes:
+        x, y: (C, K) relative to the cell's centre, m.
+        z: (C, K) height above the cell's plane, m; 0 where padded.
+        count: (C,) how many there are.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    count: Array
+
+
+MAX_RAISED = 24
+
+
+def gather_raised(cell: Index, cells: int, x: Array, y: Array, z: Array) -> Raised:
+    """Lay out samples (N,) by cell, the highest ``MAX_RAISED`` of each."""
+    order = np.lexsort((-z, cell))
+    ordered = cell[order]
+    first = np.searchsorted(ordered, np.arange(cells))
+    rank = np.arange(len(order)) - first[ordered]
+    fits = rank < MAX_RAISED
+    at = (ordered[fits], rank[fits])
+    out = np.zeros((3, cells, MAX_RAISED))
+    for axis, values in enumerate((x, y, z)):
+        out[axis][at] = values[order[fits]]
+    count = np.bincount(cell, minlength=cells).astype(np.float64)
+    return Raised(out[0], out[1], out[2], count)
+
+
+def start(raised: Raised, points: Array, area: Array) -> Array:
     """First states (C, 5) from the data instead of Eq. 52's constants.
 
-    The centre is the highest sample's (as in Eq. 52), A the mean of the others; the samples
-    ``high`` above the plane stand for the bump: their share of the cell's area gives sigma, their
-    mean height its volume.
+    Every raised sample collects the heights of the raised samples near it; the richest one is the
+    centre, which a single outlier is not. Those near it stand for the bump: their share of the
+    cell's area gives sigma, their mean height over the rest its volume.
 
     Args:
-        high: (N,) samples that stand out; each cell has one or more.
+        raised: Samples that stand out, at least one in each cell.
+        points: (C,) samples in each cell; their heights sum to zero.
         area: (C,) area of the cells, m^2.
     """
-    cells = len(area)
-    count = np.maximum(samples.sum(np.ones(len(samples.z))), 1.0)
-    order = np.lexsort((samples.z, samples.cell))
-    last = np.searchsorted(samples.cell[order], np.arange(cells), side="right") - 1
-    top = order[last]
-    raised = np.where(high, 1.0, 0.0)
-    many = np.maximum(samples.sum(raised), 1.0)
-    level = samples.sum((1.0 - raised) * samples.z) / np.maximum(count - many, 1.0)
-    footprint = area * many / count
-    volume = np.maximum(samples.sum(raised * samples.z) / many - level, 1e-3) * footprint
-    out = np.empty((cells, 5))
-    out[:, 0] = level
-    out[:, 1] = np.sqrt(volume)
-    out[:, 2], out[:, 3] = samples.x[top], samples.y[top]
-    out[:, 4] = np.sqrt(footprint / (2.0 * np.pi))
-    return out
+    spacing = np.sqrt(area / points)
+    width = np.maximum(1.5 * spacing, 0.1)
+    square = (raised.x[:, :, None] - raised.x[:, None, :]) ** 2
+    square += (raised.y[:, :, None] - raised.y[:, None, :]) ** 2
+    near = np.exp(-0.5 * square / (width**2)[:, None, None])
+    collected = np.where(raised.z > 0.0, (near @ raised.z[:, :, None])[:, :, 0], -1.0)
+    best = np.argmax(collected, axis=1)
+    row = np.arange(len(area))
+    inside = (square[row, best] < (3.0 * width[:, None]) ** 2) & (raised.z > 0.0)
+    many = np.maximum(np.count_nonzero(inside, axis=1), 1)
+    total = np.sum(np.where(inside, raised.z, 0.0), axis=1)
+    level = -total / np.maximum(points - many, 1.0)
+    footprint = area * many / points
+    volume = np.maximum(total / many - level, 1e-3) * footprint
+    return np.stack(
+        [
+            level,
+            np.sqrt(volume),
+            raised.x[row, best],
+            raised.y[row, best],
+            np.sqrt(footprint / (2.0 * np.pi)),
+        ],
+        axis=1,
+    )
 
 
 class FeatureEstimator:
@@ -187,7 +256,10 @@ class FeatureEstimator:
         self.config = config
 
     def update(self, leaves: Leaves, residuals: Residuals, range_noise: float) -> None:
-        """Update the features of the leaves that a scan shows one in, or that had one."""
+        """Update the features of the leaves that a scan shows one in, or that had one.
+
+        A leaf is a candidate if clearly more points stand out than noise raises on flat ground.
+        """
         rows = residuals.rows
         if not self.config.enabled or not len(rows):
             return
@@ -195,51 +267,38 @@ class FeatureEstimator:
         variance = planes.orthogonal_noise_variance(normal, residuals.moment.ray, range_noise)
         gate = np.maximum(HIGH * np.sqrt(variance), 0.5 * self.config.min_height * normal[:, 2])
         high = np.flatnonzero(residuals.distance > gate[residuals.group])
+        count = residuals.moment.count
         raised = np.bincount(residuals.group[high], minlength=len(rows))
-        enough = residuals.moment.count >= self.config.min_points
+        chance = CHANCE * count
         known = np.isfinite(leaves.feature[rows, 1])
-        chosen = np.flatnonzero(enough & ((raised >= 2) | known))
+        candidate = (raised >= np.maximum(2.0, chance + 2.0 * np.sqrt(chance))) | known
+        chosen = np.flatnonzero(candidate & (raised > 0) & (count >= self.config.min_points))
         if not len(chosen):
             return
         if len(chosen) > MAX_CANDIDATES:
             strongest = np.argsort(-raised[chosen], kind="stable")[:MAX_CANDIDATES]
             chosen = np.sort(chosen[strongest])
-        self._estimate(leaves, residuals, chosen, variance[chosen], gate[chosen], known[chosen])
+        self._estimate(leaves, residuals, chosen, high, variance[chosen], known[chosen])
 
     def _estimate(
         self,
         leaves: Leaves,
         residuals: Residuals,
         chosen: Index,
+        high: Index,
         variance: Array,
-        gate: Array,
         known: Mask,
     ) -> None:
         rows = residuals.rows[chosen]
         place = np.full(len(residuals.rows), -1, dtype=np.intp)
         place[chosen] = np.arange(len(chosen))
-        cell = place[residuals.group]
-        mine = np.flatnonzero(cell >= 0)
-        cell = cell[mine]
-        up = leaves.normal[rows, 2]
-        distance = residuals.distance[mine]
-        samples = Samples(
-            cell,
-            residuals.points[0, mine] + residuals.origin[0] - leaves.x[rows][cell],
-            residuals.points[1, mine] + residuals.origin[1] - leaves.y[rows][cell],
-            distance / up[cell],
-            variance / up**2,
-        )
         size = leaves.domain.cell_size(leaves.level[rows])
         count = residuals.moment.count[chosen]
+        mean, information = self._prior(leaves, residuals, rows, place, high, count, known)
+        samples = self._window(leaves, residuals, rows, place, mean, size, variance)
         finest = 0.4 * size / np.sqrt(count)
-        fresh = start(samples, distance > gate[cell], size**2)
-        mean = np.where(known[:, None], leaves.feature[rows], fresh)
-        information = np.broadcast_to(np.eye(5), (len(rows), 5, 5)).copy()
-        information[known] = np.linalg.inv(leaves.feature_covariance[rows[known]])
         state, covariance, cost = estimate(samples, mean, information, 0.5 * size, finest)
-        flat = samples.sum(samples.z**2) - samples.sum(samples.z) ** 2 / count
-        gain = flat / samples.variance - cost
+        gain = flat_cost(samples) - cost
         config = self.config
         keep = (
             (state[:, 1] ** 2 >= config.min_volume)
@@ -250,3 +309,53 @@ class FeatureEstimator:
         )
         leaves.feature[rows] = np.where(keep[:, None], state, np.nan)
         leaves.feature_covariance[rows] = np.where(keep[:, None, None], covariance, np.nan)
+
+    def _prior(
+        self,
+        leaves: Leaves,
+        residuals: Residuals,
+        rows: Index,
+        place: Index,
+        high: Index,
+        count: Array,
+        known: Mask,
+    ) -> tuple[Array, Array]:
+        """Mean (C, 5) and information (C, 5, 5): the last state, or a start with Eq. 52's unit
+        covariance."""
+        cell = place[residuals.group[high]]
+        high, cell = high[cell >= 0], cell[cell >= 0]
+        raised = gather_raised(
+            cell,
+            len(rows),
+            residuals.points[0, high] + residuals.origin[0] - leaves.x[rows][cell],
+            residuals.points[1, high] + residuals.origin[1] - leaves.y[rows][cell],
+            residuals.distance[high] / leaves.normal[rows, 2][cell],
+        )
+        fresh = start(raised, count, leaves.domain.cell_size(leaves.level[rows]) ** 2)
+        mean = np.where(known[:, None], leaves.feature[rows], fresh)
+        information = np.broadcast_to(np.eye(5), (len(rows), 5, 5)).copy()
+        information[known] = np.linalg.inv(leaves.feature_covariance[rows[known]])
+        return mean, information
+
+    def _window(
+        self,
+        leaves: Leaves,
+        residuals: Residuals,
+        rows: Index,
+        place: Index,
+        mean: Array,
+        size: Array,
+        variance: Array,
+    ) -> Samples:
+        """Samples around each start: beyond a few sigma they say nothing of the bump."""
+        cell = place[residuals.group]
+        mine = np.flatnonzero(cell >= 0)
+        cell = cell[mine]
+        x = residuals.points[0, mine] + (residuals.origin[0] - leaves.x[rows])[cell]
+        y = residuals.points[1, mine] + (residuals.origin[1] - leaves.y[rows])[cell]
+        reach = np.minimum(np.maximum(WINDOW * mean[:, 4], 0.5), size)
+        inside = np.maximum(np.abs(x - mean[cell, 2]), np.abs(y - mean[cell, 3])) <= reach[cell]
+        cell, mine = cell[inside], mine[inside]
+        up = leaves.normal[rows, 2]
+        height_above = residuals.distance[mine] / up[cell]
+        return lay_out(cell, variance / up**2, x[inside], y[inside], height_above)

@@ -214,8 +214,6 @@ class Mapper:
         normal = fit.planes.normal
         squares = np.einsum("mi,mij,mj->m", normal, moment.scatter, normal)
         mean_square = np.maximum(squares, 0.0) / np.maximum(moment.count - 3.0, 1.0)
-        many = moment.count >= statistics.NoiseCheck.MIN_POINTS
-        self._noise.add(np.sqrt(mean_square[many]) / fit.noise[many])
         if self.config.mapping.division == "lack_of_fit":
             return division.lack_of_fit_statistic(fit, moment, group, points), mean_square
         return division.mahalanobis_statistic(
@@ -357,6 +355,7 @@ class Mapper:
         statistics.accumulate(
             self.leaves, residuals, self.config.mapping, self.config.lidar.range_noise
         )
+        self._noise.add(self.leaves, residuals, self.config.lidar.range_noise)
         self._features.update(self.leaves, residuals, self.config.lidar.range_noise)
 
     def snapshot(self) -> CellMap:

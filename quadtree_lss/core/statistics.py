@@ -169,8 +169,8 @@ def densities(leaves: Leaves, rows: Index) -> tuple[Array, Array]:
 class NoiseCheck:
     """Self-check: observed over configured range noise.
 
-    Each scan gives the median over cells with enough points of the residual's standard deviation
-    about the cell's own fit over what the configured range noise makes of it. On planar ground
+    Each scan gives the median over its points of the residual's standard deviation about the own
+    fit of the cell they lie in, over what the configured range noise makes of it. On planar ground
     that is one; rough ground raises some cells, not the median while most of the ground is smooth
     at the size of a leaf.
     """
@@ -185,9 +185,17 @@ class NoiseCheck:
         """Exponentially averaged ratio, NaN before the first scan."""
         return float(self._ratio)
 
-    def add(self, ratios: Array) -> None:
-        """Take the ratios (K,) of one scan's cells."""
-        if len(ratios) < 3:
+    def add(self, leaves: Leaves, residuals: Residuals, range_noise: float) -> None:
+        """Take one scan's residuals; ``leaves.misfit`` holds their mean square about the fits."""
+        many = residuals.moment.count >= self.MIN_POINTS
+        rows, weight = residuals.rows[many], residuals.moment.count[many]
+        if len(rows) < 3:
             return
-        median = float(np.median(ratios))
+        variance = planes.orthogonal_noise_variance(
+            leaves.normal[rows], residuals.moment.ray[many], range_noise
+        )
+        ratio = np.sqrt(leaves.misfit[rows] / variance)
+        order = np.argsort(ratio)
+        half = np.searchsorted(np.cumsum(weight[order]), 0.5 * np.sum(weight))
+        median = float(ratio[order[half]])
         self._ratio = median if np.isnan(self._ratio) else 0.9 * self._ratio + 0.1 * median
