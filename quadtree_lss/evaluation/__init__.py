@@ -1,2 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scoring of results against simulated truth."""
+
+from quadtree_lss.evaluation.evaluate import EvaluationResult, evaluate
+from quadtree_lss.evaluation.results import EvaluationError
+from quadtree_lss.evaluation.safety import Lander, contact_safe, safety_map
+
+__all__ = [
+    "EvaluationError",
+    "EvaluationResult",
+    "Lander",
+    "contact_safe",
+    "evaluate",
+    "safety_map",
+]

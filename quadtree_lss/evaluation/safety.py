@@ -184,7 +184,7 @@ def _rocking_planes(
 def _chunk_safe(posts: _Posts, x: FloatArray, y: FloatArray, lander: Lander) -> BoolArray:
     """Exact safety of lander centres (n,)."""
     radius = 0.5 * lander.diameter
-    angles = 0.5 * np.pi / lander.yaws * np.arange(4 * lander.yaws)
+    angles = 0.5 * np.pi / lander.yaws * np.arange(4 * lander.yaws, dtype=np.float64)
     pad_x = x[:, None] + radius * np.cos(angles)
     pad_y = y[:, None] + radius * np.sin(angles)
     heights = _pad_heights(posts, pad_x, pad_y, lander.pad_radius)
@@ -204,7 +204,7 @@ def _chunk_safe(posts: _Posts, x: FloatArray, y: FloatArray, lander: Lander) -> 
             radius,
             lander.max_roughness,
         )
-    return safe
+    return np.asarray(safe, bool)
 
 
 def _clear(
@@ -256,7 +256,7 @@ def _clear(
         )
         clear[todo] = above.max(axis=1) <= clearance
         undecided[todo, plane] = False
-    return clear
+    return np.asarray(clear, bool)
 
 
 def _circle(

@@ -152,7 +152,8 @@ def _add_rocks(
     axes = generator.uniform(*field.rock_axes, count)
     yaws = generator.uniform(0.0, np.pi, count)
     for k in range(count):
-        rows, columns, rise = _rock(axis, *centres[k], diameters[k], heights[k], axes[k], yaws[k])
+        cx, cy = centres[k]
+        rows, columns, rise = _rock(axis, cx, cy, diameters[k], heights[k], axes[k], yaws[k])
         np.maximum(rocks[rows, columns], rise, out=rocks[rows, columns])
 
 

@@ -93,7 +93,7 @@ def _centre(terrain: Terrain, box: tuple[float, float, float, float]) -> FloatAr
 
 
 def _times(duration: float, rate: float, first: float = 0.0) -> FloatArray:
-    return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1) / rate
+    return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1, dtype=np.float64) / rate
 
 
 def _parabola(request: Request, flight: int) -> Flight:
@@ -135,7 +135,9 @@ def _morpheus(request: Request, flight: int) -> Flight:
         reverse=flight % 2 == 1,
     )
     # Scans at 20 Hz, none on a pose; poses begin before the first scan and end after the last.
-    scans = (np.arange(int(np.floor(request.duration * rate + 1e-9))) + 0.37 / 5.0) / rate
+    scans = (
+        np.arange(int(np.floor(request.duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0
+    ) / rate
     return Flight(
         surface=terrain,
         truth=terrain,
@@ -154,7 +156,9 @@ def _descent(request: Request, flight: int) -> Flight:
     assert terrain is not None
     box = _box(terrain, 30.0)
     lead = 0.1
-    scans = (np.arange(max(int(np.floor(request.duration * 5.0 + 1e-9)), 1)) + 0.137) / 5.0
+    scans = (
+        np.arange(max(int(np.floor(request.duration * 5.0 + 1e-9)), 1), dtype=np.float64) + 0.137
+    ) / 5.0
     return Flight(
         surface=terrain,
         truth=terrain,

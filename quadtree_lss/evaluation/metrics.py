@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How good a map and its landing sites are, given the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, distance_transform_edt
+
+from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Leaves, Truth
+from quadtree_lss.evaluation.safety import Lander, contact_safe
+
+_SAMPLE_STEP = 0.5  # m, at most, between the points where elevations are compared
+_COINCIDE = 1e-3  # m
+
+
+@dataclass(frozen=True)
+class ElevationError:
+    """Estimate minus truth (m) over seen terrain, sampled evenly in area."""
+
+    mean_absolute: float
+    rms: float
+    maximum: float
+    mean: float
+    mean_absolute_mean_removed: float
+    rms_mean_removed: float
+    maximum_mean_removed: float
+    samples: int
+    without_estimate: float
+    """Fraction of the seen terrain that has no estimate."""
+
+
+@dataclass(frozen=True)
+class ErrorField:
+    """Where the elevation was compared: x (n,), y (m,) and error (m, n), NaN = not seen."""
+
+    x: FloatArray
+    y: FloatArray
+    estimate: FloatArray
+    error: FloatArray
+    seen: BoolArray
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Hazard and safe detection (Table 3) over seen ground with small holes filled."""
+
+    hazardous_found: float
+    """Fraction of the truly hazardous nodes not called safe; unknown counts as hazardous."""
+    safe_found: float
+    """Fraction of the truly safe nodes called safe."""
+    hazardous_unknown: float
+    """Fraction of the truly hazardous nodes found only because they were not seen."""
+    safe_unknown: float
+    """Fraction of the truly safe nodes that were not seen."""
+    hazardous_nodes: int
+    safe_nodes: int
+    missed_nodes: int
+    missed_depth: float
+    """How far (m) the deepest missed node lies inside hazardous ground."""
+    unseen_box: float
+    """Fraction of the scanned box that stays out of the score as unseen."""
+    precision: float
+    """Fraction of the nodes called safe that are; NaN if none is called safe."""
+
+
+@dataclass(frozen=True)
+class SafetyField:
+    """Node by node: x (nx,), y (ny,) of the nodes in the box and arrays (ny, nx)."""
+
+    x: FloatArray
+    y: FloatArray
+    truly_safe: BoolArray
+    called_safe: BoolArray
+    seen: BoolArray
+    scored: BoolArray
+
+
+def bilinear(truth: Truth, x: FloatArray, y: FloatArray) -> FloatArray:
+    """True elevation at map coordinates; NaN outside the DEM."""
+    dx = (truth.x[-1] - truth.x[0]) / (truth.x.size - 1)
+    dy = (truth.y[-1] - truth.y[0]) / (truth.y.size - 1)
+    u, v = (x - truth.x[0]) / dx, (y - truth.y[0]) / dy
+    inside = (u >= 0.0) & (u <= truth.x.size - 1) & (v >= 0.0) & (v <= truth.y.size - 1)
+    i = np.clip(np.floor(u).astype(np.int64), 0, truth.x.size - 2)
+    j = np.clip(np.floor(v).astype(np.int64), 0, truth.y.size - 2)
+    fu, fv = u - i, v - j
+    z = truth.elevation
+    low = z[j, i] * (1.0 - fu) + z[j, i + 1] * fu
+    high = z[j + 1, i] * (1.0 - fu) + z[j + 1, i + 1] * fu
+    return np.where(inside, low * (1.0 - fv) + high * fv, np.nan)
+
+
+def seen_at(grid: Grid, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Whether all nodes around each of the points x (n,), y (m,) are on seen ground: (m, n)."""
+    u, v = (x - grid.x[0]) / grid.spacing, (y - grid.y[0]) / grid.spacing
+
+    def around(w: FloatArray, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
+        low, high = np.floor(w + 1e-9).astype(np.int64), np.ceil(w - 1e-9).astype(np.int64)
+        inside = (low >= 0) & (high <= count - 1)
+        return np.clip(low, 0, count - 1), np.clip(high, 0, count - 1), inside
+
+    i0, i1, inside_x = around(u, grid.x.size)
+    j0, j1, inside_y = around(v, grid.y.size)
+    seen = grid.seen
+    columns = seen[:, i0] & seen[:, i1] & inside_x
+    return np.asarray(columns[j0] & columns[j1] & inside_y[:, None])
+
+
+def elevation_field(leaves: Leaves, grid: Grid, truth: Truth) -> ErrorField:
+    """Compare leaf planes with the truth at points spread evenly over the finest cells."""
+    parts = max(2, int(np.ceil(leaves.finest_size / _SAMPLE_STEP)))
+    step = leaves.finest_size / parts
+    offsets = (np.arange(leaves.finest_count * parts, dtype=np.float64) + 0.5) * step
+    x, y = leaves.xmin + offsets, leaves.ymin + offsets
+    estimate = leaves.elevation_at(x[None, :], y[:, None])
+    true = bilinear(truth, *np.meshgrid(x, y))
+    seen = seen_at(grid, x, y) & np.isfinite(true)
+    return ErrorField(x, y, estimate, np.where(seen, estimate - true, np.nan), seen)
+
+
+def elevation_error(field: ErrorField) -> ElevationError:
+    """Statistics of an error field; NaN where nothing was seen."""
+    error = field.error[np.isfinite(field.error)]
+    seen = int(field.seen.sum())
+    if not error.size:
+        nan = float("nan")
+        return ElevationError(nan, nan, nan, nan, nan, nan, nan, 0, 1.0 if seen else nan)
+    centred = error - error.mean()
+    return ElevationError(
+        mean_absolute=float(np.abs(error).mean()),
+        rms=float(np.sqrt(np.square(error).mean())),
+        maximum=float(np.abs(error).max()),
+        mean=float(error.mean()),
+        mean_absolute_mean_removed=float(np.abs(centred).mean()),
+        rms_mean_removed=float(np.sqrt(np.square(centred).mean())),
+        maximum_mean_removed=float(np.abs(centred).max()),
+        samples=int(error.size),
+        without_estimate=1.0 - error.size / seen,
+    )
+
+
+def fill_holes(seen: BoolArray, spacing: float, width: float = 2.0) -> BoolArray:
+    """Close unseen gaps up to ``width`` (m) wide: morphological closing with a disc."""
+    radius = 0.5 * width / spacing
+    reach = int(np.floor(radius + 1e-9))
+    if reach == 0:
+        return seen
+    span = np.arange(-reach, reach + 1)
+    disc = span[None, :] ** 2 + span[:, None] ** 2 <= radius**2 + 1e-9
+    padded = np.pad(seen, reach)
+    return np.asarray(binary_closing(padded, disc)[reach:-reach, reach:-reach]) | seen
+
+
+def safety_field(grid: Grid, truth: Truth) -> SafetyField:
+    """Bring the map's verdict and the truth to the same nodes of the scanned box.
+
+    Nodes of the grid that coincide with nodes of the true safety map are compared. Where lattices
+    share none, the contact simulation is run at the grid's own nodes: reading a safety map off its
+    nodes would by itself cost several per cent.
+    """
+    xmin, xmax, ymin, ymax = truth.box
+    i, in_x = _matches(grid.x, truth.safe_x, xmin, xmax)
+    j, in_y = _matches(grid.y, truth.safe_y, ymin, ymax)
+    if in_x.size and in_y.size:
+        truly_safe = truth.safe[np.ix_(j, i)]
+    else:
+        in_x = np.flatnonzero((grid.x >= xmin - _COINCIDE) & (grid.x <= xmax + _COINCIDE))
+        in_y = np.flatnonzero((grid.y >= ymin - _COINCIDE) & (grid.y <= ymax + _COINCIDE))
+        points = np.stack(np.meshgrid(grid.x[in_x], grid.y[in_y]), axis=-1).reshape(-1, 2)
+        truly_safe = contact_safe(truth.x, truth.y, truth.elevation, points, Lander())
+        truly_safe = truly_safe.reshape(in_y.size, in_x.size)
+    window = np.ix_(in_y, in_x)
+    return SafetyField(
+        x=grid.x[in_x],
+        y=grid.y[in_y],
+        truly_safe=truly_safe,
+        called_safe=grid.safe[window],
+        seen=grid.seen[window],
+        scored=fill_holes(grid.seen, grid.spacing)[window],
+    )
+
+
+def _matches(
+    nodes: FloatArray, lattice: FloatArray, low: float, high: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices into ``lattice`` and ``nodes`` of the coordinates both have in [low, high]."""
+    nearest = np.clip(np.searchsorted(lattice, nodes), 1, lattice.size - 1)
+    nearest -= nodes - lattice[nearest - 1] < lattice[nearest] - nodes
+    same = np.abs(lattice[nearest] - nodes) < _COINCIDE
+    same &= (nodes >= low - _COINCIDE) & (nodes <= high + _COINCIDE)
+    index = np.flatnonzero(same)
+    return nearest[index], index
+
+
+def detection(field: SafetyField) -> Detection:
+    """Detection rates of Table 3 (fractions); a rate over no nodes is NaN."""
+    hazardous = field.scored & ~field.truly_safe
+    safe = field.scored & field.truly_safe
+    called = field.called_safe & field.seen
+    missed = hazardous & called
+    depth = 0.0
+    if missed.any():
+        spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
+        inside = np.pad(~field.truly_safe, 1, mode="edge")
+        depth = spacing * float(distance_transform_edt(inside)[1:-1, 1:-1][missed].max())
+
+    def share(part: BoolArray, whole: BoolArray) -> float:
+        return float((part & whole).sum() / whole.sum()) if whole.any() else float("nan")
+
+    return Detection(
+        hazardous_found=share(~called, hazardous),
+        safe_found=share(called, safe),
+        hazardous_unknown=share(~field.seen, hazardous),
+        safe_unknown=share(~field.seen, safe),
+        hazardous_nodes=int(hazardous.sum()),
+        safe_nodes=int(safe.sum()),
+        missed_nodes=int(missed.sum()),
+        missed_depth=depth,
+        unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
+        precision=share(field.truly_safe, called & field.scored),
+    )
+
+
+def sites_safe(sites: FloatArray, truth: Truth) -> BoolArray:
+    """Whether a lander set down at each site (K, 2 or 3) stands safely: (K,).
+
+    A site on a node of the true safety map takes its verdict from there; any other is simulated.
+    """
+    safe = contact_safe(truth.x, truth.y, truth.elevation, sites[:, :2], Lander())
+    for k, (x, y) in enumerate(sites[:, :2]):
+        i, j = int(np.abs(truth.safe_x - x).argmin()), int(np.abs(truth.safe_y - y).argmin())
+        if max(abs(truth.safe_x[i] - x), abs(truth.safe_y[j] - y)) < _COINCIDE:
+            safe[k] = truth.safe[j, i]
+    return safe

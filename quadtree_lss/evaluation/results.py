@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading what ``replay`` wrote and what ``simulate`` knows."""
+
+from __future__ import annotations
+
+import csv
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadtree_lss.errors import QuadtreeLssError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+UNSEEN = 128
+"""Bit of ``grid.npz`` ``hazard`` for ground that was not seen."""
+
+_CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measured", "domain")
+_GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
+_TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box")
+
+
+class EvaluationError(QuadtreeLssError):
+    """Results or truth that cannot be scored; the text is one clear line."""
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """The leaves of a map, one row per leaf (``cells.npz``), metres, map frame."""
+
+    level: NDArray[np.int64]
+    ix: NDArray[np.int64]
+    iy: NDArray[np.int64]
+    x: FloatArray
+    y: FloatArray
+    size: FloatArray
+    z: FloatArray
+    normal: FloatArray
+    measured: BoolArray
+    xmin: float
+    ymin: float
+    domain_size: float
+    max_level: int
+
+    @property
+    def finest_count(self) -> int:
+        """Finest cells along one side of the domain."""
+        return 1 << self.max_level
+
+    @property
+    def finest_size(self) -> float:
+        """Side of a finest cell (m)."""
+        return self.domain_size / self.finest_count
+
+    @property
+    def estimated(self) -> BoolArray:
+        """Leaves with a plane, measured or inherited (M,)."""
+        return np.isfinite(self.z)
+
+    @cached_property
+    def index(self) -> NDArray[np.int64]:
+        """Leaf of every finest cell, (n, n) as [iy, ix]; −1 where there is none."""
+        n = self.finest_count
+        leaf = np.full((n, n), -1, np.int64)
+        for level in np.unique(self.level):
+            rows = np.flatnonzero(self.level == level)
+            side = 1 << int(level)
+            coarse = np.full((side, side), -1, np.int64)
+            coarse[self.iy[rows], self.ix[rows]] = rows
+            fine = np.repeat(np.repeat(coarse, n // side, axis=0), n // side, axis=1)
+            leaf = np.where(fine >= 0, fine, leaf)
+        return leaf
+
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """Elevation (m) of the leaf planes at map coordinates; NaN without an estimate."""
+        x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        n = self.finest_count
+        i = np.floor((x_map - self.xmin) / self.finest_size).astype(np.int64)
+        j = np.floor((y_map - self.ymin) / self.finest_size).astype(np.int64)
+        inside = (i >= 0) & (i < n) & (j >= 0) & (j < n)
+        leaf = np.where(inside, self.index[np.clip(j, 0, n - 1), np.clip(i, 0, n - 1)], -1)
+        normal = self.normal[leaf]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            run = normal[..., 0] * (x_map - self.x[leaf]) + normal[..., 1] * (y_map - self.y[leaf])
+            z = self.z[leaf] - run / normal[..., 2]
+        return np.where(leaf >= 0, z, np.nan)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes of the landing-site selection (``grid.npz``): x (nx,), y (ny,), arrays (ny, nx)."""
+
+    x: FloatArray
+    y: FloatArray
+    elevation: FloatArray
+    slope_deg: FloatArray
+    hazard: NDArray[np.uint8]
+    safe: BoolArray
+    score: FloatArray
+
+    @property
+    def spacing(self) -> float:
+        """Distance of the nodes (m)."""
+        return float(self.x[-1] - self.x[0]) / (self.x.size - 1)
+
+    @property
+    def seen(self) -> BoolArray:
+        """Nodes on seen ground (ny, nx)."""
+        return np.asarray((self.hazard & UNSEEN) == 0)
+
+
+@dataclass(frozen=True)
+class Results:
+    """One results directory of ``replay``."""
+
+    leaves: Leaves
+    grid: Grid
+    sites: FloatArray
+    """Positions (K, 3) of the ranked sites, best first."""
+    map_ms: FloatArray
+    """Time per scan (S,), ms."""
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The ground as it is (``truth.npz``), metres, map frame."""
+
+    x: FloatArray
+    y: FloatArray
+    elevation: FloatArray
+    safe_x: FloatArray
+    safe_y: FloatArray
+    safe: BoolArray
+    box: tuple[float, float, float, float]
+
+
+def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+    if not path.is_file():
+        msg = f"{path} does not exist"
+        raise EvaluationError(msg)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            missing = [name for name in names if name not in file]
+            if missing:
+                msg = f"{path} lacks {', '.join(missing)}"
+                raise EvaluationError(msg)
+            return {name: file[name] for name in names}
+    except (OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        msg = f"{path} is not a readable .npz file: {error}"
+        raise EvaluationError(msg) from error
+
+
+def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: str) -> None:
+    for name in (x, y):
+        if arrays[name].ndim != 1 or arrays[name].size < 2:
+            msg = f"{path}: {name} must be a vector of at least two coordinates"
+            raise EvaluationError(msg)
+    expected = (arrays[y].size, arrays[x].size)
+    for name in names:
+        if arrays[name].shape != expected:
+            msg = f"{path}: {name} has shape {arrays[name].shape}, expected {expected}"
+            raise EvaluationError(msg)
+
+
+def load_leaves(path: Path) -> Leaves:
+    """Read ``cells.npz``."""
+    a = _arrays(path, _CELLS)
+    xmin, ymin, size, _, max_level = np.asarray(a["domain"], float)
+    return Leaves(
+        level=a["level"].astype(np.int64),
+        ix=a["ix"].astype(np.int64),
+        iy=a["iy"].astype(np.int64),
+        x=a["x"].astype(float),
+        y=a["y"].astype(float),
+        size=a["size"].astype(float),
+        z=a["z"].astype(float),
+        normal=np.stack([a["nx"], a["ny"], a["nz"]], axis=-1).astype(float),
+        measured=a["measured"].astype(bool),
+        xmin=float(xmin),
+        ymin=float(ymin),
+        domain_size=float(size),
+        max_level=int(max_level),
+    )
+
+
+def load_grid(path: Path) -> Grid:
+    """Read ``grid.npz``."""
+    a = _arrays(path, _GRID)
+    _check_shape(path, a, "x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
+    return Grid(**{**a, "safe": a["safe"].astype(bool), "hazard": a["hazard"].astype(np.uint8)})
+
+
+def load_truth(path: str | Path) -> Truth:
+    """Read ``truth.npz``."""
+    file = Path(path)
+    a = _arrays(file, _TRUTH)
+    _check_shape(file, a, "x", "y", "elevation")
+    _check_shape(file, a, "safe_x", "safe_y", "safe")
+    xmin, xmax, ymin, ymax = (float(value) for value in a.pop("box"))
+    return Truth(**{**a, "safe": a["safe"].astype(bool)}, box=(xmin, xmax, ymin, ymax))
+
+
+def _columns(path: Path, names: tuple[str, ...]) -> FloatArray:
+    """Columns of a CSV file by name: (rows, len(names))."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
+    except FileNotFoundError as error:
+        msg = f"{path} does not exist"
+        raise EvaluationError(msg) from error
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        msg = f"{path} is not a table with the columns {', '.join(names)}"
+        raise EvaluationError(msg) from error
+    return np.array(rows, float).reshape(-1, len(names))
+
+
+def load_results(directory: str | Path) -> Results:
+    """Read a results directory of ``replay``; raises `EvaluationError` if a file is amiss."""
+    folder = Path(directory)
+    if not folder.is_dir():
+        msg = f"{folder} is not a directory of results"
+        raise EvaluationError(msg)
+    summary_path = folder / "summary.json"
+    try:
+        summary = json.loads(summary_path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        msg = f"{summary_path} is missing or not JSON"
+        raise EvaluationError(msg) from error
+    return Results(
+        leaves=load_leaves(folder / "cells.npz"),
+        grid=load_grid(folder / "grid.npz"),
+        sites=_columns(folder / "sites.csv", ("x", "y", "z")),
+        map_ms=_columns(folder / "timing.csv", ("map_ms",))[:, 0],
+        summary=summary,
+    )
