@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import Any, NamedTuple
 
@@ -19,6 +20,9 @@ from quadtree_lss.messages.poses import (
     mount_from_message,
     pose_from_message,
 )
+
+NOISE_RATIO_LIMIT = 1.4
+"""Observed over configured range noise that is worth a warning, either way."""
 
 
 class Notice(NamedTuple):
@@ -185,3 +189,22 @@ class Intake:
 
     def _tell(self, drops: list[Drop]) -> None:
         self._notices += [Notice(drop.reason, drop.text) for drop in drops]
+
+
+def noise_notice(ratio: float, config: Config) -> Notice | None:
+    """Warning if the observed range noise is not the configured one; the leaf count hangs on it.
+
+    Args:
+        ratio: Observed over configured, as in ``ScanReport.noise_ratio``; NaN if unknown.
+        config: Of which ``lidar.range_noise`` and ``mapping.noise_check`` matter.
+    """
+    agrees = 1.0 / NOISE_RATIO_LIMIT <= ratio <= NOISE_RATIO_LIMIT
+    if not config.mapping.noise_check or math.isnan(ratio) or agrees:
+        return None
+    configured = config.lidar.range_noise
+    effect = "too many" if ratio > 1.0 else "too few"
+    text = (
+        f"points scatter about flat cells by {ratio * configured:.3g} m, but lidar.range_noise is"
+        f" {configured:g} m: rough ground, or {effect} cells for a wrong setting"
+    )
+    return Notice("range_noise", text)

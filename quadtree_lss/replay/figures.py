@@ -24,10 +24,10 @@ from quadtree_lss.replay.results import ScanTiming
 
 Array = NDArray[np.float64]
 
-UNSEEN = 128
+UNSEEN, UNSEEN_COLOUR = 128, "#bbbbbb"
 # Bit, name and colour of hazards, the first that applies is drawn (Okabe-Ito colours).
 HAZARDS = (
-    (UNSEEN, "unseen", "#bbbbbb"),
+    (UNSEEN, "unseen", UNSEEN_COLOUR),
     (1, "slope", "#d55e00"),
     (2, "elevation", "#cc79a7"),
     (4, "exception", "#56b4e9"),
@@ -54,9 +54,9 @@ def elevation_figure(cells: CellMap, assessment: LandingAssessment) -> Figure:
 
 
 def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
-    """Slope at the lander's scale, with the tolerance as a contour."""
+    """Slope at the lander's scale; the tolerance is marked in the colour bar and as a contour."""
     figure, axes = _map_axes("Slope at the lander's scale")
-    top = 3.0 * config.lss.max_slope_deg
+    top = 2.0 * config.lss.max_slope_deg
     image = axes.imshow(
         assessment.slope_deg,
         origin="lower",
@@ -68,31 +68,36 @@ def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
     bar = figure.colorbar(image, ax=axes, label="slope, deg", shrink=0.85, extend="max")
     bar.ax.axhline(config.lss.max_slope_deg, color="white")
     axes.set_facecolor("#dddddd")
+    if np.nanmax(assessment.slope_deg, initial=0.0) > config.lss.max_slope_deg:
+        axes.contour(
+            assessment.x,
+            assessment.y,
+            assessment.slope_deg,
+            levels=[config.lss.max_slope_deg],
+            colors="white",
+            linewidths=0.8,
+        )
     return figure
 
 
 def hazard_figure(assessment: LandingAssessment) -> Figure:
-    """Kinds of hazards, terrain that is clear, and where the vehicle may land."""
-    figure, axes = _map_axes("Hazards and safe terrain")
-    kind = np.where(assessment.safe, 1, 0)
-    for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=2))):
+    """Kinds of hazards, and beside them where the vehicle may land, with the ranked sites."""
+    figure = Figure(figsize=(11.0, 6.0), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    for axes, title in ((left, "Hazards by kind"), (right, "Where landing is allowed")):
+        _label(axes, title)
+    kind = np.zeros(assessment.hazard.shape, dtype=np.int64)
+    for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=1))):
         kind[(assessment.hazard & bit) > 0] = place
-    colours = [CLEAR_COLOUR, SAFE_COLOUR, *(colour for _, _, colour in HAZARDS)]
-    axes.imshow(
-        kind,
-        origin="lower",
-        extent=_node_extent(assessment),
-        cmap=ListedColormap(colours),
-        norm=BoundaryNorm(np.arange(-0.5, len(colours)), len(colours)),
-        interpolation="nearest",
-    )
-    names = ["no hazard, but one in the zone", "landing allowed", *(name for _, name, _ in HAZARDS)]
-    shares = [np.mean(kind == k) for k in range(len(names))]
-    handles = [
-        Patch(facecolor=colour, edgecolor="black", linewidth=0.4, label=f"{name} {share:.1%}")
-        for colour, name, share in zip(colours, names, shares, strict=True)
-    ]
-    _legend_beside(axes, handles)
+    names = [("none", CLEAR_COLOUR), *((name, colour) for _, name, colour in HAZARDS)]
+    kinds = _draw_classes(left, assessment, kind, names)
+    unseen = (assessment.hazard & UNSEEN) > 0
+    allowed = np.where(assessment.safe, 1, np.where(unseen, 2, 0))
+    names = [("excluded", CLEAR_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
+    decisions = _draw_classes(right, assessment, allowed, names)
+    figure.legend(handles=kinds, loc="outside lower left", ncols=3, frameon=False)
+    figure.legend(handles=decisions, loc="outside lower right", ncols=3, frameon=False)
+    _draw_sites(right, assessment, radius=0.0)
     return figure
 
 
@@ -165,11 +170,15 @@ def leaf_edges(cells: CellMap) -> Array:
 def _map_axes(title: str) -> tuple[Figure, Any]:
     figure = Figure(figsize=(8.0, 6.6), layout="constrained")
     axes = figure.add_subplot()
+    _label(axes, title)
+    return figure, axes
+
+
+def _label(axes: Any, title: str) -> None:
     axes.set_title(title)
     axes.set_xlabel("x (map), m")
     axes.set_ylabel("y (map), m")
     axes.set_aspect("equal")
-    return figure, axes
 
 
 def _node_extent(assessment: LandingAssessment) -> tuple[float, float, float, float]:
@@ -202,5 +211,28 @@ def _draw_sites(axes: Any, assessment: LandingAssessment, radius: float) -> None
         )
 
 
-def _legend_beside(axes: Any, handles: list[Patch]) -> None:
-    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+def _draw_classes(
+    axes: Any,
+    assessment: LandingAssessment,
+    kind: NDArray[np.int64],
+    classes: Sequence[tuple[str, str]],
+) -> list[Patch]:
+    """Image of class numbers; the answer is a legend of the classes and their shares."""
+    colours = [colour for _, colour in classes]
+    axes.imshow(
+        kind,
+        origin="lower",
+        extent=_node_extent(assessment),
+        cmap=ListedColormap(colours),
+        norm=BoundaryNorm(np.arange(-0.5, len(colours)), len(colours)),
+        interpolation="nearest",
+    )
+    return [
+        Patch(
+            facecolor=colour,
+            edgecolor="black",
+            linewidth=0.4,
+            label=f"{name} {np.mean(kind == number):.1%}",
+        )
+        for number, (name, colour) in enumerate(classes)
+    ]

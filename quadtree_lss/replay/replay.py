@@ -17,7 +17,7 @@ from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.messages.intake import Intake, ReadyScan
+from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
 from quadtree_lss.messages.maps import decode_cells, encode_cells
 from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import (
@@ -222,6 +222,9 @@ class _Run:
         lines = [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
         if self.refused_divisions:
             lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
+        noise = noise_notice(self.noise_ratio, self.config)
+        if noise is not None:
+            lines.append(noise.text)
         return lines
 
     def _take(self, bag: Bag, stream: _Stream, message: RawMessage) -> None:

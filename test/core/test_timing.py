@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses between poses, and scans that wait for them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mount import MountedPoses, mounted
+from quadtree_lss.core.timing import PoseBuffer, ScanQueue
+
+MS = 1_000_000
+SECOND = 1000 * MS
+EPOCH = 1_700_000_000 * SECOND
+
+
+def random_pose(stamp_ns, rng):
+    root = rng.normal(size=(6, 6))
+    rotation = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
+    return Pose(stamp_ns, rng.normal(size=3), rotation, root @ root.T)
+
+
+def plain_pose(stamp_ns):
+    return Pose(stamp_ns, np.array([stamp_ns / 1e9, 0.0, 0.0]), np.eye(3), np.eye(6))
+
+
+def buffer_of(*stamps_ms, span_ms=10_000, gap_ms=100):
+    buffer = PoseBuffer(span_ms * MS, gap_ms * MS)
+    for stamp in stamps_ms:
+        buffer.add(plain_pose(stamp * MS))
+    return buffer
+
+
+def queue_of(buffer, scans=5, wait_ms=1000):
+    return ScanQueue(buffer, scans, wait_ms * MS)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 1.0))
+def test_interpolation_is_linear_and_slerp_as_scipy_has_it(seed, share):
+    rng = np.random.default_rng(seed)
+    before, after = (random_pose(EPOCH + t * MS, rng) for t in (0, 50))
+    buffer = PoseBuffer(SECOND, SECOND)
+    buffer.add(before), buffer.add(after)
+    stamp = EPOCH + round(share * 50 * MS)
+    exact = (stamp - EPOCH) / (50 * MS)
+    pose = buffer.at(stamp)
+    both = Rotation.from_matrix([before.rotation_map_lidar, after.rotation_map_lidar])
+    rotation = Slerp([0.0, 1.0], both)(exact).as_matrix()
+    np.testing.assert_allclose(pose.rotation_map_lidar, rotation, atol=1e-9)
+    position = before.position + exact * (after.position - before.position)
+    np.testing.assert_allclose(pose.position, position, atol=1e-12)
+    covariance = before.covariance + exact * (after.covariance - before.covariance)
+    np.testing.assert_allclose(pose.covariance, covariance, atol=1e-12)
+    assert np.linalg.eigvalsh(pose.covariance)[0] > 0.0
+    assert pose.stamp_ns == stamp
+
+
+def test_an_exact_stamp_needs_no_bracket():
+    buffer = PoseBuffer(SECOND, 1)
+    pose = plain_pose(EPOCH)
+    buffer.add(pose)
+    assert buffer.at(EPOCH) is pose
+
+
+@pytest.mark.parametrize("stamp_ms", [-1, 99, 301, 10_000])
+def test_never_the_latest_pose_nor_one_beyond_the_ends(stamp_ms):
+    buffer = buffer_of(100, 200, 300)
+    assert buffer.at(stamp_ms * MS) is None
+    assert not buffer.covers(stamp_ms * MS)
+    assert PoseBuffer(SECOND, SECOND).at(stamp_ms * MS) is None
+
+
+def test_a_gap_is_not_bridged():
+    buffer = buffer_of(0, 100, 301)
+    assert buffer.at(50 * MS) is not None
+    assert buffer.at(200 * MS) is None
+    assert buffer.hopeless(200 * MS) == "pose_gap"
+    assert buffer.at(301 * MS) is not None
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    stamps=st.lists(st.integers(0, 900), min_size=1, max_size=30),
+    asked=st.lists(st.integers(-10, 910), max_size=10),
+)
+def test_small_disorder_does_not_matter(stamps, asked):
+    first = min(stamps)  # older than all that are held would be refused
+    disordered, ordered = (PoseBuffer(SECOND, SECOND) for _ in range(2))
+    for stamp in [first, *stamps]:
+        disordered.add(plain_pose(stamp * MS))
+    for stamp in sorted(set(stamps)):
+        assert ordered.add(plain_pose(stamp * MS)) is None
+    assert len(disordered) == len(ordered) == len(set(stamps))
+    for stamp in asked:
+        pose, expected = disordered.at(stamp * MS), ordered.at(stamp * MS)
+        assert (pose is None) == (expected is None) == (not ordered.covers(stamp * MS))
+        if pose is not None:
+            np.testing.assert_array_equal(pose.position, expected.position)
+
+
+def test_the_buffer_is_bounded_by_time():
+    buffer = buffer_of(*range(0, 20_000, 100), span_ms=500)
+    oldest, newest = buffer.range_ns
+    assert newest == 19_900 * MS and oldest == newest - 500 * MS
+    assert len(buffer) == 6
+    assert buffer.add(plain_pose(oldest - MS)) == "too_old"
+    assert buffer.add(plain_pose(oldest)) == "duplicate"
+
+
+def test_a_backward_jump_of_poses_starts_anew():
+    buffer = buffer_of(10_000, 10_100)
+    assert buffer.add(plain_pose(0)) == "time_jump"
+    assert buffer.range_ns == (0, 0) and buffer.jumps == 1
+    assert buffer.at(10_050 * MS) is None
+
+
+def test_scans_come_out_in_order_with_the_pose_at_their_stamp():
+    buffer = buffer_of(0, 100)
+    queue = queue_of(buffer)
+    for stamp in (20, 50, 120, 140):
+        queue.push_scan(stamp * MS, f"scan {stamp}", 0)
+    first = queue.pop_ready()
+    assert [(s // MS, scan) for s, scan, _ in first] == [(20, "scan 20"), (50, "scan 50")]
+    assert [pose.stamp_ns // MS for _, _, pose in first] == [20, 50]
+    assert queue.pop_ready() == []
+    buffer.add(plain_pose(200 * MS))
+    assert [s // MS for s, _, _ in queue.pop_ready()] == [120, 140]
+    assert queue.expire(0) == [] and not queue.dropped
+
+
+def test_a_scan_never_overtakes_one_that_waits():
+    buffer = buffer_of(0, 100)
+    queue = queue_of(buffer)
+    queue.push_scan(150 * MS, "late stamp", 0)
+    queue.push_scan(50 * MS, "has its pose", 0)
+    assert queue.pop_ready() == []
+    buffer.add(plain_pose(200 * MS))
+    assert [scan for _, scan, _ in queue.pop_ready()] == ["late stamp", "has its pose"]
+
+
+def test_waiting_is_bounded_from_arrival_whatever_the_stamps_say():
+    for epoch in (0, EPOCH):
+        queue = queue_of(PoseBuffer(SECOND, SECOND), wait_ms=300)
+        queue.push_scan(epoch, "old stamp", 5000 * MS)
+        queue.push_scan(epoch + 50 * MS, "next", 5050 * MS)
+        assert queue.expire(5299 * MS) == []
+        (drop,) = queue.expire(5300 * MS)
+        assert drop.stamp_ns == epoch and drop.reason == "no_pose"
+        assert len(queue) == 1
+        assert len(queue.expire(5350 * MS)) == 1
+        assert queue.dropped == {"no_pose": 2}
+
+
+def test_the_queue_is_bounded_in_number_and_the_oldest_goes():
+    buffer = PoseBuffer(SECOND, SECOND)
+    queue = queue_of(buffer, scans=3)
+    for k in range(5):
+        queue.push_scan(k * MS, k, 0)
+    assert len(queue) == 3
+    assert [(d.stamp_ns // MS, d.reason) for d in queue.expire(0)] == [
+        (0, "queue_full"),
+        (1, "queue_full"),
+    ]
+    buffer.add(plain_pose(0)), buffer.add(plain_pose(10 * MS))
+    assert [scan for _, scan, _ in queue.pop_ready()] == [2, 3, 4]
+
+
+def test_scans_that_no_pose_can_help_do_not_hold_up_the_others():
+    queue = queue_of(buffer_of(1000, 1500, 1600))
+    for stamp in (900, 1200, 1550):
+        queue.push_scan(stamp * MS, stamp, 0)
+    assert [scan for _, scan, _ in queue.pop_ready()] == [1550]
+    assert [d.reason for d in queue.expire(0)] == ["before_poses", "pose_gap"]
+
+
+def test_a_second_scan_of_the_same_stamp_is_not_mapped_twice():
+    queue = queue_of(buffer_of(0, 100))
+    queue.push_scan(50 * MS, "one", 0)
+    queue.push_scan(50 * MS, "again", 0)
+    assert [scan for _, scan, _ in queue.pop_ready()] == ["one"]
+    assert queue.dropped == {"duplicate": 1}
+
+
+@pytest.mark.parametrize("poses_first", [True, False])
+def test_a_looping_bag_is_taken_up_again_within_a_pose(poses_first):
+    buffer = PoseBuffer(30 * SECOND, 150 * MS)
+    queue = queue_of(buffer)
+    mapped = []
+    for _ in range(2):
+        for t in range(0, 5000, 100):
+            steps = [lambda t=t: buffer.add(plain_pose(t * MS))]
+            steps.append(lambda t=t: queue.push_scan((t + 30) * MS, t, t * MS))
+            for step in steps if poses_first else steps[::-1]:
+                step()
+                mapped += [scan for _, scan, _ in queue.pop_ready()]
+    # In the first round the last scan has no pose behind it, in the second neither.
+    expected = [t for t in range(0, 4900, 100)]
+    first, second = mapped[: len(expected)], mapped[len(expected) :]
+    assert first == expected
+    assert len(second) >= len(expected) - 1 and second == expected[-len(second) :]
+    assert queue.dropped.total() <= 2
+    assert buffer.jumps + queue.jumps >= 1
+
+
+def test_a_single_wrong_stamp_ahead_costs_one_scan_and_no_map():
+    buffer = PoseBuffer(30 * SECOND, 150 * MS)
+    queue = queue_of(buffer)
+    mapped = []
+    for t in range(0, 3000, 100):
+        buffer.add(plain_pose(t * MS))
+        stamp = t + 1_000_000 if t == 1500 else t - 50
+        queue.push_scan(stamp * MS, t, t * MS)
+        mapped += [scan for _, scan, _ in queue.pop_ready()]
+        queue.expire(t * MS)
+    assert mapped == [t for t in range(100, 3000, 100) if t != 1500]
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    data=st.data(),
+    latency=st.integers(0, 250),
+    period=st.integers(20, 90),
+)
+def test_when_it_is_asked_for_does_not_change_what_comes_out(data, latency, period):
+    """Live nodes ask after each message, others may ask seldom: the same scans and poses."""
+    rng = np.random.default_rng(0)
+    poses = [random_pose(t * MS, rng) for t in range(0, 1000, period)]
+    scans = [t * MS for t in range(17, 900, 50)]
+    events = sorted(
+        [(p.stamp_ns + latency * MS, 0, p) for p in poses] + [(s, 1, s) for s in scans],
+        key=lambda event: event[:2],
+    )
+
+    def run(asks):
+        buffer = PoseBuffer(10 * SECOND, 100 * MS)
+        queue = ScanQueue(buffer, 1000, 10 * SECOND)
+        out = []
+        for (_, kind, item), ask in zip(events, asks, strict=True):
+            if kind == 0:
+                buffer.add(item)
+            else:
+                queue.push_scan(item, None, item)
+            if ask:
+                out += queue.pop_ready()
+        return out + queue.pop_ready(), queue.dropped
+
+    seldom = [data.draw(st.booleans()) for _ in events]
+    (often_out, often_dropped), (seldom_out, seldom_dropped) = (
+        run([True] * len(events)),
+        run(seldom),
+    )
+    assert often_dropped == seldom_dropped
+    assert [s for s, _, _ in often_out] == [s for s, _, _ in seldom_out]
+    for (_, _, one), (_, _, other) in zip(often_out, seldom_out, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+        np.testing.assert_array_equal(one.rotation_map_lidar, other.rotation_map_lidar)
+
+
+@settings(max_examples=60, deadline=None)
+@given(events=st.lists(st.tuples(st.booleans(), st.integers(0, 5000)), max_size=60))
+def test_every_scan_is_mapped_dropped_or_waiting(events):
+    buffer = PoseBuffer(2 * SECOND, 300 * MS)
+    queue = queue_of(buffer, scans=4, wait_ms=50)
+    pushed = popped = dropped = 0
+    for now, (is_pose, stamp) in enumerate(events):
+        if is_pose:
+            buffer.add(plain_pose(stamp * MS))
+        else:
+            queue.push_scan(stamp * MS, None, now * 10 * MS)
+            pushed += 1
+        ready = queue.pop_ready()
+        popped += len(ready)
+        assert all(pose.stamp_ns == s for s, _, pose in ready)
+        dropped += len(queue.expire(now * 10 * MS))
+        assert len(queue) <= 4
+        assert pushed == popped + dropped + len(queue)
+        assert dropped == queue.dropped.total()
+    dropped += len(queue.finish())
+    assert pushed == popped + dropped and len(queue) == 0
+
+
+@pytest.mark.parametrize(
+    ("poses_ms", "stamp_ms", "words"),
+    [
+        ((), 500, ["no pose has arrived", "/nav/pose", "QoS"]),
+        ((0, 100), 700, ["0.600 s behind", "pose.max_wait"]),
+        ((900, 1000), 700, ["0.200 s older", "pose.buffer"]),
+        ((0, 100, 900), 500, ["0.800 s apart", "pose.max_gap"]),
+        ((0, 100), 10_000_000, ["different clocks"]),
+    ],
+)
+def test_messages_name_topics_stamps_range_and_cause(poses_ms, stamp_ms, words):
+    queue = ScanQueue(buffer_of(*poses_ms), 5, 0, "/lidar/points", "/nav/pose")
+    queue.push_scan(stamp_ms * MS, None, 0)
+    queue.pop_ready()
+    (drop,) = queue.expire(0)
+    held = [f"{t / 1000:.6f}" for t in (poses_ms[0], poses_ms[-1])] if poses_ms else []
+    for word in ["'/lidar/points'", f"{stamp_ms / 1000:.6f}", *held, *words]:
+        assert word in drop.text
+    assert "\n" not in drop.text
+
+
+def test_mounted_covariance_is_that_of_perturbed_poses():
+    rng = np.random.default_rng(2)
+    body, mount = random_pose(0, rng), random_pose(0, rng)
+    sigma = np.diag([0.2, 0.1, 0.3, 1e-4, 2e-4, 1e-4]) ** 2 + 1e-10
+    body = Pose(0, body.position, body.rotation_map_lidar, sigma)
+    lidar = mounted(body, mount)
+    jacobian = np.zeros((6, 6))
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-6
+        turned = Rotation.from_rotvec(step[3:]).as_matrix() @ body.rotation_map_lidar
+        moved = mounted(Pose(0, body.position + step[:3], turned, sigma), mount)
+        turn = Rotation.from_matrix(moved.rotation_map_lidar @ lidar.rotation_map_lidar.T)
+        jacobian[:3, k] = (moved.position - lidar.position) / 1e-6
+        jacobian[3:, k] = turn.as_rotvec() / 1e-6
+    np.testing.assert_allclose(lidar.covariance, jacobian @ sigma @ jacobian.T, rtol=1e-4)
+
+
+def test_a_gimbal_is_interpolated_like_the_poses_and_waited_for():
+    body, gimbal = buffer_of(0, 100), PoseBuffer(SECOND, SECOND)
+    source = MountedPoses(body, gimbal)
+    queue = queue_of(source)
+    queue.push_scan(50 * MS, "scan", 0)
+    assert queue.pop_ready() == [] and source.range_ns is None
+    for t, angle in ((0, 0.0), (100, 0.2)):
+        rotation = Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
+        gimbal.add(Pose(t * MS, np.zeros(3), rotation, np.zeros((6, 6))))
+    ((_, _, pose),) = queue.pop_ready()
+    half = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
+    np.testing.assert_allclose(pose.rotation_map_lidar, half, atol=1e-12)

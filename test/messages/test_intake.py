@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From messages to scans with their pose: nothing raises, everything is counted and told."""
+
+import numpy as np
+import pytest
+from messages.samples import cloud, pose
+
+from quadtree_lss.core.config import config_from_values
+from quadtree_lss.messages.intake import Intake, noise_notice
+
+MS = 1_000_000
+CONFIG = config_from_values({"pose.max_wait": 0.2, "pose.queue": 4})
+
+
+def scan(stamp_ms, n=5):
+    return cloud(np.full((n, 3), float(stamp_ms)), stamp_ns=stamp_ms * MS)
+
+
+def test_a_scan_between_two_poses_is_ready_with_the_pose_between():
+    intake = Intake(CONFIG)
+    intake.on_pose(pose(0, (0.0, 0.0, 0.0)))
+    assert intake.on_cloud(scan(50), 0) == 50 * MS
+    assert intake.ready(0) == []
+    intake.on_pose(pose(100 * MS, (10.0, 0.0, 0.0)))
+    (ready,) = intake.ready(0)
+    assert ready.stamp_ns == ready.pose.stamp_ns == 50 * MS
+    np.testing.assert_allclose(ready.pose.position, [5.0, 0.0, 0.0])
+    np.testing.assert_array_equal(ready.points_lidar, np.full((5, 3), 50.0))
+    assert intake.notices() == [] and not intake.dropped and not intake.rejected
+
+
+def test_bad_messages_are_counted_by_reason_and_told_once_each():
+    intake = Intake(CONFIG)
+    wrong = scan(10)
+    wrong.row_step = 1
+    assert intake.on_cloud(wrong, 0) is None
+    intake.on_cloud(scan(20, n=0), 0)
+    intake.on_pose(pose(0, frame="odom"))
+    intake.on_pose(pose(0, xyzw=(0, 0, 0, 0)))
+    expected = ["cloud_size", "cloud_empty", "pose_frame", "pose_quaternion"]
+    assert [notice.reason for notice in intake.notices()] == expected
+    assert intake.notices() == []
+    assert intake.rejected == dict.fromkeys(expected, 1)
+    assert intake.dropped == {"cloud_size": 1, "cloud_empty": 1}
+
+
+def test_unknown_covariance_is_told_and_replaced():
+    intake = Intake(CONFIG)
+    intake.on_pose(pose(50 * MS, covariance=np.zeros(36)))
+    intake.on_cloud(scan(50), 0)
+    (ready,) = intake.ready(0)
+    assert ready.pose.covariance[0, 0] == CONFIG.pose.unknown_position_sigma**2
+    (notice,) = intake.notices()
+    assert notice.reason == "pose_covariance_unknown"
+
+
+def test_scans_without_a_pose_are_given_up_and_those_behind_them_come():
+    intake = Intake(CONFIG, scan_topic="/s", pose_topic="/p")
+    intake.on_pose(pose(1000 * MS))
+    intake.on_cloud(scan(1500), 0)
+    intake.on_cloud(scan(1000), 0)
+    assert intake.ready(199 * MS) == []
+    assert [ready.stamp_ns for ready in intake.ready(200 * MS)] == [1000 * MS]
+    (notice,) = intake.notices()
+    assert notice.reason == "no_pose" and "'/s'" in notice.text and "'/p'" in notice.text
+    assert intake.dropped == {"no_pose": 1}
+
+
+def test_jumping_back_is_told():
+    intake = Intake(CONFIG)
+    intake.on_pose(pose(10_000 * MS))
+    intake.on_cloud(scan(10_000), 0)
+    intake.ready(0)
+    intake.on_pose(pose(0))
+    intake.on_cloud(scan(0), 0)
+    assert [ready.stamp_ns for ready in intake.ready(0)] == [0]
+    assert {notice.reason for notice in intake.notices()} == {"pose_time_jump", "time_jump"}
+
+
+def test_what_waits_at_the_end_is_counted():
+    intake = Intake(CONFIG)
+    intake.on_cloud(scan(10), 0)
+    intake.finish()
+    assert intake.dropped == {"no_pose": 1} and len(intake.notices()) == 1
+
+
+@pytest.mark.parametrize(("ratio", "told"), [(1.0, 0), (1.3, 0), (3.0, 1), (0.2, 1), (np.nan, 0)])
+def test_a_wrong_range_noise_is_told(ratio, told):
+    notice = noise_notice(ratio, CONFIG)
+    assert (notice is not None) == bool(told)
+    assert noise_notice(ratio, config_from_values({"mapping.noise_check": False})) is None

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses: what is mended, what is refused."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from messages.samples import header, pose
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.messages.clouds import MessageError
+from quadtree_lss.messages.poses import (
+    has_unknown_covariance,
+    mount_from_message,
+    pose_from_message,
+)
+
+COVARIANCE = np.diag([0.04, 0.04, 0.09, 1e-6, 1e-6, 1e-6])
+
+
+def reason_of(msg, frame="map"):
+    with pytest.raises(MessageError) as caught:
+        pose_from_message(msg, frame)
+    assert "\n" not in str(caught.value)
+    return caught.value.reason
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), length=st.floats(0.991, 1.009))
+def test_a_pose_comes_out_as_it_went_in(seed, length):
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.from_rotvec(rng.normal(size=3))
+    root = rng.normal(size=(6, 6)) * np.array([1, 1, 1, 1e-3, 1e-3, 1e-3])[:, None]
+    covariance = root @ root.T
+    msg = pose(123_456_789_012, rng.normal(size=3), length * rotation.as_quat(), covariance)
+    decoded = pose_from_message(msg, "map")
+    assert decoded.stamp_ns == 123_456_789_012
+    np.testing.assert_allclose(decoded.rotation_map_lidar, rotation.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(decoded.covariance, covariance, rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(decoded.covariance, decoded.covariance.T)
+
+
+def test_frames_are_compared_without_leading_slash():
+    assert pose_from_message(pose(frame="/map"), "map").stamp_ns == 0
+    assert reason_of(pose(frame="odom")) == "frame"
+    assert reason_of(pose(frame="")) == "frame"
+    with pytest.raises(MessageError, match="'odom'.*'map'"):
+        pose_from_message(pose(frame="odom"), "map")
+
+
+@pytest.mark.parametrize(
+    "xyzw", [(0, 0, 0, 0), (0, 0, 0, 1.02), (0, 0, 0, 0.98), (np.nan, 0, 0, 1), (np.inf, 0, 0, 1)]
+)
+def test_quaternions_that_are_no_rotation_are_refused(xyzw):
+    assert reason_of(pose(xyzw=xyzw)) == "quaternion"
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+def test_positions_must_be_finite_and_on_this_planet(bad):
+    assert reason_of(pose(position=(0.0, bad, 0.0))) == "position"
+
+
+def changed(entries):
+    covariance = COVARIANCE.copy()
+    for place, value in entries.items():
+        covariance[place] = value
+    return covariance
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        changed({(0, 0): -1e-9}),
+        changed({(2, 2): np.nan}),
+        changed({(5, 5): np.inf}),
+        changed({(0, 1): 0.01}),
+        changed({(3, 4): 1e-8}),
+        changed({(0, 1): 0.05, (1, 0): 0.05}),
+        changed({(0, 0): 0.0, (0, 1): 0.01, (1, 0): 0.01}),
+        np.ones(35),
+    ],
+)
+def test_covariances_that_are_none_are_refused(covariance):
+    assert reason_of(pose(covariance=covariance)) == "covariance"
+
+
+def test_rounding_of_a_covariance_is_mended():
+    near = 0.04 * (1.0 + 1e-9)
+    covariance = changed({(0, 1): near, (1, 0): near + 1e-12})
+    assert np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] < 0.0
+    mended = pose_from_message(pose(covariance=covariance), "map").covariance
+    np.testing.assert_allclose(mended, 0.5 * (covariance + covariance.T), atol=1e-9)
+    np.testing.assert_array_equal(mended, mended.T)
+    assert np.linalg.eigvalsh(mended)[0] > -1e-16
+
+
+def test_zeros_mean_unknown_and_take_the_configured_sigmas():
+    msg = pose(covariance=np.zeros(36))
+    assert has_unknown_covariance(msg) and not has_unknown_covariance(pose())
+    decoded = pose_from_message(
+        msg, "map", unknown_position_sigma=0.5, unknown_attitude_sigma_deg=0.1
+    )
+    sigmas = np.sqrt(np.diag(decoded.covariance))
+    np.testing.assert_allclose(sigmas, [0.5] * 3 + [np.deg2rad(0.1)] * 3)
+
+
+def test_the_covariance_cannot_be_changed_by_accident():
+    decoded = pose_from_message(pose(), "map")
+    with pytest.raises(ValueError):
+        decoded.covariance[0, 0] = 1.0
+
+
+def test_mount_is_the_lidar_in_body_axes():
+    rotation = Rotation.from_rotvec([0.1, -0.2, 0.3])
+    x, y, z, w = rotation.as_quat()
+    transform = SimpleNamespace(
+        translation=SimpleNamespace(x=1.0, y=2.0, z=3.0),
+        rotation=SimpleNamespace(x=x, y=y, z=z, w=w),
+    )
+    mount = mount_from_message(SimpleNamespace(header=header(7, "body"), transform=transform))
+    assert mount.stamp_ns == 7
+    np.testing.assert_array_equal(mount.position, [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(mount.rotation_map_lidar, rotation.as_matrix(), atol=1e-15)
+    assert not mount.covariance.any()

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter files as ROS has them, offline."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadtree_lss.configuration import dump_config, find_config, load_config, read_values
+from quadtree_lss.core.config import Config, ConfigError, config_from_values, parameters
+
+SHIPPED = ("default", "morpheus", "parabola", "parabola_fixed")
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_file(text, name="file.yaml"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write_file
+
+
+def section(*lines, node="/**"):
+    return f"{node}:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines)
+
+
+def message(*paths, **overrides):
+    with pytest.raises(ConfigError) as caught:
+        load_config(paths, overrides)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_no_file_gives_the_defaults():
+    assert load_config() == Config()
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("form", ["{}", "{}.yaml", "config/{}.yaml"])
+def test_shipped_configurations_are_found_by_name_from_anywhere(name, form, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert find_config(form.format(name)).is_file()
+    first = ["parabola"] if name == "parabola_fixed" else []
+    assert load_config([*first, form.format(name)]).domain.size > 0.0
+
+
+def test_a_file_that_exists_wins_over_a_shipped_name(write, monkeypatch):
+    path = write(section("domain.size: 10.0"), "morpheus.yaml")
+    monkeypatch.chdir(path.parent)
+    assert load_config(["morpheus.yaml"]).domain.size == 10.0
+
+
+def test_nested_and_dotted_keys_are_the_same(write):
+    nested = write(section("domain:", "  size: 10.0", "  max_level: 6"), "a.yaml")
+    dotted = write(section("domain.size: 10.0", "domain.max_level: 6"), "b.yaml")
+    assert load_config([nested]) == load_config([dotted])
+
+
+def test_later_files_win_and_overrides_win_over_all(write):
+    first = write(section("domain.size: 10.0", "lss.margin: 1.0"), "a.yaml")
+    second = write(section("domain.size: 20"), "b.yaml")
+    config = load_config([first, second])
+    assert (config.domain.size, config.lss.margin) == (20.0, 1.0)
+    assert load_config([second, first]).domain.size == 10.0
+    assert load_config([first], {"domain": {"size": 30.0}}).domain.size == 30.0
+
+
+def test_files_may_contradict_until_all_are_read(write):
+    first = write(section("domain.max_level: 2"), "a.yaml")
+    second = write(section("domain.min_level: 1"), "b.yaml")
+    assert load_config([first, second]).domain.max_level == 2
+    assert str(first) in message(first)
+
+
+@pytest.mark.parametrize(
+    "node", ["/**", "mapping_node", "/mapping_node", "lss_node", "/uav/lss_node"]
+)
+def test_sections_of_either_node_apply(write, node):
+    path = write(section("domain.size: 10.0", node=node))
+    assert load_config([path]).domain.size == 10.0
+
+
+def test_namespaces_may_be_nested(write):
+    path = write("uav:\n  mapping_node:\n    ros__parameters:\n      domain.size: 10.0\n")
+    assert load_config([path]).domain.size == 10.0
+
+
+def test_sections_of_other_nodes_and_parameters_of_ros_itself_are_left_alone(write):
+    other = section("rate: 3", node="camera_driver")
+    ours = section("use_sim_time: true", "qos_overrides:", "  /nav/pose: {depth: 3}")
+    path = write(other + ours)
+    assert read_values(path) == {}
+    assert load_config([path]) == Config()
+
+
+def test_unknown_keys_name_the_file_and_the_nearest_key(write):
+    path = write(section("domain.min_levle: 3"))
+    text = message(path)
+    assert "domain.min_levle" in text and "'domain.min_level'" in text and str(path) in text
+    assert "'lss.margin'" in message(**{"lss.margn": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["/**"]),
+        ("- 1\n- 2\n", ["/**"]),
+        ("domain:\n  size: 3\n", ["ros__parameters"]),
+        ("/**:\n  ros__parameters: 3\n", ["no keys"]),
+        ("/**: [", ["YAML", "line"]),
+        ("/**:\n  ros__parameters:\n    a: 1\n    a: 2\n", ["twice", "line 4"]),
+        (section("domain.size: ten"), ["domain.size", "ten"]),
+        (section("domain.size: -1.0"), ["domain.size"]),
+        (section("domain.size: .nan"), ["domain.size"]),
+        (section("lss.sites: 2.5"), ["lss.sites"]),
+        (section("lss.assessment: guess"), ["paper", "touchdown"]),
+        (section("domain.size: 3", node="maping_node"), ["maping_node", "'mapping_node'"]),
+    ],
+)
+def test_each_mistake_gives_one_clear_line(write, text, words):
+    path = write(text)
+    found = message(path)
+    for word in [str(path), *words]:
+        assert word in found
+
+
+def test_missing_and_unreadable_files(tmp_path):
+    assert "shipped: " in message(tmp_path / "none.yaml")
+    assert "none" in message("none")
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x81")
+    assert str(binary) in message(binary)
+
+
+def test_exponents_without_a_point_are_numbers_as_in_ros(write):
+    path = write(section("lidar.range_noise: 5e-2", "lidar.max_range: 1e3"))
+    config = load_config([path])
+    assert (config.lidar.range_noise, config.lidar.max_range) == (0.05, 1000.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_what_is_dumped_loads_again(tmp_path_factory, data):
+    values = {}
+    for row in data.draw(st.lists(st.sampled_from(parameters()), unique_by=lambda r: r.name)):
+        if row.choices:
+            values[row.name] = data.draw(st.sampled_from(row.choices))
+        elif row.type is bool:
+            values[row.name] = data.draw(st.booleans())
+        elif row.type is str:
+            values[row.name] = data.draw(st.text("abc: #'\"/-_ö1", min_size=1))
+        elif row.type is float:
+            values[row.name] = data.draw(st.floats(row.low, row.high))
+    try:
+        config = config_from_values(values)
+    except ConfigError:
+        return  # values that contradict one another
+    path = Path(tmp_path_factory.mktemp("dump")) / "c.yaml"
+    for comments in (False, True):
+        path.write_text(dump_config(config, comments=comments))
+        assert load_config([path]) == config
