@@ -70,10 +70,10 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     delta = np.column_stack([x[group], y[group], z0[group]])
     delta -= np.column_stack([cells.x[chosen], cells.y[chosen], cells.z[chosen]])
     d, change = planes.shift_origin(normal, np.zeros(len(chosen)), delta)
-    back = change.transpose(0, 2, 1)
     at = reference[group]
-    range_part = planes.transport(change @ cells.covariance_range[chosen] @ back, normal, at)
-    pose_part = planes.transport(change @ cells.covariance_pose[chosen] @ back, normal, at)
+    change = planes.tangent_change(normal, at) @ change
+    range_part = planes.congruent(change, cells.covariance_range[chosen])
+    pose_part = planes.congruent(change, cells.covariance_pose[chosen])
     error = np.column_stack([sphere.minus(normal, at), d])
     information = planes.inverse_symmetric(range_part)
     pulled = (information @ error[:, :, None])[:, :, 0]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core import lidar, planes
+from quadtree_lss.core import lidar, planes, sphere
 from quadtree_lss.core.config import MappingConfig
 from quadtree_lss.core.fitting import Fit
 from quadtree_lss.core.leaves import Leaves
@@ -21,10 +21,10 @@ MEAN_CHI_1 = float(np.sqrt(2.0 / np.pi))
 MEAN_CHI_3 = float(2.0 * np.sqrt(2.0 / np.pi))
 
 
-def mean_absolute(group: Index, groups: int, values: Array) -> Array:
-    """Mean of |values| (N,) in each group."""
-    total = np.bincount(group, np.abs(values), minlength=groups)
-    return total / np.maximum(np.bincount(group, minlength=groups), 1)
+def mean_absolute(group: Index, count: Array, values: Array) -> Array:
+    """Mean of |values| (N,) in each group, of which ``count`` (M,) says the number."""
+    out: Array = np.bincount(group, np.abs(values), minlength=len(count)) / count
+    return out
 
 
 def distances(normal: Array, through: Array, group: Index, points: Array) -> Array:
@@ -88,7 +88,7 @@ def lack_of_fit_statistic(fit: Fit, moment: Moments, group: Index, points: Array
         points: (3, N) about the origin of ``moment``.
     """
     distance = mean_absolute(
-        group, len(fit.z), distances(fit.planes.normal, moment.mean, group, points)
+        group, moment.count, distances(fit.planes.normal, moment.mean, group, points)
     )
     return lack_of_fit(distance, fit.noise, moment.count)
 
@@ -118,9 +118,9 @@ def mahalanobis_statistic(
     normal = np.where(known[:, None], leaves.normal[rows], fit.planes.normal)
     stored = np.column_stack([leaves.x[rows], leaves.y[rows], leaves.z[rows]]) - origin
     through = np.where(known[:, None], stored, moment.mean)
-    distance = mean_absolute(group, len(rows), distances(normal, through, group, points))
+    distance = mean_absolute(group, moment.count, distances(normal, through, group, points))
     arm = moment.mean - stored
-    basis = planes.sphere.tangent_basis(normal)
+    basis = sphere.tangent_basis(normal)
     row = np.concatenate([-np.einsum("mij,mi->mj", basis, arm), np.ones((len(rows), 1))], axis=1)
     total = leaves.range_part[rows] + leaves.pose_part[rows]
     variance = np.where(known, np.einsum("mi,mij,mj->m", row, total, row), 0.0)

@@ -104,27 +104,26 @@ class Leaves(Quadtree):
         if not len(rows):
             return rows
         level = self.level[rows]
-        quarter = 0.25 * self.domain.cell_size(level)
         normal, z = self.normal[rows], self.z[rows]
         range_part, pose_part, misfit = self.range_part[rows], self.pose_part[rows], self.misfit[rows]
         children = self.split(rows)
         done = len(children)
-        for k in range(4):
-            delta = np.zeros((done, 3))
-            delta[:, 0] = (2 * CHILD_X[k] - 1) * quarter[:done]
-            delta[:, 1] = (2 * CHILD_Y[k] - 1) * quarter[:done]
-            n = normal[:done]
-            delta[:, 2] = -np.einsum("mi,mi->m", n[:, :2], delta[:, :2]) / n[:, 2]
-            _, change = planes.shift_origin(n, np.zeros(done), delta)
-            back = change.transpose(0, 2, 1)
-            inflated = change @ range_part[:done] @ back
-            tilt = misfit[:done] / quarter[:done] ** 2
-            inflated[:, 0, 0] += tilt
-            inflated[:, 1, 1] += tilt
-            inflated[:, 2, 2] += misfit[:done]
-            at = children[:, k]
-            pose = change @ pose_part[:done] @ back
-            self.set_planes(at, n, z[:done] + delta[:, 2], inflated, pose)
+        quarter = np.repeat(0.25 * self.domain.cell_size(level[:done]), 4)
+        normal = np.repeat(normal[:done], 4, axis=0)
+        delta = np.empty((4 * done, 3))
+        delta[:, 0] = np.tile(2 * CHILD_X - 1, done) * quarter
+        delta[:, 1] = np.tile(2 * CHILD_Y - 1, done) * quarter
+        delta[:, 2] = -(normal[:, 0] * delta[:, 0] + normal[:, 1] * delta[:, 1]) / normal[:, 2]
+        _, change = planes.shift_origin(normal, np.zeros(4 * done), delta)
+        inflated = planes.congruent(change, np.repeat(range_part[:done], 4, axis=0))
+        square = np.repeat(misfit[:done], 4)
+        tilt = square / quarter**2
+        inflated[:, 0, 0] += tilt
+        inflated[:, 1, 1] += tilt
+        inflated[:, 2, 2] += square
+        pose = planes.congruent(change, np.repeat(pose_part[:done], 4, axis=0))
+        at = children.ravel()
+        self.set_planes(at, normal, np.repeat(z[:done], 4) + delta[:, 2], inflated, pose)
         first = children[:, 0]
         self.measured[first] = False
         for name in _SUMS:

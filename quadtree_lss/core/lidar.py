@@ -96,7 +96,7 @@ def points_to_map(points_lidar: Array, pose: Pose) -> Array:
 def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: float) -> Mask:
     """Returns without a neighbour: noise, multipath, dust.
 
-    In an organised scan the neighbours are the eight around a pixel and the distance is the
+    In an organised scan the neighbours are the four next to a pixel and the distance is the
     difference in range; otherwise the neighbour is the nearest point in space. The gate widens to
     five times the scan's median neighbour distance, which is what a coarse view of slanted
     ground needs.
@@ -119,27 +119,22 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
         points = points_lidar[valid]
         found, _ = cKDTree(points, balanced_tree=False, compact_nodes=False).query(points, k=2)
         distance[valid] = found[:, 1]
-    near = distance[valid]
-    usual = float(np.median(near))
-    limit = max(gate, 5.0 * usual) if np.isfinite(usual) else gate
-    return valid & (distance > limit)
+    lonely = valid & (distance > gate)
+    if not lonely.any():
+        return lonely
+    usual = float(np.median(distance[valid]))
+    return lonely & (distance > 5.0 * usual) if np.isfinite(usual) else lonely
 
 
 def _nearest_in_range(ranges: Array, valid: Mask) -> Array:
-    """Least absolute range difference of each pixel (H, W) to its eight neighbours."""
-    height, width = valid.shape
-    padded = np.full((height + 2, width + 2), np.inf)
-    inner = padded[1:-1, 1:-1]
-    inner[...] = np.where(valid, ranges, np.inf)
-    nearest = np.full((height, width), np.inf)
-    work = np.empty_like(nearest)
-    with np.errstate(invalid="ignore"):
-        for row in (0, 1, 2):
-            for column in (0, 1, 2):
-                if row == 1 and column == 1:
-                    continue
-                other = padded[row : row + height, column : column + width]
-                np.subtract(inner, other, out=work)
-                np.abs(work, out=work)
-                np.fmin(nearest, work, out=nearest)
+    """Least absolute range difference of each pixel (H, W) to the pixels beside, above and below."""
+    known = np.where(valid, ranges, np.nan)
+    nearest = np.full(valid.shape, np.inf)
+    for first, second in (
+        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
+        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
+    ):
+        difference = np.abs(known[second] - known[first])
+        np.fmin(nearest[first], difference, out=nearest[first])
+        np.fmin(nearest[second], difference, out=nearest[second])
     return nearest

@@ -35,7 +35,7 @@ class Moments:
         count: (G,) points.
         mean: (G, 3) centroid, m.
         scatter: (G, 3, 3) sum of (r - mean)(r - mean)^T, m^2.
-        ray: (G, 3) unit mean direction from the lidar.
+        ray: (G, 3) unit direction from the lidar to the centroid.
     """
 
     count: Array
@@ -50,29 +50,25 @@ class Moments:
         )
 
 
-def moments(group: Index, groups: int, points: Array, rays: Array) -> Moments:
+def moments(group: Index, groups: int, points: Array, lidar: Array) -> Moments:
     """Moments of points that are given as rows.
 
     Args:
         group: (N,) group of each point, 0 .. groups - 1; every group has a point.
         points: (3, N) about an origin near them (the sums are not centred first), m.
-        rays: (3, N) unit directions from the lidar.
+        lidar: (3,) or (G, 3) where each group was seen from, same origin, m.
     """
     count = np.bincount(group, minlength=groups).astype(np.float64)
-    inverse = 1.0 / np.maximum(count, 1.0)
     mean = np.empty((groups, 3))
-    ray = np.empty((groups, 3))
-    for axis in range(3):
-        mean[:, axis] = np.bincount(group, points[axis], minlength=groups)
-        ray[:, axis] = np.bincount(group, rays[axis], minlength=groups)
-    mean *= inverse[:, None]
     scatter = np.empty((groups, 3, 3))
+    for i in range(3):
+        mean[:, i] = np.bincount(group, points[i], minlength=groups) / count
     for i in range(3):
         for j in range(i, 3):
             total = np.bincount(group, points[i] * points[j], minlength=groups)
             total -= count * mean[:, i] * mean[:, j]
             scatter[:, i, j] = scatter[:, j, i] = np.maximum(total, 0.0) if i == j else total
-    return Moments(count, mean, scatter, unit(ray))
+    return Moments(count, mean, scatter, unit(mean - lidar))
 
 
 def inverse_symmetric(matrices: Array) -> Array:
@@ -268,18 +264,28 @@ def elevation_at_origin(normal: Array, d: Array, origin_z: Array) -> Array:
     return origin_z + d / normal[:, 2]
 
 
-def transport(covariance: Array, of: Array, to: Array) -> Array:
-    """Covariance (M, 3, 3) of errors in the tangent at ``of`` (M, 3), seen in the tangent at ``to``.
+def tangent_change(of: Array, to: Array) -> Array:
+    """Linear map (M, 3, 3) of errors in the tangent at ``of`` (M, 3) to the tangent at ``to``.
 
-    With w = R_to^T of, the error of (of [-] to) is dlog(w) R_to^T B_of dphi.
+    With w = R_to^T of, the error of (of [-] to) is dlog(w) R_to^T B_of dphi; dd stays.
     """
     turn = np.swapaxes(sphere.rotation_to(to), -1, -2)
     seen = (turn @ of[:, :, None])[:, :, 0]
-    change = sphere.log_jacobian(seen) @ (turn @ sphere.tangent_basis(of))
-    full = np.zeros((len(of), 3, 3))
-    full[:, :2, :2] = change
-    full[:, 2, 2] = 1.0
-    return full @ covariance @ full.transpose(0, 2, 1)
+    out = np.zeros((len(of), 3, 3))
+    out[:, :2, :2] = sphere.log_jacobian(seen) @ (turn @ sphere.tangent_basis(of))
+    out[:, 2, 2] = 1.0
+    return out
+
+
+def congruent(change: Array, covariance: Array) -> Array:
+    """T C T^T for (M, 3, 3) each."""
+    out: Array = change @ covariance @ change.transpose(0, 2, 1)
+    return out
+
+
+def transport(covariance: Array, of: Array, to: Array) -> Array:
+    """Covariance (M, 3, 3) of errors in the tangent at ``of`` (M, 3), seen in the tangent at ``to``."""
+    return congruent(tangent_change(of, to), covariance)
 
 
 def shift_origin(normal: Array, d: Array, delta: Array) -> tuple[Array, Array]:
@@ -337,8 +343,9 @@ def fuse_pair(prior: Planes, update: Planes) -> Planes:
     covariances P and R: K = P (P + R)^-1, fused = prior [+] K e, and each part of the covariance
     becomes (I - K) P_part (I - K)^T + K R_part K^T, which sums to (P^-1 + R^-1)^-1.
     """
-    range_part = transport(update.range_part, update.normal, prior.normal)
-    pose = transport(update.pose_part, update.normal, prior.normal)
+    change = tangent_change(update.normal, prior.normal)
+    range_part = congruent(change, update.range_part)
+    pose = congruent(change, update.pose_part)
     error = np.empty((len(prior.d), 3))
     error[:, :2] = sphere.minus(update.normal, prior.normal)
     error[:, 2] = update.d - prior.d
@@ -347,12 +354,11 @@ def fuse_pair(prior: Planes, update: Planes) -> Planes:
     rest = np.eye(3) - gain
     step = (gain @ error[:, :, None])[:, :, 0]
     normal = upward(sphere.plus(prior.normal, step[:, :2]))
-    rest_t, gain_t = rest.transpose(0, 2, 1), gain.transpose(0, 2, 1)
     return Planes(
         normal,
         prior.d + step[:, 2],
-        symmetric(rest @ prior.range_part @ rest_t + gain @ range_part @ gain_t),
-        symmetric(rest @ prior.pose_part @ rest_t + gain @ pose @ gain_t),
+        symmetric(congruent(rest, prior.range_part) + congruent(gain, range_part)),
+        symmetric(congruent(rest, prior.pose_part) + congruent(gain, pose)),
     )
 
 
@@ -374,13 +380,12 @@ def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose:
     gain = image / (np.einsum("mi,mi->m", row, image) + noise + pose)[:, None]
     step = gain * height[:, None]
     rest = np.eye(3) - gain[:, :, None] * row[:, None, :]
-    rest_t = rest.transpose(0, 2, 1)
     square = gain[:, :, None] * gain[:, None, :]
     return Planes(
         upward(sphere.plus(prior.normal, step[:, :2])),
         prior.d + step[:, 2],
-        symmetric(rest @ prior.range_part @ rest_t + noise[:, None, None] * square),
-        symmetric(rest @ prior.pose_part @ rest_t + pose[:, None, None] * square),
+        symmetric(congruent(rest, prior.range_part) + noise[:, None, None] * square),
+        symmetric(congruent(rest, prior.pose_part) + pose[:, None, None] * square),
     )
 
 

@@ -25,14 +25,12 @@ class RegisteredScan:
         pose: Lidar pose.
         pose_root: (6, 6) root of the pose covariance.
         points: (3, N) map frame, m.
-        rays: (3, N) unit directions from the lidar, map axes.
         finest: (N,) index iy * n + ix of the finest cell under each point.
     """
 
     pose: Pose
     pose_root: Array
     points: Array
-    rays: Array
     finest: Index
 
 
@@ -63,18 +61,17 @@ def register(
         valid &= ~lonely.ravel()
     kept = int(np.count_nonzero(valid))
     if kept < len(flat):
-        flat, ranges = flat[valid], ranges[valid]
-    rays = pose.rotation_map_lidar @ flat.T
-    points = rays + pose.position[:, None]
-    rays /= ranges
+        flat = flat.take(np.flatnonzero(valid), axis=0)
+    points = pose.rotation_map_lidar @ flat.T
+    points += pose.position[:, None]
     n = domain.finest_count
     scale = 1.0 / domain.finest_size
     column = np.floor((points[0] - domain.xmin) * scale)
     row = np.floor((points[1] - domain.ymin) * scale)
     inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
     if not inside.all():
-        points, rays = points[:, inside], rays[:, inside]
-        column, row = column[inside], row[inside]
+        within = np.flatnonzero(inside)
+        points, column, row = points.take(within, axis=1), column[within], row[within]
     finest = (row * n + column).astype(np.intp)
     dropped = {
         "no_return": len(valid) - returns,
@@ -82,7 +79,7 @@ def register(
         "isolated": in_range - kept,
         "outside": kept - len(finest),
     }
-    scan = RegisteredScan(pose, covariance_root(pose.covariance), points, rays, finest)
+    scan = RegisteredScan(pose, covariance_root(pose.covariance), points, finest)
     return scan, dropped
 
 

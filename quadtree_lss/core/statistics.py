@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from quadtree_lss.core import planes
+from quadtree_lss.core import planes, sphere
 from quadtree_lss.core.config import MappingConfig
 from quadtree_lss.core.division import MEAN_CHI_1, distances
 from quadtree_lss.core.leaves import Leaves
@@ -132,16 +132,18 @@ def exception_mass(
     tilt = leaves.range_part[rows, :2, :2]
     reach = 0.5 * leaves.domain.cell_size(leaves.level[rows]) ** 2
     bound = np.sqrt(noise + reach * (tilt[:, 0, 0] + tilt[:, 1, 1]))
-    near = np.flatnonzero(
-        np.abs(residuals.distance) > (tolerance - 4.0 * bound)[residuals.group]
-    )
     out = np.zeros(len(rows))
+    size = np.abs(residuals.distance)
+    sure = tolerance - 4.0 * bound
+    if size.max() <= sure.min():
+        return out
+    near = np.flatnonzero(size > sure[residuals.group])
     if not len(near):
         return out
     group = residuals.group[near]
-    e = np.abs(residuals.distance[near])
+    e = size[near]
     arm = residuals.points[:, near].T - moment.mean[group]
-    basis = planes.sphere.tangent_basis(leaves.normal[rows[group]])
+    basis = sphere.tangent_basis(leaves.normal[rows[group]])
     lever = np.einsum("mij,mi->mj", basis, arm)
     at_point = noise[group] + np.einsum("mi,mij,mj->m", lever, tilt[group], lever)
     deviation = np.sqrt(np.maximum(at_point, 1e-12))

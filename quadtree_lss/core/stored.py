@@ -19,7 +19,6 @@ class StoredPoints:
         row: (K,) leaf of each point.
         scan: (K,) key of the scan it belongs to; each scan has its own offset gamma_j.
         points: (3, K) map frame, m.
-        rays: (3, K) unit directions from the lidar.
         per_row: (capacity,) stored points of each leaf.
         refused: Points that found no room, in total.
     """
@@ -34,7 +33,6 @@ class StoredPoints:
         self.row: Index = np.empty(0, dtype=np.intp)
         self.scan: Index = np.empty(0, dtype=np.intp)
         self.points: Array = np.empty((3, 0))
-        self.rays: Array = np.empty((3, 0))
         self.per_row: Index = np.zeros(64, dtype=np.intp)
         self.refused = 0
         self._next_scan = 0
@@ -62,7 +60,7 @@ class StoredPoints:
         self._positions[key], self._roots[key] = scan.pose.position, scan.pose_root
         return key
 
-    def add(self, rows: Index, key: int, points: Array, rays: Array) -> None:
+    def add(self, rows: Index, key: int, points: Array) -> None:
         """Store points (3, K) of one scan in leaves ``rows`` (K,) as far as there is room."""
         order = np.argsort(rows, kind="stable")
         ordered = rows[order]
@@ -76,7 +74,6 @@ class StoredPoints:
         self.row = np.concatenate([self.row, rows[fits]])
         self.scan = np.concatenate([self.scan, np.full(len(fits), key, dtype=np.intp)])
         self.points = np.concatenate([self.points, points[:, fits]], axis=1)
-        self.rays = np.concatenate([self.rays, rays[:, fits]], axis=1)
         np.add.at(self.per_row, rows[fits], 1)
 
     def of(self, rows: Index) -> Index:
@@ -93,7 +90,7 @@ class StoredPoints:
         gone[rows] = True
         kept = ~gone[self.row]
         self.row, self.scan = self.row[kept], self.scan[kept]
-        self.points, self.rays = self.points[:, kept], self.rays[:, kept]
+        self.points = self.points[:, kept]
         self.per_row[rows] = 0
 
     def close_scan(self) -> None:

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one scan does to the leaves: fit, fuse, store, divide (paper IV.A, IV.C, IV.D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core import division, fitting, planes, sphere
+from quadtree_lss.core.config import Config
+from quadtree_lss.core.fitting import Fit, SlopePrior
+from quadtree_lss.core.leaves import Leaves
+from quadtree_lss.core.planes import Moments, Planes
+from quadtree_lss.core.scan import RegisteredScan, compact
+from quadtree_lss.core.statistics import FinalGroups, Residuals
+from quadtree_lss.core.stored import StoredPoints
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Round:
+    """Cells that have points: first all that the scan touches, then only new children.
+
+    Attributes:
+        rows: (M,) leaves.
+        group: (N,) place of each point's leaf among them.
+        index: (N,) which of the scan's points these are.
+        points: (3, N) about the scan's origin, m.
+        moment: Of the M groups.
+        centre: (M, 2) cell centres about the scan's origin, m.
+    """
+
+    rows: Index
+    group: Index
+    index: Index
+    points: Array
+    moment: Moments
+    centre: Array
+
+
+class ScanUpdate:
+    """One scan on its way through the leaves.
+
+    Lengths are taken about the scan's own centroid, so that sums of squares stay small.
+
+    Attributes:
+        divisions: Cells divided.
+        refused: Divisions for which there was no room.
+    """
+
+    def __init__(
+        self, leaves: Leaves, stored: StoredPoints, config: Config, scan: RegisteredScan
+    ) -> None:
+        self.leaves = leaves
+        self.stored = stored
+        self.config = config.mapping
+        self.range_noise = config.lidar.range_noise
+        self.scan = scan
+        self.origin = scan.points.mean(axis=1)
+        self.points = scan.points - self.origin[:, None]
+        self.lidar = scan.pose.position - self.origin
+        self.key = stored.open_scan(scan)
+        self.divisions = 0
+        self.refused = 0
+
+    def run(self) -> Residuals:
+        """Fit, fuse and divide until no cell asks for it.
+
+        Returns:
+            The residuals about the planes of the leaves in which the points came to rest.
+        """
+        final = FinalGroups(self.points.shape[1], self.origin)
+        current = self._round(np.arange(self.points.shape[1]), self.points)
+        while True:
+            rows = current.rows
+            wanted = rows[self._fit(current)]
+            divided = self.leaves.divide(wanted)
+            self.refused += len(wanted) - len(divided)
+            self.divisions += len(divided)
+            moved = np.zeros(len(rows), dtype=np.bool_)
+            moved[np.searchsorted(rows, divided)] = True
+            final.add(rows, current.moment, moved, current.group, current.index)
+            if not len(divided):
+                break
+            again = np.flatnonzero(moved[current.group])
+            current = self._round(current.index[again], current.points.take(again, axis=1))
+        self.stored.close_scan()
+        return final.residuals(self.leaves, self.points)
+
+    def _round(self, index: Index, points: Array) -> Round:
+        leaf = self.leaves.leaf_of_finest[self.scan.finest[index]]
+        rows, group = compact(leaf, self.leaves.count)
+        moment = planes.moments(group, len(rows), points, self.lidar)
+        centre = np.empty((len(rows), 2))
+        centre[:, 0] = self.leaves.x[rows] - self.origin[0]
+        centre[:, 1] = self.leaves.y[rows] - self.origin[1]
+        return Round(rows, group, index, points, moment, centre)
+
+    def _fit(self, current: Round) -> Mask:
+        """Fit and fuse the cells of a round; which of them (M,) ask to be divided."""
+        leaves, rows, moment = self.leaves, current.rows, current.moment
+        prior = self._prior(rows)
+        measured = leaves.measured[rows]
+        waiting = ~measured & (self.stored.counts(rows, leaves.capacity) > 0)
+        sound = fitting.fittable(moment, prior, self.config, self.range_noise) & ~waiting
+        fitted = np.flatnonzero(sound)
+        part = moment.take(fitted)
+        fit = fitting.fit_scan(
+            part,
+            current.centre[fitted],
+            prior.take(fitted),
+            self.config,
+            self.range_noise,
+            self.lidar,
+            self.scan.pose_root,
+        )
+        statistic, mean_square = self._judge(current, fitted, fit, part)
+        self._take(rows[fitted], measured[fitted], fit)
+        few = np.flatnonzero(~sound)
+        if len(few):
+            known = measured[few]
+            self._nudge(rows[few[known]], moment.take(few[known]))
+            self._fit_stored(current, few[~known], prior)
+        leaves.points_fitted[rows] += np.where(leaves.measured[rows], moment.count, 0.0)
+        asks = np.zeros(len(rows), dtype=np.bool_)
+        asks[fitted] = division.asks(
+            leaves, rows[fitted], statistic, part.count, mean_square, self.config
+        )
+        return asks
+
+    def _prior(self, rows: Index) -> SlopePrior:
+        """An inherited plane tells its cell's slope, weakly."""
+        leaves = self.leaves
+        inherited = np.isfinite(leaves.z[rows]) & ~leaves.measured[rows]
+        if self.config.fit != "height" or not inherited.any():
+            flat = np.zeros((len(rows), 3))
+            flat[:, 2] = 1.0
+            return SlopePrior(flat, np.zeros(len(rows)))
+        normal = np.where(inherited[:, None], leaves.normal[rows], (0.0, 0.0, 1.0))
+        size = leaves.domain.cell_size(leaves.level[rows])
+        spread = self.config.slope_prior_points * size**2 / 12.0
+        return SlopePrior(normal, np.where(inherited, spread, 0.0))
+
+    def _judge(
+        self, current: Round, fitted: Index, fit: Fit, moment: Moments
+    ) -> tuple[Array, Array]:
+        """Division statistic (M,) of the fitted cells and their mean square residual, m^2."""
+        group, points = current.group, current.points
+        if len(fitted) < len(current.rows):
+            place = np.full(len(current.rows), -1, dtype=np.intp)
+            place[fitted] = np.arange(len(fitted))
+            group = place[group]
+            inside = np.flatnonzero(group >= 0)
+            group, points = group[inside], points.take(inside, axis=1)
+        normal = fit.planes.normal
+        squares = np.einsum("mi,mij,mj->m", normal, moment.scatter, normal)
+        mean_square = np.maximum(squares, 0.0) / np.maximum(moment.count - 3.0, 1.0)
+        if self.config.division == "lack_of_fit":
+            return division.lack_of_fit_statistic(fit, moment, group, points), mean_square
+        statistic = division.mahalanobis_statistic(
+            self.leaves,
+            current.rows[fitted],
+            fit,
+            moment,
+            group,
+            points,
+            self.origin,
+            self.scan.pose,
+            self.range_noise,
+        )
+        return statistic, mean_square
+
+    def _take(self, rows: Index, measured: Mask, fit: Fit) -> None:
+        """First estimates are taken as they are, later ones fused with the prior (IV.C)."""
+        leaves = self.leaves
+        self._set(rows, np.flatnonzero(~measured), fit)
+        again = np.flatnonzero(measured)
+        if not len(again):
+            return
+        later = rows[again]
+        normal = fit.planes.normal[again]
+        rise = fit.z[again] + self.origin[2] - leaves.z[later]
+        update = Planes(
+            normal,
+            normal[:, 2] * rise,
+            planes.move_up(normal, fit.planes.range_part[again], -rise),
+            planes.move_up(normal, fit.planes.pose_part[again], -rise),
+        )
+        leaves.set_fused(later, planes.fuse_pair(leaves.planes(later), update))
+
+    def _set(self, rows: Index, chosen: Index, fit: Fit) -> None:
+        """First estimate of the leaves ``rows[chosen]``."""
+        at, of = rows[chosen], fit.planes
+        self.leaves.set_planes(
+            at,
+            of.normal[chosen],
+            fit.z[chosen] + self.origin[2],
+            of.range_part[chosen],
+            of.pose_part[chosen],
+        )
+        self.leaves.measured[at] = True
+
+    def _nudge(self, rows: Index, moment: Moments) -> None:
+        """Cells with a plane and too few new points for another: fuse the points' mean height."""
+        if not len(rows):
+            return
+        leaves = self.leaves
+        prior = leaves.planes(rows)
+        at_plane = np.column_stack([leaves.x[rows], leaves.y[rows], leaves.z[rows]])
+        arm = moment.mean + self.origin - at_plane
+        basis = sphere.tangent_basis(prior.normal)
+        lever = np.einsum("mij,mi->mj", basis, arm)
+        height = np.einsum("mi,mi->m", prior.normal, arm)
+        noise = planes.orthogonal_noise_variance(prior.normal, moment.ray, self.range_noise)
+        pose = fitting.pose_variance(prior.normal, moment.mean - self.lidar, self.scan.pose_root)
+        if self.config.covariance == "independent":
+            noise, pose = noise + pose, np.zeros_like(pose)
+        fused = planes.fuse_heights(prior, lever, height, noise / moment.count, pose)
+        leaves.set_fused(rows, fused)
+
+    def _fit_stored(self, current: Round, few: Index, prior: SlopePrior) -> None:
+        """Cells without a measured plane and too few points of this scan: fit them with what was
+        stored before, or store the points."""
+        if not len(few):
+            return
+        rows = current.rows[few]
+        place = np.full(len(current.rows), -1, dtype=np.intp)
+        place[few] = np.arange(len(few))
+        cell = place[current.group]
+        mine = np.flatnonzero(cell >= 0)
+        cell = cell[mine]
+        old = self.stored.of(rows)
+        if len(old):
+            fitted = self._fit_together(current, few, prior, old, mine, cell)
+            left = np.flatnonzero(~fitted[cell])
+            mine, cell = mine[left], cell[left]
+        if len(mine):
+            points = current.points.take(mine, axis=1) + self.origin[:, None]
+            self.stored.add(rows[cell], self.key, points)
+
+    def _fit_together(
+        self, current: Round, few: Index, prior: SlopePrior, old: Index, new: Index, cell: Index
+    ) -> Mask:
+        """Fit stored points ``old`` and this scan's ``new`` of cells ``few``; which succeeded."""
+        stored, rows = self.stored, current.rows[few]
+        place_of_row = np.zeros(self.leaves.capacity, dtype=np.intp)
+        place_of_row[rows] = np.arange(len(rows))
+        every = np.concatenate([place_of_row[stored.row[old]], cell])
+        of_scan = np.concatenate([stored.scan[old], np.full(len(new), self.key)])
+        keys, which = np.unique(of_scan, return_inverse=True)
+        pairs, group = np.unique(every * len(keys) + which, return_inverse=True)
+        before = stored.points[:, old] - self.origin[:, None]
+        points = np.concatenate([before, current.points[:, new]], axis=1)
+        lidars, roots = stored.poses(keys)
+        lidars = lidars - self.origin
+        scan = pairs % len(keys)
+        fit, fitted = fitting.fit_scans(
+            planes.moments(group, len(pairs), points, lidars[scan]),
+            pairs // len(keys),
+            scan,
+            current.centre[few],
+            prior.take(few),
+            self.config,
+            self.range_noise,
+            lidars,
+            roots,
+        )
+        chosen = np.flatnonzero(fitted)
+        self._set(rows, chosen, fit)
+        self.leaves.points_fitted[rows[chosen]] += stored.per_row[rows[chosen]]
+        stored.drop(rows[chosen])
+        return fitted
