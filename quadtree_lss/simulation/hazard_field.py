@@ -22,17 +22,18 @@ class HazardField:
     size: float = 100.0
     post: float = 0.1
     rock_abundance: float = 0.05
-    rock_smallest: float = 0.12
+    rock_smallest: float = 0.1
     rock_largest: float = 1.0
     rock_height: tuple[float, float] = (0.4, 0.6)  # of the diameter
     rock_axes: tuple[float, float] = (0.75, 1.0)  # shorter over longer axis in plan
-    piles: float = 2e-3
-    craters: float = 4e-3
+    piles: float = 3e-3
+    craters: float = 6e-3
     crater_smallest: float = 1.5
     crater_largest: float = 5.0
     crater_depth: float = 0.1  # of the diameter
     slope_rms_deg: float = 1.5
-    texture: float = 0.004
+    texture: float = 0.01  # standard deviation of the soil's own roughness
+    texture_length: float = 0.25  # its correlation length
 
 
 def rock_decay(abundance: float) -> float:
@@ -71,7 +72,7 @@ def hazard_field(generator: np.random.Generator, field: HazardField | None = Non
     count = round(field.size / field.post) + 1
     axis = np.linspace(-0.5 * field.size, 0.5 * field.size, count)
     ground = _undulation(generator, axis, field.slope_rms_deg)
-    ground += field.texture * _texture(generator, count)
+    ground += field.texture * _texture(generator, count, field.texture_length / field.post)
     _add_craters(generator, axis, ground, field)
     rocks = np.zeros((count, count))
     _add_rocks(generator, axis, rocks, field)
@@ -96,9 +97,11 @@ def _undulation(
     return np.ascontiguousarray((along_y @ along_x).real)
 
 
-def _texture(generator: np.random.Generator, count: int) -> FloatArray:
-    """Unit-variance noise with a correlation of about three posts."""
-    noise = gaussian_filter(generator.standard_normal((count, count)), 1.5, mode="wrap")
+def _texture(generator: np.random.Generator, count: int, length: float) -> FloatArray:
+    """Unit-variance noise with a correlation length in posts."""
+    noise = gaussian_filter(
+        generator.standard_normal((count, count)), length / np.sqrt(2.0), mode="wrap"
+    )
     return np.asarray(noise / noise.std())
 
 
