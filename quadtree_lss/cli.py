@@ -45,6 +45,7 @@ CONFIG_EXAMPLES = """examples:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; the answer is the exit code."""
     arguments = without_ros_arguments(sys.argv[1:] if argv is None else argv)
+    options = argparse.Namespace()
     try:
         options = _parser().parse_args(arguments)
         run: Callable[[argparse.Namespace], int] = options.run
@@ -65,6 +66,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
+    except Exception as error:
+        if getattr(options, "verbose", False):
+            raise
+        say(f"internal error: {type(error).__name__}: {first_line(error)} (-v shows where)")
+        return ERROR
 
 
 def main_replay_bag() -> int:

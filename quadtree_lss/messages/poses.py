@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any
 
@@ -23,6 +24,9 @@ UNIT_TOLERANCE = 0.01
 
 COVARIANCE_TOLERANCE = 1e-6
 """Relative asymmetry and negative eigenvalue that count as rounding and are mended."""
+
+
+_UNKNOWN = bytes(8 * 36)
 
 
 def pose_from_message(
@@ -51,18 +55,19 @@ def pose_from_message(
     check_frame(msg.header.frame_id, map_frame, "pose")
     position = _position(msg.pose.pose.position, "pose position")
     rotation = _rotation(msg.pose.pose.orientation, "pose orientation")
-    if has_unknown_covariance(msg):
+    known = _covariance(_content(msg.pose.covariance))
+    if known is None:
         attitude = np.deg2rad(unknown_attitude_sigma_deg)
         sigmas = np.repeat([unknown_position_sigma, attitude], 3)
         covariance: Array = np.diag(sigmas**2)
     else:
-        covariance = checked_covariance(msg.pose.covariance)
+        covariance = known
     return Pose(stamp_ns(msg.header), position, rotation, covariance)
 
 
 def has_unknown_covariance(msg: Any) -> bool:
     """True if all 36 entries are zero, by which a publisher says that it does not know."""
-    return not np.any(msg.pose.covariance)
+    return _content(msg.pose.covariance) == _UNKNOWN
 
 
 def mount_from_message(msg: Any) -> Pose:
@@ -86,27 +91,29 @@ def check_frame(frame: str, expected: str, what: str) -> None:
         raise MessageError("frame", text)
 
 
-def checked_covariance(values: Any) -> Array:
-    """A covariance (6, 6), symmetric and without negative eigenvalues.
+def _content(covariance: Any) -> bytes:
+    return np.asarray(covariance, dtype=np.float64).tobytes()
+
+
+@lru_cache(maxsize=8)  # most publishers repeat theirs, and poses come at hundreds a second
+def _covariance(content: bytes) -> Array | None:
+    """A covariance (6, 6), symmetric and without negative eigenvalues, read-only.
 
     Rounding is mended, more is refused. Asymmetry and eigenvalues are judged after scaling to
     unit diagonal, since metres and radians differ by orders of magnitude.
 
     Args:
-        values: 36 numbers, row by row.
+        content: 36 float64, row by row.
 
     Returns:
-        (6, 6), read-only.
+        None if all are zero.
 
     Raises:
         MessageError: ``covariance`` if it has another length, is not finite, not symmetric or
             has a negative eigenvalue.
     """
-    return _checked_covariance(np.asarray(values, dtype=np.float64).tobytes())
-
-
-@lru_cache(maxsize=8)  # most publishers repeat theirs, and poses come at hundreds a second
-def _checked_covariance(content: bytes) -> Array:
+    if content == _UNKNOWN:
+        return None
     entries = np.frombuffer(content)
     if entries.size != 36:
         text = f"pose covariance has {entries.size} entries; 36 are needed"
@@ -139,17 +146,17 @@ def _checked_covariance(content: bytes) -> Array:
 
 
 def _position(point: Any, what: str) -> Array:
-    position = np.array([point.x, point.y, point.z], dtype=np.float64)
-    if not np.isfinite(position).all() or np.abs(position).max() > MAX_POSITION:
+    values = (float(point.x), float(point.y), float(point.z))
+    if not all(abs(value) <= MAX_POSITION for value in values):  # also when one is not a number
         text = f"{what} ({point.x}, {point.y}, {point.z}) is not finite or absurd"
         raise MessageError("position", text)
-    return position
+    return np.array(values)
 
 
 def _rotation(quaternion: Any, what: str) -> Array:
     q = quaternion
-    xyzw = np.array([q.x, q.y, q.z, q.w], dtype=np.float64)
-    length = float(np.linalg.norm(xyzw))
+    xyzw = (float(q.x), float(q.y), float(q.z), float(q.w))
+    length = math.hypot(*xyzw)
     if not abs(length - 1.0) <= UNIT_TOLERANCE:  # also when it is not a number
         text = f"{what} ({q.x}, {q.y}, {q.z}, {q.w}) is no unit quaternion: length {length:.4g}"
         raise MessageError("quaternion", text)

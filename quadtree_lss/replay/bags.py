@@ -26,15 +26,25 @@ from rosbags.rosbag1 import ReaderError as Ros1ReaderError
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.rosbag2 import ReaderError as Ros2ReaderError
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
 
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.replay.rescue import Extent, RawMessage, RescuedMcap, RescuedSqlite
+from quadtree_lss.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, typestore
 
-SCAN_TYPE = "sensor_msgs/msg/PointCloud2"
-POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-GIMBAL_TYPE = "geometry_msgs/msg/TransformStamped"
+__all__ = [
+    "GIMBAL_TOPIC",
+    "GIMBAL_TYPE",
+    "POSE_TOPIC",
+    "POSE_TYPE",
+    "SCAN_TOPIC",
+    "SCAN_TYPE",
+    "Bag",
+    "BagError",
+    "Topic",
+    "choose_topic",
+]
+
 SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -240,7 +250,7 @@ class Bag:
         self._losses += [loss for p in self._parts if p not in used for loss in p.losses]
         self._parts = used
         self._ros1 = used[0].ros1
-        self._store = get_typestore(Stores.ROS1_NOETIC if self._ros1 else Stores.ROS2_JAZZY)
+        self._store = typestore(self._ros1)
 
     def _files(self) -> list[Path]:
         if self.path.is_file():

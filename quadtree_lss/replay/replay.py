@@ -22,15 +22,14 @@ from quadtree_lss.messages.maps import decode_cells, encode_cells
 from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import (
     POSE_TOPIC,
-    POSE_TYPE,
     SCAN_TOPIC,
-    SCAN_TYPE,
     Bag,
     choose_topic,
 )
 from quadtree_lss.replay.rescue import RawMessage
 from quadtree_lss.replay.results import ScanTiming
 from quadtree_lss.replay.summary import run_summary
+from quadtree_lss.replay.types import POSE_TYPE, SCAN_TYPE
 
 SECOND_NS = 1_000_000_000
 

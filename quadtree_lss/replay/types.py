@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The message types that are read from bags.
+
+They are declared here, instead of taken from a complete ROS type store, because that one takes
+longer to import than a short bag takes to map; and ROS 1 and 2 differ in the header alone.
+"""
+
+from __future__ import annotations
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+SCAN_TYPE = "sensor_msgs/msg/PointCloud2"
+POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+GIMBAL_TYPE = "geometry_msgs/msg/TransformStamped"
+
+_HEADER = """
+MSG: std_msgs/Header
+{sequence}builtin_interfaces/Time stamp
+string frame_id
+"""
+_TIME = """
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_POINT_FIELD = """
+MSG: sensor_msgs/PointField
+string name
+uint32 offset
+uint8 datatype
+uint32 count
+"""
+_TRIPLE = """
+MSG: geometry_msgs/{name}
+float64 x
+float64 y
+float64 z
+"""
+_QUATERNION = """
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
+_POSE = """
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+"""
+_POSE_WITH_COVARIANCE = """
+MSG: geometry_msgs/PoseWithCovariance
+geometry_msgs/Pose pose
+float64[36] covariance
+"""
+_TRANSFORM = """
+MSG: geometry_msgs/Transform
+geometry_msgs/Vector3 translation
+geometry_msgs/Quaternion rotation
+"""
+_POINT, _VECTOR = _TRIPLE.format(name="Point"), _TRIPLE.format(name="Vector3")
+_DEFINITIONS: dict[str, tuple[str, ...]] = {
+    SCAN_TYPE: (
+        """
+std_msgs/Header header
+uint32 height
+uint32 width
+sensor_msgs/PointField[] fields
+bool is_bigendian
+uint32 point_step
+uint32 row_step
+uint8[] data
+bool is_dense
+""",
+        _POINT_FIELD,
+    ),
+    POSE_TYPE: (
+        "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n",
+        _POSE_WITH_COVARIANCE,
+        _POSE,
+        _POINT,
+        _QUATERNION,
+    ),
+    GIMBAL_TYPE: (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n",
+        _TRANSFORM,
+        _VECTOR,
+        _QUATERNION,
+    ),
+}
+
+
+def typestore(ros1: bool) -> Typestore:
+    """Decoder of the types above as ROS 1 or ROS 2 serialises them."""
+    header = _HEADER.format(sequence="uint32 seq\n" if ros1 else "")
+    store = get_typestore(Stores.EMPTY)
+    for name, parts in _DEFINITIONS.items():
+        separator = "=" * 80
+        text = separator.join((*parts, header, _TIME))
+        store.register(get_types_from_msg(text, name))
+    return store
