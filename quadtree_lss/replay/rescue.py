@@ -163,13 +163,17 @@ def _uncompressed(content: bytes, length: int) -> tuple[bytes, bool]:
 
 
 def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Whole records of a chunk; a cut last one is left out."""
+    """Whole records of a chunk; raises EOFError at one that leads beyond its end."""
     offset = 0
-    while offset + _RECORD.size <= len(data):
+    while offset < len(data):
+        if offset + _RECORD.size > len(data):
+            msg = "a record is cut short"
+            raise EOFError(msg)
         opcode, length = _RECORD.unpack_from(data, offset)
         offset += _RECORD.size
         if offset + length > len(data):
-            return
+            msg = "a record is cut short"
+            raise EOFError(msg)
         yield opcode, data[offset : offset + length]
         offset += length
 

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags for tests, written with rosbags: a lidar that looks straight down on a gentle slope."""
+
+from __future__ import annotations
+
+import numpy as np
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+SECOND = 10**9
+START = 1_700_000_000 * SECOND
+CLOUD = "sensor_msgs/msg/PointCloud2"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+LOOKING_DOWN = (1.0, 0.0, 0.0, 0.0)  # quaternion of a half turn about x: z down, y south
+
+
+class Recorder:
+    """Serialises messages for a ROS 2 or ROS 1 writer."""
+
+    def __init__(self, writer, ros1=False):
+        self.writer, self.ros1 = writer, ros1
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+        self.connections = {}
+
+    def write(self, topic, message, kind, received_ns):
+        if topic not in self.connections:
+            connection = self.writer.add_connection(topic, kind, typestore=self.store)
+            self.connections[topic] = connection
+        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        self.writer.write(self.connections[topic], received_ns, serialize(message, kind))
+
+    def type(self, name):
+        return self.store.types[name]
+
+    def header(self, stamp_ns, frame):
+        stamp = self.type("builtin_interfaces/msg/Time")(stamp_ns // SECOND, stamp_ns % SECOND)
+        sequence = {"seq": 0} if self.ros1 else {}
+        return self.type("std_msgs/msg/Header")(**sequence, stamp=stamp, frame_id=frame)
+
+    def cloud(self, stamp_ns, points):
+        field = self.type("sensor_msgs/msg/PointField")
+        points = np.asarray(points, dtype="<f4")
+        height, width, _ = points.shape
+        return self.type(CLOUD)(
+            header=self.header(stamp_ns, "lidar"),
+            height=height,
+            width=width,
+            fields=[field(name, 4 * k, 7, 1) for k, name in enumerate("xyz")],
+            is_bigendian=False,
+            point_step=12,
+            row_step=12 * width,
+            data=np.frombuffer(points.tobytes(), dtype=np.uint8),
+            is_dense=True,
+        )
+
+    def pose(self, stamp_ns, position, xyzw=LOOKING_DOWN, frame="map"):
+        at = self.type("geometry_msgs/msg/Pose")(
+            self.type("geometry_msgs/msg/Point")(*map(float, position)),
+            self.type("geometry_msgs/msg/Quaternion")(*map(float, xyzw)),
+        )
+        covariance = np.diag([1e-4] * 3 + [1e-8] * 3).reshape(-1)
+        held = self.type("geometry_msgs/msg/PoseWithCovariance")(at, covariance)
+        return self.type(POSE)(header=self.header(stamp_ns, frame), pose=held)
+
+
+def flight(recorder, scans=10, scan_topics=("/lidar/points",), pose_topics=("/nav/pose",)):
+    """Poses at 20 Hz and scans at 10 Hz between them, 50 m above z = 0.05 x, noise 3 cm."""
+    rng = np.random.default_rng(11)
+    side = np.linspace(-0.5, 0.5, 24)
+    right, down = np.meshgrid(side, side)
+    for k in range(2 * scans + 2):
+        stamp = START + k * SECOND // 20
+        position = np.array([0.2 * k - 2.0, 0.0, 50.0])
+        for topic in pose_topics:
+            recorder.write(topic, recorder.pose(stamp, position), POSE, stamp + 2_000_000)
+        if k % 2 or k == 2 * scans:
+            continue
+        scan = stamp + SECOND // 50
+        position[0] += 0.2 * 20 / 50  # where the lidar is then
+        depth = (position[2] - 0.05 * position[0]) / (1.0 + 0.05 * right)
+        depth += rng.normal(scale=0.03, size=depth.shape)
+        points = np.stack([right * depth, down * depth, depth], axis=-1)
+        for topic in scan_topics:
+            recorder.write(topic, recorder.cloud(scan, points), CLOUD, scan + 5_000_000)
+
+
+def write_ros2(path, *, plugin="mcap", compression=None, **options):
+    """A rosbag2 directory; compression None, "file" or "message"."""
+    storage = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[plugin]
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if compression:
+        mode = {"file": CompressionMode.FILE, "message": CompressionMode.MESSAGE}[compression]
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        flight(Recorder(writer), **options)
+    return path
+
+
+def write_ros1(path, **options):
+    """A ROS 1 bag file."""
+    with Ros1Writer(path) as writer:
+        flight(Recorder(writer, ros1=True), **options)
+    return path
+
+
+def storage_file(path):
+    """The one file in a rosbag2 directory that holds the messages."""
+    (file,) = (p for p in path.iterdir() if p.name != "metadata.yaml")
+    return file
