@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terrain, poses and scans for the tests of the core: a small generator of its own.
+
+Points are put where the caller wants them in x and y, so that no ray casting is needed; range
+noise moves each along its ray. All lengths in m, all frames the map's unless a name says other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from quadtree_lss.core import rotations
+from quadtree_lss.core.config import Config, config_from_values
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.planes import Moments
+from quadtree_lss.core.quadtree import CellMap, Domain
+
+Array = np.ndarray
+Surface = Callable[[Array, Array], Array]
+
+#: Boresight down, right = map x: rotation_map_lidar of a lidar that looks straight down.
+LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
+#: A pose as good as exact.
+EXACT = 1e-12 * np.eye(6)
+
+
+def make_pose(
+    position: tuple[float, float, float] = (0.0, 0.0, 500.0),
+    covariance: Array = EXACT,
+    stamp_ns: int = 1_000_000_000,
+    rotation: Array = LOOKING_DOWN,
+) -> Pose:
+    """A pose, straight down and exact unless told."""
+    return Pose(stamp_ns, np.asarray(position, dtype=np.float64), rotation, covariance)
+
+
+def pose_covariance(position_sigma: float, attitude_sigma: float) -> Array:
+    """Independent position (m) and attitude (rad) errors."""
+    return np.diag([position_sigma**2] * 3 + [attitude_sigma**2] * 3)
+
+
+def disturbed(pose: Pose, rng: np.random.Generator) -> Pose:
+    """The true pose, drawn around an estimate: an error about fixed map axes."""
+    error = rng.multivariate_normal(np.zeros(6), pose.covariance)
+    return Pose(
+        pose.stamp_ns,
+        pose.position + error[:3],
+        rotations.exp(error[3:]) @ pose.rotation_map_lidar,
+        pose.covariance,
+    )
+
+
+def flat(height: float = 0.0) -> Surface:
+    """Level ground."""
+    return lambda x, y: np.full(np.shape(x), height)
+
+
+def slope(gradient_x: float, gradient_y: float, height: float = 0.0) -> Surface:
+    """Tilted plane z = height + gradient_x x + gradient_y y."""
+    return lambda x, y: height + gradient_x * x + gradient_y * y
+
+
+def scattered(
+    rng: np.random.Generator, xmin: float, ymin: float, size: float, count: int
+) -> tuple[Array, Array]:
+    """``count`` places drawn uniformly over a square."""
+    return xmin + size * rng.random(count), ymin + size * rng.random(count)
+
+
+def lattice(xmin: float, ymin: float, size: float, per_side: int) -> tuple[Array, Array]:
+    """Centres of a regular grid of ``per_side`` by ``per_side`` over a square."""
+    step = (np.arange(per_side) + 0.5) * size / per_side
+    x, y = np.meshgrid(xmin + step, ymin + step)
+    return x.ravel(), y.ravel()
+
+
+def scan(
+    surface: Surface,
+    x: Array,
+    y: Array,
+    true_pose: Pose,
+    noise: float,
+    rng: np.random.Generator | None = None,
+) -> Array:
+    """Lidar points (N, 3), lidar axes, of the ground at x, y (N,), range noise along the rays."""
+    truth = np.column_stack([x, y, surface(x, y)]) - true_pose.position
+    ranges = np.linalg.norm(truth, axis=1)
+    if noise > 0.0:
+        assert rng is not None
+        truth *= (1.0 + noise * rng.standard_normal(len(x)) / ranges)[:, None]
+    return truth @ true_pose.rotation_map_lidar
+
+
+def configured(**sections: dict[str, object]) -> Config:
+    """A configuration on a small domain; ``sections`` are laid over it."""
+    base: dict[str, object] = {
+        "domain.xmin": 0.0,
+        "domain.ymin": 0.0,
+        "domain.size": 16.0,
+        "domain.min_level": 2,
+        "domain.max_level": 6,
+        "lidar.outlier_gate": 0.0,
+    }
+    values = {f"{s}.{key}": value for s, of in sections.items() for key, value in of.items()}
+    return config_from_values({**base, **values})
+
+
+def mapped(
+    config: Config,
+    surface: Surface,
+    *,
+    density: float = 60.0,
+    scans: int = 3,
+    noise: float | None = None,
+    seed: int = 1,
+    where: tuple[float, float, float] | None = None,
+) -> Mapper:
+    """A mapper that saw the whole domain (or the square ``where`` = xmin, ymin, size).
+
+    Args:
+        density: Points per square metre and scan.
+        noise: True range noise, the configured one if None.
+    """
+    rng = np.random.default_rng(seed)
+    d = config.domain
+    xmin, ymin, size = (d.xmin, d.ymin, d.size) if where is None else where
+    sigma = config.lidar.range_noise if noise is None else noise
+    mapper = Mapper(config)
+    for k in range(scans):
+        pose = make_pose((xmin + 0.5 * size, ymin + 0.5 * size, 500.0), stamp_ns=1 + k)
+        x, y = scattered(rng, xmin, ymin, size, int(density * size**2))
+        mapper.update(scan(surface, x, y, pose, sigma, rng), pose)
+    return mapper
+
+
+def domain_of(config: Config) -> Domain:
+    """The domain that a configuration describes."""
+    d = config.domain
+    return Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
+
+
+def leaf_by_descent(cells: CellMap, column: int, row: int) -> int:
+    """Leaf over a finest cell, found by walking down from the root."""
+    present = {
+        (int(level), int(ix), int(iy)): k
+        for k, (level, ix, iy) in enumerate(zip(cells.level, cells.ix, cells.iy, strict=True))
+    }
+    depth = cells.domain.max_level
+    for level in range(depth + 1):
+        found = present.get((level, column >> (depth - level), row >> (depth - level)))
+        if found is not None:
+            return found
+    msg = f"no leaf over finest cell ({column}, {row})"
+    raise AssertionError(msg)
+
+
+def elevation(cells: CellMap, x: Array, y: Array) -> Array:
+    """Height of the leaf planes at places inside the domain."""
+    side = cells.domain.finest_size
+    column = np.floor((x - cells.domain.xmin) / side).astype(int)
+    row = np.floor((y - cells.domain.ymin) / side).astype(int)
+    leaf = cells.leaf_raster()[row, column]
+    normal = cells.normal[leaf]
+    run = normal[:, 0] * (x - cells.x[leaf]) + normal[:, 1] * (y - cells.y[leaf])
+    return cells.z[leaf] - run / normal[:, 2]
+
+
+def unit_vectors(rng: np.random.Generator, count: int) -> Array:
+    """Directions (count, 3), uniform on the sphere."""
+    v = rng.standard_normal((count, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def upward_normals(rng: np.random.Generator, count: int, steepest: float = 0.6) -> Array:
+    """Normals (count, 3) that lean by up to ``steepest`` rad."""
+    angle, heading = steepest * rng.random(count), 2.0 * np.pi * rng.random(count)
+    return np.stack(
+        [np.sin(angle) * np.cos(heading), np.sin(angle) * np.sin(heading), np.cos(angle)], axis=1
+    )
+
+
+def random_covariances(rng: np.random.Generator, count: int, size: int, scale: float) -> Array:
+    """Positive definite (count, size, size) of standard deviations about ``scale``."""
+    root = scale * (rng.standard_normal((count, size, size)) + 1.5 * np.eye(size))
+    return root @ root.transpose(0, 2, 1)
+
+
+def moments_of(group: Array, groups: int, points: Array, lidar: Array) -> Moments:
+    """Moments of points (N, 3) that one lidar saw, by their definition."""
+    count = np.bincount(group, minlength=groups).astype(np.float64)
+    mean = np.zeros((groups, 3))
+    np.add.at(mean, group, points)
+    mean /= count[:, None]
+    off = points - mean[group]
+    scatter = np.zeros((groups, 3, 3))
+    np.add.at(scatter, group, off[:, :, None] * off[:, None, :])
+    ray = mean - lidar
+    return Moments(count, mean, scatter, ray / np.linalg.norm(ray, axis=1, keepdims=True))

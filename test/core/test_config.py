@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one table of parameters: ranges, nearest keys, contradictions, round trips."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from quadtree_lss.core.config import (
+    Config,
+    ConfigError,
+    Parameter,
+    config_from_values,
+    parameters,
+    values_from_config,
+)
+from quadtree_lss.errors import QuadtreeLssError
+
+ROWS = parameters()
+NUMBERS = [row for row in ROWS if row.type in (int, float)]
+
+
+def named(rows: list[Parameter]) -> dict[str, object]:
+    return {"argvalues": rows, "ids": [row.name for row in rows]}
+
+
+def test_names_are_unique_and_have_a_section():
+    names = [row.name for row in ROWS]
+    assert len(set(names)) == len(names)
+    assert all(name.count(".") == 1 for name in names)
+
+
+@pytest.mark.parametrize("row", **named(list(ROWS)))
+def test_defaults_are_of_their_type_in_range_and_explained(row):
+    assert type(row.default) is row.type
+    assert row.doc
+    if row.type in (int, float):
+        assert row.low <= row.default <= row.high
+        assert math.isfinite(row.low)
+        assert math.isfinite(row.high)
+    if row.choices:
+        assert row.default in row.choices
+    assert config_from_values({row.name: row.default}) == Config()
+
+
+@pytest.mark.parametrize("row", **named(NUMBERS))
+def test_numbers_outside_the_range_are_refused_by_name(row):
+    step = 1 if row.type is int else max(abs(row.high), 1.0) * 1e-3
+    for value in (row.type(row.low - step), row.type(row.high + step)):
+        with pytest.raises(ConfigError, match=row.name.replace(".", r"\.")):
+            config_from_values({row.name: value})
+
+
+@pytest.mark.parametrize("row", **named([row for row in ROWS if row.type is float]))
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_numbers_must_be_finite(row, value):
+    with pytest.raises(ConfigError, match="outside"):
+        config_from_values({row.name: value})
+
+
+@pytest.mark.parametrize("row", **named([row for row in ROWS if row.choices]))
+def test_other_choices_are_refused_and_the_allowed_ones_listed(row):
+    with pytest.raises(ConfigError) as caught:
+        config_from_values({row.name: "no such choice"})
+    assert all(choice in str(caught.value) for choice in row.choices)
+
+
+@pytest.mark.parametrize("row", **named(list(ROWS)))
+def test_wrong_types_are_refused(row):
+    wrong = {bool: 1, int: 1.5, float: "1.0", str: 3}[row.type]
+    for value in (wrong, None, [row.default]):
+        with pytest.raises(ConfigError, match=row.name.replace(".", r"\.")):
+            config_from_values({row.name: value})
+    if row.type is not bool:
+        with pytest.raises(ConfigError):
+            config_from_values({row.name: True})
+
+
+def test_whole_numbers_serve_where_a_float_is_wanted():
+    assert config_from_values({"domain.size": 64}).domain.size == 64.0
+    assert isinstance(config_from_values({"domain.size": 64}).domain.size, float)
+
+
+@pytest.mark.parametrize(
+    ("key", "near"),
+    [
+        ("domain.min_levl", "domain.min_level"),
+        ("lss.vehicle_diametre", "lss.vehicle_diameter"),
+        ("lidar.range_nois", "lidar.range_noise"),
+        ("mapping.divison", "mapping.division"),
+        ("pose.maxwait", "pose.max_wait"),
+    ],
+)
+def test_an_unknown_key_names_the_nearest(key, near):
+    with pytest.raises(ConfigError) as caught:
+        config_from_values({key: 1})
+    assert key in str(caught.value)
+    assert near in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_errors_are_for_users():
+    assert issubclass(ConfigError, QuadtreeLssError)
+
+
+@pytest.mark.parametrize("key", ["domain", "", "domain.", "x.y.z", "lss.sites.more"])
+def test_odd_keys_are_configuration_errors_too(key):
+    with pytest.raises(ConfigError):
+        config_from_values({key: 3})
+
+
+@pytest.mark.parametrize(
+    ("values", "about"),
+    [
+        ({"domain.min_level": 6, "domain.max_level": 5}, "domain.min_level"),
+        ({"domain.min_level": 4, "mapping.max_cells": 255}, "mapping.max_cells"),
+        ({"lidar.min_range": 10.0, "lidar.max_range": 10.0}, "lidar.min_range"),
+        ({"domain.size": 50_000.0, "lss.grid_spacing": 0.1}, "lss.grid_spacing"),
+    ],
+)
+def test_contradictions_are_found(values, about):
+    with pytest.raises(ConfigError, match=about.replace(".", r"\.")):
+        config_from_values(values)
+
+
+def test_just_allowed_combinations_pass():
+    config_from_values({"domain.min_level": 5, "domain.max_level": 5})
+    config_from_values({"domain.min_level": 4, "mapping.max_cells": 256})
+
+
+def other_value(row: Parameter) -> object:
+    """A legal value that is not the default."""
+    if row.type is bool:
+        return not row.default
+    if row.type is str:
+        return next((c for c in row.choices if c != row.default), "other")
+    if row.type is int:
+        return row.default + 1 if row.default < row.high else row.default - 1
+    return row.default * 1.01 if row.default else min(row.high, 0.5)
+
+
+@pytest.mark.parametrize("row", **named(list(ROWS)))
+def test_each_value_round_trips_dotted_and_nested(row):
+    value = other_value(row)
+    section, name = row.name.split(".")
+    for form in ({row.name: value}, {section: {name: value}}):
+        config = config_from_values(form)
+        values = values_from_config(config)
+        assert values[row.name] == value
+        assert config_from_values(values) == config
+        assert [k for k in values if values[k] != values_from_config(Config())[k]] == [row.name]
+
+
+def test_values_are_laid_over_the_base():
+    base = config_from_values({"lss": {"sites": 9}, "domain": {"size": 64.0}})
+    over = config_from_values({"lss.margin": 1.5}, base)
+    assert (over.lss.sites, over.lss.margin, over.domain.size) == (9, 1.5, 64.0)
+
+
+def test_a_contradiction_with_the_base_is_found():
+    base = config_from_values({"domain.max_level": 5})
+    with pytest.raises(ConfigError):
+        config_from_values({"domain.min_level": 6}, base)

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sphere S^2: identities, round trips, numeric Jacobians, the errata of Eq. 5 and 9."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from core.builders import unit_vectors, upward_normals
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.core import sphere
+
+STEP = 1e-6
+#: Central differences err by STEP^2 times a third derivative of order one, and by rounding / STEP.
+NUMERIC = 1e-8
+
+angles = st.floats(0.0, 3.1)
+headings = st.floats(0.0, 2.0 * np.pi)
+
+
+def tangent(angle: float, heading: float) -> np.ndarray:
+    return angle * np.array([np.cos(heading), np.sin(heading)])
+
+
+@settings(deadline=None, max_examples=200)
+@given(angles, headings)
+def test_log_undoes_exp(angle, heading):
+    phi = tangent(angle, heading)
+    n = sphere.exp(phi)
+    assert np.linalg.norm(n) == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(sphere.log(n), phi, atol=1e-12)
+
+
+def test_exp_of_zero_is_up_and_its_log_is_zero():
+    np.testing.assert_array_equal(sphere.exp(np.zeros(2)), [0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(sphere.log([0.0, 0.0, 1.0]), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 0.99e-4, 1.01e-4, 1e-3, 0.3, 1.2, 1.57, 2.8])
+def test_exp_jacobian_is_the_derivative(angle):
+    for heading in np.linspace(0.0, 2.0 * np.pi, 7):
+        phi = tangent(angle, heading)
+        numeric = np.stack(
+            [
+                (sphere.exp(phi + STEP * axis) - sphere.exp(phi - STEP * axis)) / (2.0 * STEP)
+                for axis in np.eye(2)
+            ],
+            axis=-1,
+        )
+        np.testing.assert_allclose(sphere.exp_jacobian(phi), numeric, atol=NUMERIC)
+
+
+def test_exp_jacobian_is_tangent_to_the_sphere():
+    """n.dn = 0 whatever dphi; with the printed bottom row of Eq. 5 it is not."""
+    phi = np.random.default_rng(1).uniform(-1.5, 1.5, (200, 2))
+    along = np.einsum("ni,nij->nj", sphere.exp(phi), sphere.exp_jacobian(phi))
+    np.testing.assert_allclose(along, 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-8, 1e-4, 0.4, 1.5, 1.6, 2.5])
+def test_log_jacobian_undoes_exp_jacobian(angle):
+    for heading in np.linspace(0.0, 2.0 * np.pi, 7):
+        phi = tangent(angle, heading)
+        product = sphere.log_jacobian(sphere.exp(phi)) @ sphere.exp_jacobian(phi)
+        np.testing.assert_allclose(product, np.eye(2), atol=1e-7)
+
+
+def test_log_jacobian_is_the_derivative_along_the_sphere():
+    rng = np.random.default_rng(2)
+    for n in unit_vectors(rng, 50):
+        if n[2] < -0.9:
+            continue
+        basis = sphere.rotation_to(n)[:, :2] if n[2] > -0.5 else np.linalg.svd(n[None])[2][1:].T
+        for direction in basis.T:
+            ahead, behind = (n + s * STEP * direction for s in (1.0, -1.0))
+            ahead, behind = ahead / np.linalg.norm(ahead), behind / np.linalg.norm(behind)
+            numeric = (sphere.log(ahead) - sphere.log(behind)) / (2.0 * STEP)
+            # The derivative across kappa grows as phi / sin(phi), its error with its cube.
+            np.testing.assert_allclose(sphere.log_jacobian(n) @ direction, numeric, atol=1e-7)
+
+
+def test_rotation_to_is_the_shortest_rotation_from_up():
+    rng = np.random.default_rng(3)
+    normals = unit_vectors(rng, 200)
+    normals = normals[normals[:, 2] > -0.99]
+    turned = sphere.rotation_to(normals)
+    phi = sphere.log(normals)
+    # The axis of that rotation is horizontal, across the lean.
+    vector = np.column_stack([-phi[:, 1], phi[:, 0], np.zeros(len(phi))])
+    np.testing.assert_allclose(turned, Rotation.from_rotvec(vector).as_matrix(), atol=1e-12)
+
+
+def test_tangent_basis_is_the_rotations_first_columns():
+    normals = upward_normals(np.random.default_rng(4), 100, 1.57)
+    np.testing.assert_array_equal(
+        sphere.tangent_basis(normals), sphere.rotation_to(normals)[:, :, :2]
+    )
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.floats(0.0, 1.57), headings, st.floats(0.0, 1.5), headings)
+def test_minus_undoes_plus(lean, lean_heading, angle, heading):
+    """Within a quarter turn; beyond, -n is the nearer name of the same plane."""
+    n = sphere.exp(tangent(lean, lean_heading))
+    phi = tangent(angle, heading)
+    np.testing.assert_allclose(sphere.minus(sphere.plus(n, phi), n), phi, atol=1e-9)
+
+
+def test_minus_is_the_angle_between_planes():
+    rng = np.random.default_rng(5)
+    n, m = unit_vectors(rng, 500), unit_vectors(rng, 500)
+    between = np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", n, m)), 1.0))
+    length = np.linalg.norm(sphere.minus(n, m), axis=1)
+    np.testing.assert_allclose(length, between, atol=1e-7)
+    assert length.max() <= 0.5 * np.pi + 1e-12
+
+
+def test_both_names_of_a_plane_are_one():
+    """Erratum of Eq. 9: (n, d) and (-n, -d) are one plane, on either side of [-]."""
+    rng = np.random.default_rng(6)
+    n, m = unit_vectors(rng, 500), unit_vectors(rng, 500)
+    expected = sphere.minus(n, m)
+    for a, b in ((-n, m), (n, -m), (-n, -m)):
+        np.testing.assert_array_equal(sphere.minus(a, b), expected)
+    upward = np.where(m[:, 2:] < 0.0, -m, m)
+    reached = sphere.plus(upward, expected)
+    same = np.abs(np.einsum("ni,ni->n", reached, n))
+    np.testing.assert_allclose(same, 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("reference", [(0.0, 0.0, -1.0), (1e-9, 0.0, -1.0), (1.0, 0.0, 0.0)])
+def test_minus_is_finite_at_the_south_pole_and_on_the_horizon(reference):
+    m = np.array(reference) / np.linalg.norm(reference)
+    n = unit_vectors(np.random.default_rng(7), 100)
+    difference = sphere.minus(n, m)
+    assert np.isfinite(difference).all()
+    expected = np.arccos(np.minimum(np.abs(n @ m), 1.0))
+    np.testing.assert_allclose(np.linalg.norm(difference, axis=1), expected, atol=1e-7)
+
+
+def test_functions_take_any_leading_shape():
+    normals = upward_normals(np.random.default_rng(8), 12).reshape(3, 4, 3)
+    phi = sphere.log(normals)
+    assert phi.shape == (3, 4, 2)
+    for function, argument in (
+        (sphere.exp, phi),
+        (sphere.log, normals),
+        (sphere.exp_jacobian, phi),
+        (sphere.log_jacobian, normals),
+        (sphere.rotation_to, normals),
+        (sphere.tangent_basis, normals),
+    ):
+        np.testing.assert_array_equal(function(argument)[1, 2], function(argument[1, 2]))

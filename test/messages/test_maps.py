@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Map and site messages: what is float64 comes back exactly, damage is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from core.builders import configured, mapped, upward_normals
+
+from quadtree_lss.core import rotations
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.sites import LandingSiteSelector
+from quadtree_lss.messages import maps
+from quadtree_lss.messages.maps import MapMessageError
+
+EXACT = ("level", "ix", "iy", "z", "normal", "count", "measured", "observed")
+SINGLE = ("covariance_range", "covariance_pose", "roughness", "exception_fraction", "feature")
+
+
+@pytest.fixture(scope="module")
+def cells() -> CellMap:
+    """A map with steps, holes, features and inherited cells."""
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4})
+
+    def terrain(x, y):
+        rock = np.sqrt(np.maximum(0.3**2 - (x - 1.0) ** 2 - (y - 110.0) ** 2, 0.0))
+        return 40.0 + 0.5 * (x > 3.0) + rock
+
+    return mapped(config, terrain, density=60.0, where=(-7.3, 102.4, 12.0)).snapshot()
+
+
+def decoded(records, cells: CellMap) -> CellMap:
+    return maps.decode_cells(
+        records, cells.observed, cells.domain.xmin, cells.domain.ymin, cells.stamp_ns
+    )
+
+
+def assert_same(a: CellMap, b: CellMap) -> None:
+    for field in dataclasses.fields(CellMap):
+        np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name), field.name)
+
+
+def test_what_matters_comes_back_exactly(cells):
+    back = decoded(maps.encode_cells(cells), cells)
+    assert back.domain == cells.domain
+    assert back.stamp_ns == cells.stamp_ns
+    for name in EXACT:
+        np.testing.assert_array_equal(getattr(back, name), getattr(cells, name), name)
+        assert getattr(back, name).dtype == getattr(cells, name).dtype
+    for name in SINGLE:
+        np.testing.assert_allclose(getattr(back, name), getattr(cells, name), rtol=6e-8, atol=1e-38)
+
+
+def test_a_second_round_trip_changes_nothing(cells):
+    once = maps.round_trip(cells)
+    assert_same(once, maps.round_trip(once))
+    np.testing.assert_array_equal(
+        maps.encode_cells(once).tobytes(), maps.encode_cells(cells).tobytes()
+    )
+
+
+def test_the_map_of_nothing_survives(cells):
+    empty = Mapper(configured()).snapshot()
+    back = maps.round_trip(empty)
+    assert_same(back, maps.round_trip(back))
+    assert not back.estimated.any()
+    assert back.domain == empty.domain
+
+
+@pytest.mark.parametrize("level", [0, 3])
+def test_one_level_maps_survive(level):
+    config = configured(domain={"min_level": level, "max_level": level})
+    one = mapped(config, lambda x, y: 0.1 * x, density=5.0, scans=1).snapshot()
+    assert maps.round_trip(one).domain == one.domain
+
+
+def test_records_are_packed_little_endian_with_x_y_z_first():
+    kind = maps.record_dtype(maps.CELL_FIELDS)
+    assert kind.names[:3] == ("x", "y", "z")
+    assert kind.itemsize == sum(np.dtype(k).itemsize for _, k in maps.CELL_FIELDS)
+    assert all(kind[name].str[0] in "<|" for name in kind.names)
+    assert all(k in maps.POINT_FIELD_TYPES for _, k in (*maps.CELL_FIELDS, *maps.SITE_FIELDS))
+
+
+def test_x_y_z_show_the_cells_centre(cells):
+    records = maps.encode_cells(cells)
+    np.testing.assert_allclose(records["x"], cells.x, rtol=1e-6)
+    np.testing.assert_allclose(records["y"], cells.y, rtol=1e-6)
+    np.testing.assert_array_equal(records["z"], cells.z.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda r: r[:0], "no_cells"),
+        (lambda r: r[1:], "tiling"),
+        (lambda r: np.concatenate([r, r[:1]]), "tiling"),
+    ],
+)
+def test_missing_and_surplus_leaves_are_refused(cells, damage, reason):
+    with pytest.raises(MapMessageError) as caught:
+        decoded(damage(maps.encode_cells(cells)), cells)
+    assert caught.value.reason == reason
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("shape", [(63, 63), (64, 32), (32, 64), (0, 0), (48, 48)])
+def test_observed_must_be_a_square_power_of_two(cells, shape):
+    with pytest.raises(MapMessageError) as caught:
+        maps.decode_cells(maps.encode_cells(cells), np.zeros(shape, dtype=bool), 0.0, 0.0, 1)
+    assert caught.value.reason == "observed_shape"
+
+
+@pytest.mark.parametrize("name", ["level", "ix", "iy"])
+def test_leaves_beyond_the_domain_are_refused(cells, name):
+    records = maps.encode_cells(cells)
+    records[name][3] = 200
+    with pytest.raises(MapMessageError):
+        decoded(records, cells)
+
+
+def test_two_leaves_on_one_place_are_refused(cells):
+    """The areas sum up, but one leaf covers another's ground."""
+    records = maps.encode_cells(cells)
+    level = records["level"]
+    first, second = np.flatnonzero(level == level[0])[:2]
+    for key in ("ix", "iy"):
+        records[key][second] = records[key][first]
+    with pytest.raises(MapMessageError):
+        decoded(records, cells)
+
+
+def test_a_finer_observed_grid_than_the_leaves_is_another_maximum_level(cells):
+    coarse = np.zeros((16, 16), dtype=bool)
+    with pytest.raises(MapMessageError):
+        maps.decode_cells(maps.encode_cells(cells), coarse, 0.0, 0.0, 1)
+
+
+def test_landing_assessment_survives_the_message(cells):
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, lss={"vehicle_diameter": 2.0})
+    once = maps.round_trip(cells)
+    a, b = (LandingSiteSelector(config).assess(m) for m in (once, maps.round_trip(once)))
+    np.testing.assert_array_equal(a.score, b.score)
+    np.testing.assert_array_equal(a.sites.position, b.sites.position)
+
+
+def test_site_table_and_grids(cells):
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, lss={"vehicle_diameter": 2.0})
+    assessment = LandingSiteSelector(config).assess(cells)
+    assert len(assessment.sites.score) > 0
+    table = maps.encode_sites(assessment)
+    np.testing.assert_allclose(table["x"], assessment.sites.position[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(table["slope"], np.radians(assessment.sites.slope_deg), rtol=1e-6)
+    score = maps.encode_score(assessment)
+    allowed = np.isfinite(assessment.score)
+    assert (score[~allowed] == 100).all()
+    assert score[allowed].min() == 0
+    assert score[allowed].max() == 99
+    best = np.unravel_index(np.nanargmin(assessment.score), score.shape)
+    assert score[best] == 0
+    hazard = maps.encode_hazards(assessment)
+    assert set(np.unique(hazard)) <= {-1, 0, 100}
+    assert (hazard[(assessment.hazard & 0x0F) > 0] == 100).all()
+    assert (hazard[assessment.hazard == 0x80] == -1).all()
+    assert (hazard[assessment.hazard == 0] == 0).all()
+    observed = maps.encode_observed(cells.observed)
+    np.testing.assert_array_equal(observed == 100, cells.observed)
+    np.testing.assert_array_equal(observed == -1, ~cells.observed)
+
+
+def test_score_of_no_safe_ground_is_all_excluded():
+    assessment = LandingSiteSelector(configured()).assess(Mapper(configured()).snapshot())
+    assert (maps.encode_score(assessment) == 100).all()
+    assert (maps.encode_hazards(assessment) == -1).all()
+    assert len(maps.encode_sites(assessment)) == 0
+
+
+def test_site_orientations_take_z_to_the_normal_and_x_into_the_xz_plane():
+    normals = np.vstack([upward_normals(np.random.default_rng(1), 50, 1.5), [[0.0, 0.0, 1.0]]])
+    turned = rotations.rotation_from_quaternion(maps.site_orientations(normals))
+    np.testing.assert_allclose(turned[:, :, 2], normals, atol=1e-12)
+    np.testing.assert_allclose(turned[:, 1, 0], 0.0, atol=1e-12)
+    assert (turned[:, 0, 0] > 0.0).all()
+    np.testing.assert_allclose(np.linalg.det(turned), 1.0, atol=1e-12)
+    np.testing.assert_allclose(maps.site_orientations(normals[-1:]), [[0, 0, 0, 1]], atol=1e-12)
+
+
+def test_no_sites_have_no_orientations():
+    assert maps.site_orientations(np.zeros((0, 3))).shape == (0, 4)
