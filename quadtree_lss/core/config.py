@@ -145,8 +145,8 @@ class MappingConfig:
     division_factor: float = _p(
         1.2, "a cell divides above this multiple of the expected value (Eq. 47)", low=1.0, high=100.0
     )
-    division_min_points: int = _p(
-        8, "measurements a cell needs before its division statistic counts", low=4, high=100000
+    division_min_residuals: int = _p(
+        8, "free residuals (points less three a scan) before the statistic counts", low=1, high=100000
     )
     min_points: int = _p(3, "points of one scan that make a first fit", low=3, high=10000)
     slope_prior_points: float = _p(

@@ -139,20 +139,21 @@ def asks(
 ) -> Mask:
     """Update the running mean of the division statistic; which leaves (M,) ask to be divided.
 
-    The mean is over all processed measurements (Eq. 47): each scan counts by its points.
+    The mean is over all processed measurements (Eq. 47). A scan counts by the residuals that its
+    fit left free, N - 3: near the edge of a scan cells get four or five points at a time, and the
+    single free residual of many such scans would outvote one full view.
 
     Args:
         rows: (M,) leaves.
-        statistic, count: (M,) this scan's statistic and points; scans of at most three points say
-            nothing of a fit.
+        statistic, count: (M,) this scan's statistic and points.
         mean_square: (M,) mean square residual about the fit, m^2.
     """
-    weight = np.where(count > 3.0, count, 0.0)
+    weight = np.maximum(count - 3.0, 0.0)
     leaves.division_sum[rows] += weight * statistic
-    leaves.division_points[rows] += weight
+    leaves.division_weight[rows] += weight
     leaves.misfit[rows] = mean_square
-    points = leaves.division_points[rows]
+    total = leaves.division_weight[rows]
     expected = MEAN_CHI_1 if config.division == "lack_of_fit" else MEAN_CHI_3
-    mean = leaves.division_sum[rows] / np.maximum(points, 1.0)
-    poor = (mean > config.division_factor * expected) & (points >= config.division_min_points)
+    mean = leaves.division_sum[rows] / np.maximum(total, 1.0)
+    poor = (mean > config.division_factor * expected) & (total >= config.division_min_residuals)
     return poor & (leaves.level[rows] < leaves.domain.max_level)

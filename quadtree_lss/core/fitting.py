@@ -17,6 +17,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
+#: A base narrower than this many horizontal noises may be an edge's making.
+EDGE_SPREAD = 4.0
+#: Half the standard deviation of points that fill a cell of side one, 1 / sqrt(12).
+FULL_SPREAD = 0.5 / np.sqrt(12.0)
+
 
 @dataclass(frozen=True)
 class SlopePrior:
@@ -52,13 +57,28 @@ class Fit:
     basis: Array
 
 
-def fittable(moment: Moments, prior: SlopePrior, config: MappingConfig, range_noise: float) -> Mask:
-    """Which groups (M,) determine a plane: enough points, neither a line nor too short a base."""
+def fittable(
+    moment: Moments, size: Array, prior: SlopePrior, config: MappingConfig, range_noise: float
+) -> Mask:
+    """Which groups (M,) determine a plane: enough points on a base that is wide enough.
+
+    Points are binned by their measured x and y. Over ground that fills the cell this does not bias
+    the regression of height, whatever the horizontal noise; but where a scan's edge cuts a strip
+    off the cell, the strip's width is noise that goes with the heights' noise and the plane would
+    turn towards the ray. So the horizontal spread (standard deviation) along its thinnest axis
+    must reach ``EDGE_SPREAD`` times the horizontal noise, or half of what a full cell has.
+
+    Args:
+        moment: M groups.
+        size: (M,) side of the cells, m.
+        prior: What is known of the slope.
+    """
     least, greatest = planes.horizontal_conditioning(moment.scatter)
-    least, greatest = least + prior.spread, greatest + prior.spread
-    wide: Mask = least > np.maximum(
-        planes.MIN_THICKNESS * greatest, (range_noise / planes.MAX_SLOPE_SIGMA) ** 2
-    )
+    across = range_noise * np.hypot(moment.ray[:, 0], moment.ray[:, 1])
+    spread = np.minimum(EDGE_SPREAD * across, FULL_SPREAD * size)
+    wide: Mask = least > moment.count * spread**2
+    wide &= least > planes.MIN_THICKNESS * greatest
+    wide &= least + prior.spread > (range_noise / planes.MAX_SLOPE_SIGMA) ** 2
     return wide & (moment.count >= config.min_points)
 
 
@@ -107,6 +127,7 @@ def fit_scans(
     cell: Index,
     scan: Index,
     centre: Array,
+    size: Array,
     prior: SlopePrior,
     config: MappingConfig,
     range_noise: float,
@@ -124,6 +145,7 @@ def fit_scans(
         cell: (G,) cell of each group, 0 .. M - 1, all of which occur.
         scan: (G,) index into ``lidars`` and ``pose_roots``.
         centre: (M, 2) cell centres.
+        size: (M,) their sides, m.
         prior: Slope prior of the M cells.
         lidars: (S, 3) lidar positions.
         pose_roots: (S, 6, 6) roots of pose covariances.
@@ -144,7 +166,7 @@ def fit_scans(
         planes.unit(_sum_by(cell, cells, weighted)),
     )
     enough = (most >= config.min_points) | (total - scans >= config.min_points)
-    good = fittable(pooled, prior, config, range_noise) & enough
+    good = fittable(pooled, size, prior, config, range_noise) & enough
     safe = SlopePrior(prior.normal, np.where(good, prior.spread, 1.0))
     normal = _normals(pooled.scatter, safe, config)
     basis = sphere.tangent_basis(normal)

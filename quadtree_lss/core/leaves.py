@@ -29,7 +29,7 @@ class Leaves(Quadtree):
         noise_sum: What range noise alone adds to ``distance_sum``, m.
         exception_sum: Sum of exception masses (Eq. 48).
         residuals: Measurements in these three sums.
-        division_sum, division_points: Sum of the division statistic and its measurements.
+        division_sum, division_weight: Sum of the division statistic and of its weights.
         feature: (., 5) A, k, mu_x, mu_y about the centre, sigma (Eq. 51); NaN for none.
         feature_covariance: (., 5, 5).
     """
@@ -46,7 +46,7 @@ class Leaves(Quadtree):
     exception_sum: Array
     residuals: Array
     division_sum: Array
-    division_points: Array
+    division_weight: Array
     feature: Array
     feature_covariance: Array
 
@@ -141,5 +141,5 @@ _SUMS = (
     "exception_sum",
     "residuals",
     "division_sum",
-    "division_points",
+    "division_weight",
 )

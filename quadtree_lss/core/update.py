@@ -104,10 +104,11 @@ class ScanUpdate:
     def _fit(self, current: Round) -> Mask:
         """Fit and fuse the cells of a round; which of them (M,) ask to be divided."""
         leaves, rows, moment = self.leaves, current.rows, current.moment
-        prior = self._prior(rows)
+        size = leaves.domain.cell_size(leaves.level[rows])
+        prior = self._prior(rows, size)
         measured = leaves.measured[rows]
-        waiting = ~measured & (self.stored.counts(rows, leaves.capacity) > 0)
-        sound = fitting.fittable(moment, prior, self.config, self.range_noise) & ~waiting
+        waiting = self.stored.counts(rows, leaves.capacity) > 0
+        sound = fitting.fittable(moment, size, prior, self.config, self.range_noise) & ~waiting
         fitted = np.flatnonzero(sound)
         part = moment.take(fitted)
         fit = fitting.fit_scan(
@@ -123,9 +124,9 @@ class ScanUpdate:
         self._take(rows[fitted], measured[fitted], fit)
         few = np.flatnonzero(~sound)
         if len(few):
-            known = measured[few]
+            known = np.isfinite(leaves.z[rows[few]])
             self._nudge(rows[few[known]], moment.take(few[known]))
-            self._fit_stored(current, few[~known], prior)
+            self._fit_stored(current, few[~known], size, prior)
         leaves.points_fitted[rows] += np.where(leaves.measured[rows], moment.count, 0.0)
         asks = np.zeros(len(rows), dtype=np.bool_)
         asks[fitted] = division.asks(
@@ -133,7 +134,7 @@ class ScanUpdate:
         )
         return asks
 
-    def _prior(self, rows: Index) -> SlopePrior:
+    def _prior(self, rows: Index, size: Array) -> SlopePrior:
         """An inherited plane tells its cell's slope, weakly."""
         leaves = self.leaves
         inherited = np.isfinite(leaves.z[rows]) & ~leaves.measured[rows]
@@ -142,7 +143,6 @@ class ScanUpdate:
             flat[:, 2] = 1.0
             return SlopePrior(flat, np.zeros(len(rows)))
         normal = np.where(inherited[:, None], leaves.normal[rows], (0.0, 0.0, 1.0))
-        size = leaves.domain.cell_size(leaves.level[rows])
         spread = self.config.slope_prior_points * size**2 / 12.0
         return SlopePrior(normal, np.where(inherited, spread, 0.0))
 
@@ -206,7 +206,8 @@ class ScanUpdate:
         self.leaves.measured[at] = True
 
     def _nudge(self, rows: Index, moment: Moments) -> None:
-        """Cells with a plane and too few new points for another: fuse the points' mean height."""
+        """Cells with a plane, their own or inherited, and too few new points for another: fuse the
+        points' mean height."""
         if not len(rows):
             return
         leaves = self.leaves
@@ -222,9 +223,10 @@ class ScanUpdate:
             noise, pose = noise + pose, np.zeros_like(pose)
         fused = planes.fuse_heights(prior, lever, height, noise / moment.count, pose)
         leaves.set_fused(rows, fused)
+        leaves.measured[rows] = True
 
-    def _fit_stored(self, current: Round, few: Index, prior: SlopePrior) -> None:
-        """Cells without a measured plane and too few points of this scan: fit them with what was
+    def _fit_stored(self, current: Round, few: Index, size: Array, prior: SlopePrior) -> None:
+        """Cells without a plane and too few points of this scan: fit them with what was
         stored before, or store the points."""
         if not len(few):
             return
@@ -236,7 +238,7 @@ class ScanUpdate:
         cell = cell[mine]
         old = self.stored.of(rows)
         if len(old):
-            fitted = self._fit_together(current, few, prior, old, mine, cell)
+            fitted = self._fit_together(current, few, size[few], prior.take(few), old, mine, cell)
             left = np.flatnonzero(~fitted[cell])
             mine, cell = mine[left], cell[left]
         if len(mine):
@@ -244,7 +246,14 @@ class ScanUpdate:
             self.stored.add(rows[cell], self.key, points)
 
     def _fit_together(
-        self, current: Round, few: Index, prior: SlopePrior, old: Index, new: Index, cell: Index
+        self,
+        current: Round,
+        few: Index,
+        size: Array,
+        prior: SlopePrior,
+        old: Index,
+        new: Index,
+        cell: Index,
     ) -> Mask:
         """Fit stored points ``old`` and this scan's ``new`` of cells ``few``; which succeeded."""
         stored, rows = self.stored, current.rows[few]
@@ -264,7 +273,8 @@ class ScanUpdate:
             pairs // len(keys),
             scan,
             current.centre[few],
-            prior.take(few),
+            size,
+            prior,
             self.config,
             self.range_noise,
             lidars,
