@@ -2,9 +2,9 @@
 """First hit of rays on a bilinear heightfield, all rays of a scan at once.
 
 A ray marches. Where it is above the highest post of the window around it, it may travel to that
-height or to the edge of the window without hitting anything (windows of 64, 16 and 4 posts); close
-to the ground it moves half a post at a time. The bracket of the first crossing is then narrowed by
-false position. What can be missed is a corner that the ray enters and leaves within half a post.
+height or to the edge of the window without hitting anything (windows of 64, 16 and 4 posts). Close
+to the ground it moves from cell to cell; within a cell the height above the bilinear surface is a
+quadratic of the range, whose first root is the hit. Hence hits are exact and no corner is missed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 _WINDOWS = (64, 16, 4)
-_REFINEMENTS = 6
+_NUDGE = 1e-7  # posts: past the edge of a cell, so that the next position is in the next cell
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,7 @@ def cast_heightfield(
     rays = np.flatnonzero(leave > enter)
     if not rays.size:
         return ranges
-    flat = elevation.ravel()
-    bracket_low, bracket_high = _march(flat, nx, ny, maxima, start, speed, enter, leave, rays)
-    hit = np.flatnonzero(np.isfinite(bracket_high))
-    if hit.size:
-        ranges[hit] = _refine(flat, nx, ny, start, speed[hit], bracket_low[hit], bracket_high[hit])
+    _march(elevation, maxima, start, speed, enter, leave, rays, ranges)
     return ranges
 
 
@@ -91,93 +87,93 @@ def _slab(
     return np.maximum(near.max(axis=1), 0.0), far.min(axis=1)
 
 
-def _height(
-    flat: FloatArray, nx: int, ny: int, start: FloatArray, speed: FloatArray, t: FloatArray
-) -> FloatArray:
-    """Height of each ray above the surface at its parameter t."""
-    u = start[0] + t * speed[:, 0]
-    v = start[1] + t * speed[:, 1]
-    i = np.clip(u.astype(np.int64), 0, nx - 2)
-    j = np.clip(v.astype(np.int64), 0, ny - 2)
-    fu, fv = u - i, v - j
-    corner = j * nx + i
-    z00, z01 = flat[corner], flat[corner + 1]
-    z10, z11 = flat[corner + nx], flat[corner + nx + 1]
-    low = z00 + (z01 - z00) * fu
-    surface = low + (z10 + (z11 - z10) * fu - low) * fv
-    return np.asarray(start[2] + t * speed[:, 2] - surface)
-
-
 def _march(
-    flat: FloatArray,
-    nx: int,
-    ny: int,
+    elevation: FloatArray,
     maxima: WindowMaxima,
     start: FloatArray,
     speed: FloatArray,
     enter: FloatArray,
     leave: FloatArray,
     rays: NDArray[np.int64],
-) -> tuple[FloatArray, FloatArray]:
-    """Bracket (above, below) of the first crossing of every ray; NaN where there is none."""
-    above = np.full(len(speed), np.nan)
-    below = np.full(len(speed), np.nan)
+    ranges: FloatArray,
+) -> None:
+    """Fill ``ranges`` of those ``rays`` that hit something."""
     v = speed[rays]
     t, end = enter[rays].copy(), leave[rays]
-    last = t.copy()
     with np.errstate(divide="ignore"):
         per_post = 1.0 / np.maximum(np.abs(v[:, 0]), np.abs(v[:, 1]))
         per_height = np.where(v[:, 2] < 0.0, -1.0 / v[:, 2], np.inf)
+    first = True
     while rays.size:
-        step = 0.5 * per_post
-        i = (start[0] + t * v[:, 0]).astype(np.int64)
-        j = (start[1] + t * v[:, 1]).astype(np.int64)
+        u = start[0] + t * v[:, 0]
+        w = start[1] + t * v[:, 1]
         z = start[2] + t * v[:, 2]
-        clear = np.zeros(rays.size)
+        i, j = u.astype(np.int64), w.astype(np.int64)
+        step = np.zeros(rays.size)
+        clear = step
         for window, highest in zip(maxima.windows, maxima.maxima, strict=True):
             columns = highest.shape[1]
-            j_block = np.clip(j // window, 0, highest.shape[0] - 1)
-            i_block = np.clip(i // window, 0, columns - 1)
-            clear = z - highest.ravel()[j_block * columns + i_block]
-            free = np.minimum(window * per_post, np.maximum(clear, 0.0) * per_height)
-            free[clear <= 0.0] = 0.0
-            np.maximum(step, free, out=step)
+            block = np.minimum(j // window, highest.shape[0] - 1) * columns
+            block += np.minimum(i // window, columns - 1)
+            clear = z - highest.ravel()[block]
+            # One post less than the window: the surface at its far edge hangs on the post beyond.
+            free = np.minimum((window - 1) * per_post, np.maximum(clear, 0.0) * per_height)
+            np.maximum(step, np.where(clear > 0.0, free, 0.0), out=step)
         near = np.flatnonzero(clear <= 0.0)
-        under = np.zeros(rays.size, bool)
-        under[near] = _height(flat, nx, ny, start, v[near], t[near]) <= 0.0
-        found = rays[under]
-        above[found], below[found] = last[under], t[under]
-        keep = np.flatnonzero(~under & (t < end))
-        last = t[keep]
-        t = np.minimum(last + step[keep], end[keep])
+        ahead, cross = _cell(elevation, i[near], j[near], u[near], w[near], z[near], v[near])
+        if first:
+            # A ray that enters through the side of the DEM below its surface hits nothing known.
+            ahead = np.where(ahead > 0.0, ahead, np.inf)
+            first = False
+        found = np.isfinite(ahead) & (t[near] + ahead <= end[near])
+        ranges[rays[near[found]]] = t[near[found]] + ahead[found]
+        step[near] = np.maximum(step[near], cross)
+        step += _NUDGE * np.minimum(per_post, 1.0)
+        going = t < end
+        going[near[found]] = False
+        keep = np.flatnonzero(going)
+        t = np.minimum(t[keep] + step[keep], end[keep])
         rays, v, end = rays[keep], v[keep], end[keep]
         per_post, per_height = per_post[keep], per_height[keep]
-    return above, below
 
 
-def _refine(
-    flat: FloatArray,
-    nx: int,
-    ny: int,
-    start: FloatArray,
-    speed: FloatArray,
-    above: FloatArray,
-    below: FloatArray,
-) -> FloatArray:
-    """False position (Illinois variant) within each bracket."""
-    lo, hi = above.copy(), below.copy()
-    f_lo = np.maximum(_height(flat, nx, ny, start, speed, lo), 0.0)
-    f_hi = np.minimum(_height(flat, nx, ny, start, speed, hi), 0.0)
-    side = np.zeros(lo.size, np.int8)
-    t = hi
-    for _ in range(_REFINEMENTS):
-        gap = f_lo - f_hi
-        t = np.where(gap > 0.0, lo + (hi - lo) * f_lo / np.where(gap > 0.0, gap, 1.0), hi)
-        f = _height(flat, nx, ny, start, speed, t)
-        over = f > 0.0
-        f_hi = np.where(over & (side == 1), 0.5 * f_hi, f_hi)
-        f_lo = np.where(~over & (side == -1), 0.5 * f_lo, f_lo)
-        lo, f_lo = np.where(over, t, lo), np.where(over, f, f_lo)
-        hi, f_hi = np.where(over, hi, t), np.where(over, f_hi, f)
-        side = np.where(over, 1, -1).astype(np.int8)
-    return t
+def _cell(
+    elevation: FloatArray,
+    i: NDArray[np.int64],
+    j: NDArray[np.int64],
+    u: FloatArray,
+    w: FloatArray,
+    z: FloatArray,
+    v: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Range ahead to the hit within the cell (i, j), inf if none, and to where the ray leaves it.
+
+    Positions u, w count posts; a ray already below the surface has hit it (0 ahead).
+    """
+    ny, nx = elevation.shape
+    i, j = np.minimum(i, nx - 2), np.minimum(j, ny - 2)
+    corner = j * nx + i
+    flat = elevation.ravel()
+    z00 = flat[corner]
+    along_u, along_w = flat[corner + 1] - z00, flat[corner + nx] - z00
+    twist = flat[corner + nx + 1] - z00 - along_u - along_w
+    fu, fw = u - i, w - j
+    vu, vw = v[:, 0], v[:, 1]
+    # Height above the surface at s ahead: f0 + f1 s + f2 s².
+    f0 = z - (z00 + along_u * fu + along_w * fw + twist * fu * fw)
+    f1 = v[:, 2] - (along_u * vu + along_w * vw + twist * (fu * vw + fw * vu))
+    f2 = -twist * vu * vw
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cross_u = np.where(vu > 0.0, 1.0 - fu, -fu) / vu
+        cross_w = np.where(vw > 0.0, 1.0 - fw, -fw) / vw
+        cross = np.maximum(
+            np.minimum(np.where(vu == 0.0, np.inf, cross_u), np.where(vw == 0.0, np.inf, cross_w)),
+            0.0,
+        )
+        square = f1 * f1 - 4.0 * f2 * f0
+        below = np.sqrt(np.maximum(square, 0.0)) - f1
+        ahead = 2.0 * f0 / below
+        # The tolerance closes the gap that the nudge from cell to cell leaves open.
+        hit = (square >= 0.0) & (below > 0.0) & (ahead <= cross * (1.0 + 1e-6))
+    ahead = np.where(hit, ahead, np.inf)
+    return np.where(f0 <= 0.0, 0.0, ahead), cross

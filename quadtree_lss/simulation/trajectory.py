@@ -124,6 +124,8 @@ class Sweep:
         else:
             first = last = 0.0
         end_y = max(edge_y - width + turn * length, 0.0)
+        # Beyond the end by what the aim moves in a tenth of a second: edges are not seen only once.
+        end_y += 0.1 * (strips * 2.0 * end_y + last - first) / self.duration
         strip_x = np.linspace(first, last, strips)
         corners = []
         for k, x in enumerate(strip_x):

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ray caster against surfaces whose intersections are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadtree_lss.simulation.lidar import FlashLidar
+from quadtree_lss.simulation.parabola import Parabola
+from quadtree_lss.simulation.terrain import Terrain
+from quadtree_lss.simulation.trajectory import look_at
+
+
+def _terrain(function, half=20.0, post=0.1):
+    axis = np.linspace(-half, half, round(2 * half / post) + 1)
+    return Terrain(axis, axis, function(axis[None, :], axis[:, None]))
+
+
+def _fan(origin, targets):
+    directions = np.asarray(targets, float) - origin
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def _targets(generator, count=4000, half=12.0):
+    return np.column_stack([generator.uniform(-half, half, (count, 2)), np.zeros(count)])
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 60.0), (-300.0, 40.0, 170.0), (-80.0, 0.0, 30.0)])
+def test_plane_is_hit_exactly(origin):
+    normal = np.array([0.1, -0.05, 1.0])
+    terrain = _terrain(lambda x, y: 0.3 - normal[0] * x - normal[1] * y + 0.0 * x * y)
+    directions = _fan(np.array(origin), _targets(np.random.default_rng(1)))
+    expected = (0.3 - normal @ origin) / (directions @ normal)
+    np.testing.assert_allclose(terrain.cast(np.array(origin), directions), expected, atol=1e-6)
+
+
+def test_sphere_within_the_interpolation_error_of_its_posts():
+    radius, centre = 40.0, np.array([0.0, 0.0, -38.0])
+
+    def height(x, y):
+        return centre[2] + np.sqrt(radius**2 - x**2 - y**2)
+
+    terrain = _terrain(height)
+    origin = np.array([-100.0, 30.0, 60.0])
+    targets = _targets(np.random.default_rng(2))
+    targets[:, 2] = height(targets[:, 0], targets[:, 1])
+    directions = _fan(origin, targets)
+    half_b = directions @ (origin - centre)
+    disc = half_b**2 - (np.sum((origin - centre) ** 2) - radius**2)
+    expected = -half_b - np.sqrt(disc)
+    assert np.abs(terrain.cast(origin, directions) - expected).max() < 2e-3
+
+
+def test_hits_lie_on_rough_ground_and_nothing_is_in_front_of_them():
+    generator = np.random.default_rng(3)
+    terrain = _terrain(lambda x, y: generator.uniform(0.0, 0.6, (401, 401)))
+    origin = np.array([-60.0, 5.0, 38.0])
+    directions = _fan(origin, _targets(generator, 500))
+    ranges = terrain.cast(origin, directions)
+    points = origin + ranges[:, None] * directions
+    surface = terrain.elevation_at(points[:, 0], points[:, 1])
+    assert np.abs(points[:, 2] - surface).max() < 1e-6
+    # Walk the ray in fine steps from above the highest post to just before the hit.
+    backward = np.linspace(1e-6, 1.5, 400)
+    before = points[:, None, :] - backward[None, :, None] * directions[:, None, :]
+    clearance = before[..., 2] - terrain.elevation_at(before[..., 0], before[..., 1])
+    assert clearance.min() > -1e-6
+
+
+def test_block_hides_the_ground_behind_it():
+    terrain = _terrain(lambda x, y: np.where((np.abs(x) < 0.55) & (np.abs(y) < 5.0), 1.0, 0.0))
+    origin = np.array([-np.cos(np.pi / 6), 0.0, np.sin(np.pi / 6)]) * 100.0
+    x = np.linspace(-4.0, 4.0, 801)
+    directions = _fan(origin, np.column_stack([x, 0 * x, 0 * x]))
+    ranges = terrain.cast(origin, directions)
+    points = origin + ranges[:, None] * directions
+    on_ground = points[points[:, 2] < 0.01]
+    # At 30° a block of 1 m casts a shadow of 1.73 m behind its far edge.
+    shadow_end = 0.5 + 1.0 / np.tan(np.pi / 6)
+    assert not np.any((on_ground[:, 0] > -0.5) & (on_ground[:, 0] < shadow_end - 0.1))
+    assert np.any(np.abs(on_ground[:, 0] - shadow_end) < 0.1)
+    assert np.any(points[:, 2] > 0.99)
+
+
+def test_parabola_is_hit_where_its_elevation_says():
+    parabola = Parabola()
+    generator = np.random.default_rng(4)
+    for origin in ([100.0, -100.0, 500.0], [0.0, 0.0, 20.0], [5.0, -5.0, 60.0]):
+        origin = np.array(origin)
+        directions = _fan(origin, _targets(generator, half=55.0))
+        points = origin + parabola.cast(origin, directions)[:, None] * directions
+        np.testing.assert_allclose(
+            points[:, 2], parabola.elevation_at(points[:, 0], points[:, 1]), atol=1e-9
+        )
+        # The surface is convex: from above, a straight line meets it only once.
+        half_way = origin + 0.5 * (points - origin)
+        assert np.all(half_way[:, 2] > parabola.elevation_at(half_way[:, 0], half_way[:, 1]))
+
+
+def test_parabola_straight_down_and_its_dem_agree():
+    parabola = Parabola()
+    down = np.array([[0.0, 0.0, -1.0]])
+    origin = np.array([30.0, 20.0, 100.0])
+    expected = 100.0 - 3e-3 * (30.0**2 + 20.0**2 - 12.0**2)
+    assert parabola.cast(origin, down)[0] == pytest.approx(expected)
+    assert parabola.terrain().cast(origin, down)[0] == pytest.approx(expected, abs=1e-3)
+    assert parabola.elevation_at(11.9, 0.0) == 0.0
+
+
+def test_rays_that_miss_are_nan():
+    terrain = _terrain(lambda x, y: 0.0 * x * y)
+    origin = np.array([0.0, 0.0, 10.0])
+    directions = _fan(origin, [[0.0, 0.0, 0.0], [0.0, 0.0, 20.0], [500.0, 0.0, 0.0], [9, 0, 10]])
+    ranges = terrain.cast(origin, directions)
+    assert ranges[0] == pytest.approx(10.0)
+    assert np.isnan(ranges[1:]).all()
+
+
+def test_the_edge_of_a_dem_is_no_wall():
+    terrain = _terrain(lambda x, y: np.where(np.abs(x + y) < 1.0, 5.0, 3.0))
+    origin = np.array([-30.0, 0.0, 2.0])
+    assert np.isnan(terrain.cast(origin, _fan(origin, [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]))).all()
+
+
+def test_beams_follow_the_lidar_frame():
+    directions = FlashLidar(field_of_view_deg=10.0).directions()
+    assert directions.shape == (128, 128, 3)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1.0)
+    assert directions[64, 0, 0] < 0.0 < directions[64, -1, 0]  # x right
+    assert directions[0, 64, 1] < 0.0 < directions[-1, 64, 1]  # y down
+    width = np.degrees(np.arctan2(directions[64, -1, 0], directions[64, -1, 2]))
+    assert width == pytest.approx(5.0 * 127 / 128)
+
+
+def test_noise_outliers_and_dropouts():
+    parabola = Parabola()
+    position, target = np.array([0.0, 0.0, 100.0]), np.array([10.0, 0.0, 0.0])
+    rotation = look_at(position, target)
+    lidar = FlashLidar(field_of_view_deg=10.0, range_noise=0.08, outliers=0.1, dropouts=0.2)
+    scan = lidar.scan(parabola, position, rotation, np.random.default_rng(5))
+    error = np.linalg.norm(scan, axis=-1) - lidar.true_ranges(parabola, position, rotation)
+    count = error.size
+    lost = np.isnan(error).mean()
+    assert abs(lost - 0.2) < 4.0 * np.sqrt(0.2 * 0.8 / count)
+    error = error[np.isfinite(error)]
+    wrong = np.abs(error) > 0.5
+    assert abs(wrong.mean() - 0.1 * 0.95) < 4.0 * np.sqrt(0.1 * 0.9 / error.size)
+    good = error[~wrong]
+    # A few outliers are smaller than the threshold; the rest is the Gaussian.
+    assert 1.4826 * np.median(np.abs(good)) == pytest.approx(0.08, rel=0.05)
+    assert abs(np.median(good)) < 5e-3

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags and truth files as a reader finds them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.simulation import SimulationError, Terrain, simulate
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def _read(path):
+    """Messages in the order of the bag: (topic, receive time, stamp, message)."""
+    rows = []
+    with Reader(path) as reader:
+        for connection, received, raw in reader.messages():
+            message = STORE.deserialize_cdr(raw, connection.msgtype)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            rows.append((connection.topic, received, stamp, message))
+    return rows
+
+
+def _points(message):
+    return message.data.view("<f4").reshape(message.height, message.width, 3).astype(float)
+
+
+@pytest.fixture(scope="module")
+def hill():
+    axis = np.linspace(-20.0, 20.0, 201)
+    return Terrain(axis, axis, np.exp(-(axis[None, :] ** 2 + axis[:, None] ** 2) / 50.0))
+
+
+@pytest.fixture(scope="module")
+def morpheus(tmp_path_factory, hill):
+    path = tmp_path_factory.mktemp("morpheus") / "bag"
+    result = simulate("morpheus", path, seed=5, duration=1.0, terrain=hill)
+    return result, _read(path), np.load(result.truth_path)
+
+
+def test_messages_look_like_a_recording(morpheus):
+    result, rows, truth = morpheus
+    assert {topic for topic, *_ in rows} == {"/lidar/points", "/nav/pose"}
+    received = [row[1] for row in rows]
+    assert received == sorted(received)
+    assert all(row[1] > row[2] for row in rows)
+    clouds = [row for row in rows if row[0] == "/lidar/points"]
+    poses = [row for row in rows if row[0] == "/nav/pose"]
+    assert len(clouds) == result.scans == 20
+    assert len(poses) == result.poses
+    np.testing.assert_array_equal([row[2] for row in clouds], truth["scan_stamp_ns"])
+    pose_stamps = [row[2] for row in poses]
+    assert not set(pose_stamps) & {row[2] for row in clouds}
+    assert pose_stamps[0] < clouds[0][2]
+    assert clouds[-1][2] < pose_stamps[-1]
+    message = clouds[0][3]
+    assert message.header.frame_id == "lidar"
+    assert (message.height, message.width, message.point_step) == (128, 128, 12)
+    assert [field.name for field in message.fields] == ["x", "y", "z"]
+    assert poses[0][3].header.frame_id == "map"
+
+
+def test_points_lie_on_the_terrain_seen_from_the_true_pose(morpheus, hill):
+    _, rows, truth = morpheus
+    clouds = [row[3] for row in rows if row[0] == "/lidar/points"]
+    errors = []
+    for k in (0, 10, 19):
+        rotation = Rotation.from_quat(truth["scan_quaternion_xyzw"][k]).as_matrix()
+        points = _points(clouds[k]).reshape(-1, 3) @ rotation.T + truth["scan_position"][k]
+        errors.append(points[:, 2] - hill.elevation_at(points[:, 0], points[:, 1]))
+    error = np.concatenate(errors)
+    error = error[np.isfinite(error)]
+    assert abs(error.mean()) < 2e-3
+    # 6 cm along a ray at 30° are 3 cm of height; slopes add a little.
+    assert error.std() == pytest.approx(0.03, rel=0.15)
+
+
+def test_poses_are_near_the_truth_as_their_covariance_says(morpheus):
+    _, rows, truth = morpheus
+    poses = [row[3].pose for row in rows if row[0] == "/nav/pose"]
+    stamps = np.array([row[2] for row in rows if row[0] == "/nav/pose"])
+    positions = np.array([[getattr(p.pose.position, c) for c in "xyz"] for p in poses])
+    between = np.column_stack(
+        [np.interp(truth["scan_stamp_ns"], stamps, positions[:, k]) for k in range(3)]
+    )
+    covariance = poses[0].covariance.reshape(6, 6)
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
+    sigma = np.sqrt(np.diag(covariance)[:3])
+    assert np.all(np.abs(between - truth["scan_position"]) < 4.0 * sigma)
+    for pose in poses:
+        q = pose.pose.orientation
+        assert np.hypot(np.hypot(q.x, q.y), np.hypot(q.z, q.w)) == pytest.approx(1.0)
+
+
+def test_truth_has_the_agreed_arrays(morpheus):
+    _, _, truth = morpheus
+    assert set(truth) == {
+        "x", "y", "elevation", "safe_x", "safe_y", "safe", "box",
+        "scan_stamp_ns", "scan_position", "scan_quaternion_xyzw",
+    }  # fmt: skip
+    assert truth["elevation"].shape == (truth["y"].size, truth["x"].size)
+    assert truth["safe"].shape == (truth["safe_y"].size, truth["safe_x"].size)
+    xmin, xmax, ymin, ymax = truth["box"]
+    assert (truth["safe_x"][0], truth["safe_x"][-1]) == (xmin, xmax)
+    assert (truth["safe_y"][0], truth["safe_y"][-1]) == (ymin, ymax)
+    np.testing.assert_allclose(np.diff(truth["safe_x"]), 0.25)
+    assert truth["safe"].dtype == bool
+
+
+def test_box_was_swept(morpheus):
+    result, rows, truth = morpheus
+    xmin, xmax, ymin, ymax = result.box
+    assert xmax - xmin >= 20.0
+    hits = np.zeros((int(ymax - ymin), int(xmax - xmin)))
+    clouds = [row[3] for row in rows if row[0] == "/lidar/points"]
+    for k, cloud in enumerate(clouds):
+        rotation = Rotation.from_quat(truth["scan_quaternion_xyzw"][k]).as_matrix()
+        points = _points(cloud).reshape(-1, 3) @ rotation.T + truth["scan_position"][k]
+        hits += np.histogram2d(
+            points[:, 1], points[:, 0], bins=hits.shape, range=[[ymin, ymax], [xmin, xmax]]
+        )[0]
+    assert hits.min() > 50
+
+
+def test_parabola_poses_bear_the_stamps_of_the_scans(tmp_path):
+    result = simulate("parabola", tmp_path / "bag", seed=2, duration=3.0, truth=False)
+    rows = _read(tmp_path / "bag")
+    assert result.truth_path is None
+    assert not (tmp_path / "truth.npz").exists()
+    scans = [row[2] for row in rows if row[0] == "/lidar/points"]
+    poses = [row[2] for row in rows if row[0] == "/nav/pose"]
+    assert scans == poses
+    assert len(scans) == 4
+    assert set(np.diff(scans)) == {10**9}
+
+
+def test_same_seed_same_messages(tmp_path, hill):
+    options = {"duration": 1.0, "terrain": hill, "truth": False}
+    bags = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        simulate("descent", tmp_path / name, seed=seed, **options)
+        with Reader(tmp_path / name) as reader:
+            bags.append([(received, bytes(raw)) for _, received, raw in reader.messages()])
+    assert bags[0] == bags[1]
+    assert bags[0] != bags[2]
+
+
+def test_flights_follow_one_another_with_other_errors(tmp_path, hill):
+    result = simulate("descent", tmp_path / "bag", seed=1, duration=1.0, terrain=hill, flights=2)
+    truth = np.load(result.truth_path)
+    count = result.scans // 2
+    assert truth["scan_stamp_ns"].size == 2 * count
+    assert np.all(np.diff(truth["scan_stamp_ns"]) > 0)
+    np.testing.assert_allclose(truth["scan_position"][:count], truth["scan_position"][count:])
+    poses = [row[3].pose.pose.position.x for row in _read(tmp_path / "bag") if "nav" in row[0]]
+    assert poses[0] != poses[len(poses) // 2]
+
+
+def test_existing_bag_is_kept_unless_told_otherwise(tmp_path, hill):
+    options = {"seed": 1, "duration": 1.0, "terrain": hill, "truth": False}
+    simulate("descent", tmp_path / "bag", **options)
+    with pytest.raises(SimulationError, match="exists"):
+        simulate("descent", tmp_path / "bag", **options)
+    simulate("descent", tmp_path / "bag", **options, overwrite=True)
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "thesis.txt").write_text("years of work")
+    with pytest.raises(SimulationError, match="not overwritten"):
+        simulate("descent", tmp_path / "precious", **options, overwrite=True)
+    assert (tmp_path / "precious" / "thesis.txt").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"scenario": "marsrover"},
+        {"duration": 0.0},
+        {"duration": float("nan")},
+        {"outliers": 1.5},
+        {"dropouts": -0.1},
+        {"range_noise": -1.0},
+        {"flights": 0},
+        {"seed": -1},
+        {"terrain": "nowhere.npz"},
+    ],
+)
+def test_options_that_make_no_sense(tmp_path, options):
+    arguments = {"scenario": "descent", "seed": 1, **options}
+    with pytest.raises(SimulationError) as caught:
+        simulate(bag_path=tmp_path / "bag", **arguments)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "bag").exists()
+
+
+def test_progress_counts_every_scan(tmp_path, hill):
+    seen = []
+    simulate(
+        "descent",
+        tmp_path / "bag",
+        seed=1,
+        duration=1.0,
+        terrain=hill,
+        truth=False,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert seen == [(k + 1, 5) for k in range(5)]

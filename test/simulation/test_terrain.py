@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terrain: interpolation, rock sizes, files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadtree_lss.simulation.hazard_field import (
+    HazardField,
+    hazard_field,
+    rock_cover,
+    sample_rock_diameters,
+)
+from quadtree_lss.simulation.terrain import SimulationError, Terrain, load_terrain
+
+SMALL = HazardField(size=30.0)
+
+
+def test_bilinear_surface_is_exact_for_bilinear_functions():
+    x, y = np.linspace(-3.0, 5.0, 17), np.linspace(2.0, 4.0, 9)
+
+    def function(u, v):
+        return 1.0 + 0.3 * u - 0.2 * v + 0.05 * u * v
+
+    terrain = Terrain(x, y, function(x[None, :], y[:, None]))
+    generator = np.random.default_rng(1)
+    u, v = generator.uniform(-3.0, 5.0, 500), generator.uniform(2.0, 4.0, 500)
+    np.testing.assert_allclose(terrain.elevation_at(u, v), function(u, v), atol=1e-12)
+    np.testing.assert_allclose(terrain.elevation_at(x[None, :], y[:, None]), terrain.elevation)
+    assert np.isnan(terrain.elevation_at([-3.01, 0.0], [3.0, 4.01])).all()
+
+
+def test_rocks_cover_the_ground_as_golombek_and_rapp_say():
+    area, k = 4e5, 0.05
+    diameters = sample_rock_diameters(np.random.default_rng(2), area, k, 0.1, 1.0)
+    assert diameters.min() >= 0.1
+    assert diameters.max() <= 1.0
+    for threshold in (0.1, 0.2, 0.4, 0.6):
+        larger = diameters[diameters > threshold]
+        cover = np.pi / 4.0 * np.sum(larger**2) / area
+        expected = float(rock_cover(threshold, k) - rock_cover(1.0, k))
+        spread = np.pi / 4.0 * np.sqrt(np.sum(larger**4)) / area
+        assert abs(cover - expected) < 4.0 * spread
+    assert float(rock_cover(0.0, k)) == pytest.approx(k)
+
+
+def test_field_has_what_was_asked_for():
+    terrain = hazard_field(np.random.default_rng(3), SMALL)
+    assert terrain.elevation.shape == (301, 301)
+    assert terrain.post == pytest.approx((0.1, 0.1))
+    assert np.ptp(terrain.elevation) < 4.0
+    bare = HazardField(size=30.0, rock_abundance=1e-6, piles=0.0, craters=0.0, texture=0.0)
+    smooth = hazard_field(np.random.default_rng(3), bare)
+    slopes = np.degrees(np.arctan(np.hypot(*np.gradient(smooth.elevation, 0.1))))
+    assert slopes.max() < 8.0
+
+
+def test_crater_is_a_bowl_of_the_given_depth_with_a_low_rim():
+    field = HazardField(
+        size=40.0,
+        rock_abundance=1e-6,
+        piles=0.0,
+        craters=1.0 / 1600.0,
+        crater_smallest=4.999,
+        slope_rms_deg=0.0,
+        texture=0.0,
+    )
+    depths, rims = [], []
+    for seed in range(30):
+        z = hazard_field(np.random.default_rng(seed), field).elevation
+        if 0.2 < -z.min() < 0.55:
+            depths.append(-z.min())
+            rims.append(z.max())
+    assert len(depths) > 5
+    assert max(depths) <= 0.5
+    assert max(rims) < 0.25 * max(depths)
+
+
+def test_same_seed_same_field():
+    one, two, other = (hazard_field(np.random.default_rng(s), SMALL).elevation for s in (7, 7, 8))
+    np.testing.assert_array_equal(one, two)
+    assert np.abs(one - other).max() > 0.1
+
+
+def test_dem_file_round_trip(tmp_path):
+    terrain = hazard_field(np.random.default_rng(4), SMALL)
+    path = tmp_path / "dem.npz"
+    np.savez(path, x=terrain.x, y=terrain.y, elevation=terrain.elevation.astype(np.float32))
+    loaded = load_terrain(path)
+    np.testing.assert_allclose(loaded.elevation, terrain.elevation, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "text"),
+    [
+        ({"x": np.arange(3.0), "y": np.arange(4.0)}, "elevation"),
+        ({"x": np.arange(3.0), "y": np.arange(4.0), "elevation": np.zeros((3, 4))}, "shape"),
+        ({"x": -np.arange(3.0), "y": np.arange(4.0), "elevation": np.zeros((4, 3))}, "ascend"),
+        (
+            {"x": np.arange(3.0), "y": np.arange(4.0), "elevation": np.full((4, 3), np.nan)},
+            "finite",
+        ),
+    ],
+)
+def test_bad_dem_is_one_clear_line(tmp_path, arrays, text):
+    path = tmp_path / "dem.npz"
+    np.savez(path, **arrays)
+    with pytest.raises(SimulationError, match=text) as caught:
+        load_terrain(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_file_that_is_no_dem(tmp_path):
+    path = tmp_path / "dem.npz"
+    path.write_text("no")
+    with pytest.raises(SimulationError):
+        load_terrain(path)
+    with pytest.raises(SimulationError, match="not exist"):
+        load_terrain(tmp_path / "nowhere.npz")

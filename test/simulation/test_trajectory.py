@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the lidar flies and looks, and what the navigation makes of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.simulation.navigation import DriftingNavigation, WhiteNavigation
+from quadtree_lss.simulation.trajectory import (
+    NORTH,
+    Sweep,
+    descent_trajectory,
+    look_at,
+    section_vi_trajectory,
+)
+
+
+def test_section_vi_end_conditions():
+    trajectory = section_vi_trajectory()
+    velocity = trajectory.position.derivative()
+    np.testing.assert_allclose(trajectory.position(0.0), [100.0, -100.0, 500.0])
+    np.testing.assert_allclose(velocity(0.0), [-5.0, -5.0, -5.0])
+    np.testing.assert_allclose(trajectory.position(60.0), [0.0, 0.0, 20.0], atol=1e-9)
+    np.testing.assert_allclose(velocity(60.0), 0.0, atol=1e-9)
+    # A cubic: its third derivative is constant.
+    third = trajectory.position.derivative(3)(np.linspace(0.0, 60.0, 7))
+    np.testing.assert_allclose(third, np.broadcast_to(third[0], third.shape))
+
+
+def test_section_vi_boresight_points_at_the_target():
+    times = np.arange(61.0)
+    positions, rotations = section_vi_trajectory().poses(times)
+    boresight = rotations[:, :, 2]
+    at_ground = positions - boresight * (positions[:, 2] / boresight[:, 2])[:, None]
+    np.testing.assert_allclose(at_ground, np.broadcast_to([10.0, 0.0, 0.0], (61, 3)), atol=1e-9)
+
+
+def test_look_at_is_an_upright_optical_frame():
+    generator = np.random.default_rng(1)
+    positions = generator.normal(0.0, 50.0, (200, 3)) + [0.0, 0.0, 300.0]
+    targets = generator.normal(0.0, 20.0, (200, 3))
+    rotations = look_at(positions, targets)
+    identity = np.broadcast_to(np.eye(3), rotations.shape)
+    np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), identity, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
+    np.testing.assert_allclose(rotations[:, 2, 0], 0.0, atol=1e-12)  # x level
+    assert np.all(rotations[:, 2, 1] < 0.0)  # y down
+
+
+def test_look_straight_down():
+    rotation = look_at([3.0, 4.0, 50.0], [3.0, 4.0, 0.0])
+    np.testing.assert_allclose(rotation, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
+    np.testing.assert_allclose(look_at([3.0, 4.0, 50.0], [3.0, 4.0, 0.0], NORTH), rotation)
+
+
+def test_descent_comes_down_braking():
+    trajectory = descent_trajectory([5.0, -3.0, 1.0], 30.0)
+    positions, rotations = trajectory.poses(np.linspace(0.0, 30.0, 61))
+    assert positions[0, 2] == pytest.approx(201.0)
+    np.testing.assert_allclose(positions[-1], [5.0, -3.0, 51.0])
+    assert np.all(np.diff(positions[:, 2]) < 0.0)
+    steps = np.linalg.norm(
+        Rotation.from_matrix(rotations[:-1].transpose(0, 2, 1) @ rotations[1:]).as_rotvec(), axis=1
+    )
+    assert np.degrees(steps.max()) < 1.0  # no spin of the image near the vertical
+
+
+@pytest.mark.parametrize(("half", "duration", "reverse"), [(30.0, 20.0, False), (10.0, 2.0, True)])
+def test_sweep_covers_its_box_with_margin(half, duration, reverse):
+    sweep = Sweep((0.0, 0.0, 0.0), half, half, duration, 1.0, reverse=reverse)
+    times = np.arange(0.0, duration, 0.05)
+    positions, rotations = sweep.trajectory().poses(times)
+    assert np.linalg.norm(positions[0]) == pytest.approx(450.0)
+    assert np.degrees(np.arcsin(positions[0, 2] / 450.0)) == pytest.approx(30.0)
+    # A point is seen if both its angles are within half a degree of the boresight.
+    axis = np.linspace(-half - 1.9, half + 1.9, 60)
+    ground = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    ground = np.column_stack([ground, np.zeros(len(ground))])
+    times_seen = np.zeros(len(ground), int)
+    for position, rotation in zip(positions, rotations, strict=True):
+        local = (ground - position) @ rotation
+        angles = np.degrees(np.arctan2(local[:, :2], local[:, 2:]))
+        times_seen += np.all(np.abs(angles) < 0.5, axis=1)
+    assert times_seen.min() >= 1
+
+
+def test_sweep_turns_smoothly():
+    sweep = Sweep((0.0, 0.0, 0.0), 30.0, 30.0, 20.0, 1.0)
+    _, rotations = sweep.trajectory().poses(np.arange(0.0, 20.0, 0.01))
+    turn = Rotation.from_matrix(rotations[:-1].transpose(0, 2, 1) @ rotations[1:]).as_rotvec()
+    assert np.degrees(np.abs(turn).max()) < 0.05  # within 10 ms
+    assert np.degrees(np.abs(np.diff(turn, axis=0)).max()) < 0.01
+
+
+def _errors(estimate, positions, rotations):
+    tilt = Rotation.from_matrix(estimate.rotations @ rotations.transpose(0, 2, 1)).as_rotvec()
+    return np.hstack([estimate.positions - positions, tilt])
+
+
+def _truth(count, generator):
+    positions = generator.normal(0.0, 100.0, (count, 3))
+    return positions, Rotation.random(count, random_state=3).as_matrix()
+
+
+def test_white_navigation_has_the_covariance_it_claims():
+    generator = np.random.default_rng(2)
+    positions, rotations = _truth(20_000, generator)
+    estimate = WhiteNavigation().estimate(generator, np.arange(20_000.0), positions, rotations)
+    errors = _errors(estimate, positions, rotations)
+    sigma = np.sqrt(np.diag(estimate.covariance))
+    np.testing.assert_allclose(sigma, [0.5] * 3 + [np.radians(0.01)] * 3)
+    normalised = errors / sigma
+    np.testing.assert_allclose(normalised.T @ normalised / len(errors), np.eye(6), atol=0.05)
+    assert np.abs((normalised[1:] * normalised[:-1]).mean(axis=0)).max() < 0.03
+
+
+def test_drifting_navigation_is_biased_slow_and_conservative():
+    times = np.arange(0.0, 20.0, 0.1)
+    generator = np.random.default_rng(4)
+    positions, rotations = _truth(times.size, generator)
+    navigation = DriftingNavigation()
+    errors, claimed = [], None
+    for _ in range(300):
+        estimate = navigation.estimate(generator, times, positions, rotations)
+        errors.append(_errors(estimate, positions, rotations)[::20])
+        claimed = np.sqrt(np.diag(estimate.covariance))
+    errors = np.array(errors)
+    actual = np.sqrt(np.square(errors).mean(axis=(0, 1)))
+    np.testing.assert_allclose(claimed / actual, 2.0, rtol=0.2)
+    # What changes within a flight is much less than what stays.
+    assert np.all(errors.std(axis=1).mean(axis=0) < 0.5 * actual)
+    # The drift forgets with the correlation time: increments over 2 s of a 10 s process.
+    steps = np.diff(errors, axis=1).std(axis=(0, 1))[:3]
+    expected = navigation.position_drift * np.sqrt(2.0 * (1.0 - np.exp(-0.2)))
+    np.testing.assert_allclose(steps, expected, rtol=0.1)
