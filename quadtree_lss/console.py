@@ -19,6 +19,7 @@ class ProgressBar:
         self._bar = tqdm(
             desc=what,
             unit=unit,
+            total=1,  # until `update` tells; None cannot be formatted
             file=sys.stderr,
             leave=False,
             disable=not wants_progress(verbose),

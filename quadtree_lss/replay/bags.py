@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 import yaml
 import zstandard
@@ -24,7 +24,9 @@ from rosbags.rosbag2 import Reader as Ros2Reader
 
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.replay.rescue import Extent, RawMessage, RescuedMcap, RescuedSqlite
+from quadtree_lss.replay.rescue import Extent, RawMessage, RescuedMcap
+from quadtree_lss.replay.rescue_ros1 import RescuedRos1
+from quadtree_lss.replay.rescue_sqlite import RescuedSqlite
 from quadtree_lss.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, typestore
 
 __all__ = [
@@ -58,6 +60,16 @@ class Topic:
     count: int
 
 
+class _Rescue(Protocol):
+    """A reader for files that rosbags cannot read, or not to their end."""
+
+    losses: list[str]
+
+    def extent(self) -> Extent: ...
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]: ...
+
+
 class _Part:
     """One file of a bag: healthy by rosbags' reader, otherwise rescued."""
 
@@ -65,16 +77,16 @@ class _Part:
         self.path = path
         self.ros1 = path.suffix == ".bag"
         self._reader: Any = None
-        self._rescue: RescuedMcap | RescuedSqlite | None = None
+        self._rescue: _Rescue | None = None
         try:
             reader = Ros1Reader(path) if self.ros1 else Ros2Reader(path)
             self._reader = stack.enter_context(reader)
             self.extent = _extent(reader)
         except PermissionError:
             raise
-        except Exception as error:  # rosbags raises nearly anything on damaged files
+        except Exception:  # rosbags raises nearly anything on damaged files
             self._reader = None
-            self._rescue = self._rescuer(error)
+            self._rescue = self._rescuer()
             self.extent = self._rescue.extent()
 
     @property
@@ -98,8 +110,8 @@ class _Part:
                     at_last[connection.topic] += 1
                     yield RawMessage(connection.topic, received, raw)
                 return
-            except Exception as error:  # as above
-                self._rescue = self._rescuer(error)
+            except Exception:  # as above
+                self._rescue = self._rescuer()
         assert self._rescue is not None
         for message in self._rescue.messages(topics):
             if not last <= message.received_ns < stop_ns:
@@ -109,13 +121,13 @@ class _Part:
                 continue
             yield message
 
-    def _rescuer(self, error: Exception) -> RescuedMcap | RescuedSqlite:
-        if self.path.suffix == ".mcap":
-            return RescuedMcap(self.path)
-        if self.path.suffix == ".db3":
-            return RescuedSqlite(self.path)
-        msg = f"{self.path}: cannot be read: {_line(error)}"
-        raise BagError(msg) from None
+    def _rescuer(self) -> _Rescue:
+        kinds: dict[str, Callable[[Path], _Rescue]] = {
+            ".mcap": RescuedMcap,
+            ".db3": RescuedSqlite,
+            ".bag": RescuedRos1,
+        }
+        return kinds[self.path.suffix](self.path)
 
 
 def _extent(reader: Any) -> Extent:

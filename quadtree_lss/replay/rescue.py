@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can still be read of a damaged recording.
+"""What can still be read of a damaged mcap file.
 
-An mcap file is walked record by record from its beginning, since the index at its end may be
-missing; a damaged or cut chunk costs no more than itself. A sqlite3 file is asked for its rows
-one by one. Both list in ``losses`` what was lost.
+It is walked record by record from its beginning, since the index at its end may be missing; a
+damaged or cut chunk costs no more than itself. ``losses`` lists what was lost.
 """
 
 from __future__ import annotations
 
-import sqlite3
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -47,6 +45,16 @@ class Extent(NamedTuple):
     end_ns: int
 
 
+def count_messages(messages: Iterable[RawMessage]) -> tuple[dict[str, int], int, int]:
+    """Messages by topic, first and last time of reception."""
+    counts: dict[str, int] = {}
+    start, end = 2**63 - 1, 0
+    for message in messages:
+        counts[message.topic] = counts.get(message.topic, 0) + 1
+        start, end = min(start, message.received_ns), max(end, message.received_ns)
+    return counts, start, end
+
+
 class RescuedMcap:
     """An mcap file read without its index; use `messages` alone or after `extent`."""
 
@@ -58,11 +66,7 @@ class RescuedMcap:
 
     def extent(self) -> Extent:
         """Topics, numbers of messages and times, by reading the whole file once."""
-        counts: dict[str, int] = {}
-        start, end = 2**63 - 1, 0
-        for message in self.messages():
-            counts[message.topic] = counts.get(message.topic, 0) + 1
-            start, end = min(start, message.received_ns), max(end, message.received_ns)
+        counts, start, end = count_messages(self.messages())
         types = {
             c.topic: self._schemas[c.schema_id].name
             for c in self._channels.values()
@@ -176,64 +180,3 @@ def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
             raise EOFError(msg)
         yield opcode, data[offset : offset + length]
         offset += length
-
-
-class RescuedSqlite:
-    """A rosbag2 sqlite3 file read row by row, leaving out the rows that cannot be read."""
-
-    MISSES_IN_A_ROW = 10_000
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.losses: list[str] = []
-
-    def extent(self) -> Extent:
-        """Topics, numbers of messages and times, by reading the whole file once."""
-        types = {name: kind for name, kind in self._topics().values()}
-        counts: dict[str, int] = {}
-        start, end = 2**63 - 1, 0
-        for message in self.messages():
-            counts[message.topic] = counts.get(message.topic, 0) + 1
-            start, end = min(start, message.received_ns), max(end, message.received_ns)
-        return Extent(types, counts, start, end)
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Readable messages in the order in which they were written; None for all topics."""
-        self.losses = []
-        names = self._topics()
-        database = self._open()
-        try:
-            row, missing, failed, error = 0, 0, 0, ""
-            while missing < self.MISSES_IN_A_ROW:
-                row += 1
-                query = "SELECT topic_id, timestamp, data FROM messages WHERE id = ?"
-                try:
-                    found = database.execute(query, (row,)).fetchone()
-                except sqlite3.Error as problem:
-                    found, failed, error = None, failed + 1, str(problem)
-                if found is None:
-                    missing += 1
-                    continue
-                missing = 0
-                name, _ = names.get(found[0], ("", ""))
-                if name and (topics is None or name in topics):
-                    yield RawMessage(name, found[1], found[2])
-            if failed:
-                self.losses.append(f"{self.path.name}: rows that cannot be read: {error}")
-        finally:
-            database.close()
-
-    def _open(self) -> sqlite3.Connection:
-        uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
-        return sqlite3.connect(uri, uri=True)
-
-    def _topics(self) -> dict[int, tuple[str, str]]:
-        database = self._open()
-        try:
-            rows = database.execute("SELECT id, name, type FROM topics").fetchall()
-        except sqlite3.Error as error:
-            self.losses.append(f"{self.path.name}: {error}")
-            return {}
-        finally:
-            database.close()
-        return {number: (name, kind) for number, name, kind in rows}

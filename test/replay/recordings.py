@@ -97,9 +97,12 @@ def write_ros2(path, *, plugin="mcap", compression=None, **options):
     return path
 
 
-def write_ros1(path, **options):
-    """A ROS 1 bag file."""
-    with Ros1Writer(path) as writer:
+def write_ros1(path, *, compression="", **options):
+    """A ROS 1 bag file; compression BZ2 or LZ4."""
+    writer = Ros1Writer(path)
+    if compression:
+        writer.set_compression(Ros1Writer.CompressionFormat[compression])
+    with writer:
         flight(Recorder(writer, ros1=True), **options)
     return path
 

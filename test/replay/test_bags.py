@@ -100,6 +100,18 @@ def test_what_is_there_of_a_truncated_mcap_is_read(tmp_path, reference, share, s
     assert any("truncated" in loss for loss in losses)
 
 
+@pytest.mark.parametrize("share", [0.75, 0.95])
+@pytest.mark.parametrize("compression", ["", "BZ2", "LZ4"])
+def test_what_is_there_of_a_truncated_ros1_bag_is_read(tmp_path, share, compression):
+    path = write_ros1(tmp_path / "flight.bag", scans=200, compression=compression)
+    whole, _ = content(path)
+    contained = path.read_bytes()
+    path.write_bytes(contained[: int(share * len(contained))])
+    found, losses = content(path)
+    assert found == whole[: len(found)] and losses
+    assert len(found) > 0.5 * share * len(whole)
+
+
 def test_damage_within_a_chunk_costs_no_more_than_that(tmp_path):
     path = tmp_path / "bag"
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag to a results folder: contract of the files, determinism, counts, damage."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from replay.recordings import (
+    CLOUD,
+    POSE,
+    SECOND,
+    START,
+    Recorder,
+    flight,
+    storage_file,
+    write_ros2,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.core.config import config_from_values
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.messages.intake import Intake
+from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
+from quadtree_lss.replay.replay import ReplayError, replay
+
+CONFIG = config_from_values(
+    {
+        "domain.xmin": -16.0,
+        "domain.ymin": -16.0,
+        "domain.size": 32.0,
+        "domain.min_level": 3,
+        "domain.max_level": 6,
+        "lidar.range_noise": 0.03,
+        "lidar.outlier_gate": 0.0,
+        "lss.max_gap": 3.0,
+    }
+)
+FILES = {"sites.csv", "cells.npz", "grid.npz", "timing.csv", "summary.json", "config.yaml"}
+SUMMARY = {
+    "scans",
+    "scans_dropped",
+    "points",
+    "points_dropped",
+    "leaves",
+    "map_ms_median",
+    "map_ms_p99",
+    "lss_ms",
+    "real_time_factor",
+    "peak_memory_mb",
+    "versions",
+    "config",
+}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return write_ros2(tmp_path_factory.mktemp("bag") / "bag")
+
+
+@pytest.fixture(scope="module")
+def result(bag, tmp_path_factory):
+    return replay(bag, tmp_path_factory.mktemp("out"), CONFIG, report=True)
+
+
+def columns(path):
+    with open(path, newline="") as file:
+        rows = list(csv.reader(file))
+    return rows[0], rows[1:]
+
+
+def arrays(path):
+    with np.load(path, allow_pickle=False) as content:
+        return {name: content[name] for name in content.files}
+
+
+def same(first, second):
+    assert first.keys() == second.keys()
+    for name, array in first.items():
+        assert array.dtype == second[name].dtype
+        np.testing.assert_array_equal(array, second[name])
+
+
+def test_the_folder_holds_the_files_and_nothing_else(result):
+    names = {p.name for p in result.out.iterdir()}
+    assert names == FILES | {"report.html", "figures"}
+    figures = {p.name for p in (result.out / "figures").iterdir()}
+    assert figures == {"elevation.png", "slope.png", "hazards.png", "score.png", "timing.png"}
+
+
+def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
+    cells = arrays(result.out / "cells.npz")
+    m = len(cells["level"])
+    shapes = {name: array.shape for name, array in cells.items()}
+    flat = "level ix iy x y size z nx ny nz count measured roughness exception_fraction".split()
+    expected = dict.fromkeys(flat, (m,))
+    expected |= {"covariance": (m, 3, 3), "feature": (m, 5), "domain": (5,)}
+    assert shapes == expected
+    assert cells["measured"].dtype == np.bool_
+    np.testing.assert_array_equal(cells["domain"], [-16.0, -16.0, 32.0, 3, 6])
+    np.testing.assert_allclose(cells["size"], 32.0 / 2.0 ** cells["level"])
+    np.testing.assert_allclose(cells["x"], -16.0 + (cells["ix"] + 0.5) * cells["size"])
+    assert np.sum(cells["size"] ** 2) == pytest.approx(32.0**2)
+    known = cells["measured"] & np.isfinite(cells["z"])
+    assert known.sum() > 20
+    np.testing.assert_allclose(cells["z"][known], 0.05 * cells["x"][known], atol=0.1)
+    normal = np.column_stack([cells[n][known] for n in ("nx", "ny", "nz")])
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0)
+    assert (normal[:, 2] > 0.0).all()
+
+
+def test_grid_holds_the_contract(result):
+    grid = arrays(result.out / "grid.npz")
+    shape = (len(grid["y"]), len(grid["x"]))
+    for name in ("elevation", "slope_deg", "hazard", "safe", "score"):
+        assert grid[name].shape == shape
+    assert grid["hazard"].dtype == np.uint8 and grid["safe"].dtype == np.bool_
+    np.testing.assert_allclose(np.diff(grid["x"]), CONFIG.lss.grid_spacing)
+    assert grid["x"][0] == grid["y"][0] == -16.0
+    assert not grid["safe"][(grid["hazard"] & 128) > 0].any()
+    assert np.isnan(grid["score"][~grid["safe"]]).all()
+
+
+def test_tables_hold_the_contract(result):
+    header, rows = columns(result.out / "sites.csv")
+    names = "rank,x,y,z,nx,ny,nz,score,slope_deg,roughness,hazard_distance,subscale_height"
+    assert ",".join(header) == names
+    assert [int(row[0]) for row in rows] == list(range(1, len(rows) + 1))
+    scores = [float(row[7]) for row in rows]
+    assert scores == sorted(scores) and len(rows) >= 1
+    header, rows = columns(result.out / "timing.csv")
+    assert ",".join(header) == "stamp_ns,points,points_used,leaves,divisions,map_ms"
+    assert [int(row[0]) for row in rows] == [
+        START + k * SECOND // 10 + SECOND // 50 for k in range(10)
+    ]
+
+
+def test_summary_holds_the_contract(result):
+    summary = json.loads((result.out / "summary.json").read_text())
+    assert set(summary) >= SUMMARY
+    assert summary["scans"] == 10 and sum(summary["scans_dropped"].values()) == 0
+    assert summary["points"] == 10 * 24 * 24
+    assert summary["config"]["domain.size"] == 32.0
+    assert load_config([result.out / "config.yaml"]) == CONFIG
+
+
+def test_the_report_needs_no_other_file(result):
+    page = (result.out / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 5
+    assert "http" not in page and "domain.size" in page and "Ranked sites" in page
+
+
+def test_the_same_bag_gives_bit_identical_results(bag, result, tmp_path):
+    again = replay(bag, tmp_path, CONFIG, report=False)
+    for name in ("cells.npz", "grid.npz"):
+        same(arrays(result.out / name), arrays(tmp_path / name))
+    assert (tmp_path / "sites.csv").read_bytes() == (result.out / "sites.csv").read_bytes()
+    assert again.summary["points_dropped"] == result.summary["points_dropped"]
+
+
+def test_it_is_the_map_that_the_messages_give_one_by_one(bag, result):
+    mapper, intake = Mapper(CONFIG), Intake(CONFIG)
+    with Bag(bag) as opened:
+        for message in opened.messages([SCAN_TOPIC, POSE_TOPIC]):
+            if message.topic == SCAN_TOPIC:
+                intake.on_cloud(opened.decode(message.raw, CLOUD), 0)
+            else:
+                intake.on_pose(opened.decode(message.raw, POSE))
+    for scan in intake.ready(0):  # asked once at the end, instead of after each message
+        mapper.update(scan.points_lidar, scan.pose)
+    cells = arrays(result.out / "cells.npz")
+    np.testing.assert_array_equal(cells["z"], mapper.snapshot().z)
+
+
+def test_without_report_an_old_one_does_not_stay(bag, tmp_path):
+    replay(bag, tmp_path, CONFIG, duration=0.5)
+    assert (tmp_path / "report.html").exists()
+    replay(bag, tmp_path, CONFIG, report=False)
+    assert not (tmp_path / "report.html").exists()
+    assert not list((tmp_path / "figures").iterdir())
+
+
+def test_a_part_of_the_bag(bag, tmp_path):
+    seen = []
+    part = replay(
+        bag,
+        tmp_path,
+        CONFIG,
+        start=0.3,
+        duration=0.4,
+        report=False,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert 2 <= part.summary["scans"] <= 4
+    first, last = part.timings[0].stamp_ns, part.timings[-1].stamp_ns
+    assert START + 0.3 * SECOND <= first <= last < START + 0.7 * SECOND
+    assert seen[-1][0] == seen[-1][1] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    "limits", [{"start": -1.0}, {"start": 1e4}, {"start": float("nan")}, {"duration": 0.0}]
+)
+def test_parts_that_are_none(bag, tmp_path, limits):
+    with pytest.raises(ReplayError, match="--"):
+        replay(bag, tmp_path / "out", CONFIG, report=False, **limits)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_truncated_bag_is_mapped_as_far_as_it_goes(tmp_path):
+    path = write_ros2(tmp_path / "bag", scans=20)
+    whole = replay(path, tmp_path / "whole", CONFIG, report=False)
+    file = storage_file(path)
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    part = replay(path, tmp_path / "part", CONFIG, report=False)
+    assert part.losses and part.summary["losses"]
+    n = part.summary["scans"]
+    assert 5 <= n < whole.summary["scans"]
+    stamps = [row.stamp_ns for row in whole.timings[:n]]
+    assert [row.stamp_ns for row in part.timings] == stamps
+
+
+def test_unusable_messages_are_counted_and_the_rest_is_mapped(tmp_path):
+    path = tmp_path / "bag"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        recorder = Recorder(writer)
+        flight(recorder)
+        bad = recorder.cloud(START + SECOND, np.ones((2, 2, 3)))
+        bad.row_step = 3
+        recorder.write(SCAN_TOPIC, bad, CLOUD, START + SECOND)
+        wrong = recorder.pose(START + SECOND, (0, 0, 0), frame="odom")
+        recorder.write(POSE_TOPIC, wrong, POSE, START + SECOND)
+        writer.write(recorder.connections[SCAN_TOPIC], START + SECOND, b"\x00\x01\x00\x00junk")
+    result = replay(path, tmp_path / "out", CONFIG, report=False)
+    assert result.summary["scans"] == 10
+    assert result.summary["scans_dropped"] == {"cloud_size": 1, "cloud_encoding": 1}
+    assert result.summary["messages_rejected"]["pose_frame"] == 1
+    assert any("odom" in line for line in result.warnings)
+
+
+def test_a_bag_of_which_no_scan_finds_a_pose_says_why(tmp_path):
+    config = config_from_values({"frames.map": "planet"}, CONFIG)
+    path = write_ros2(tmp_path / "bag", scans=3)
+    with pytest.raises(ReplayError, match="'map', expected 'planet'") as caught:
+        replay(path, tmp_path / "out", config, report=False)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_map_without_a_safe_site_is_a_result(bag, tmp_path):
+    config = config_from_values({"lss.max_gap": 0.0}, CONFIG)
+    result = replay(bag, tmp_path, config)
+    assert not len(result.assessment.sites.score)
+    assert columns(tmp_path / "sites.csv")[1] == []
+    assert "No safe site" in (tmp_path / "report.html").read_text()
+
+
+def test_no_bag_and_a_folder_that_cannot_be_made(bag, tmp_path):
+    with pytest.raises(BagError, match="no such bag"):
+        replay(tmp_path / "none", tmp_path / "out", CONFIG)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ReplayError, match="file"):
+        replay(bag, tmp_path / "file" / "out", CONFIG)
