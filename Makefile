@@ -36,30 +36,33 @@ help:
 setup: $(PACKAGE)
 
 $(VENV)/.dependencies-wheels: setup.py constraints.txt
-	rm -rf $(VENV)
-	$(PYTHON) -m venv $(VENV)
-	$(PIP) install --quiet -c constraints.txt setuptools wheel
-	$(PIP) install --quiet -c constraints.txt --no-build-isolation '.[wheels,test]'
-	touch $@
+	@echo 'installing dependencies and ROS 2 Jazzy wheels into .venv (about a minute)'
+	@rm -rf $(VENV)
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) install --quiet -c constraints.txt setuptools wheel
+	@$(PIP) install --quiet -c constraints.txt --no-build-isolation '.[wheels,test]'
+	@touch $@
 
 # With a sourced ROS its own NumPy must stay: message classes are compiled against it.
 $(VENV)/.dependencies-sourced: setup.py
-	rm -rf $(VENV)
-	$(PYTHON) -m venv --system-site-packages $(VENV)
-	$(PYTHON) -c 'import numpy; print("numpy==" + numpy.__version__)' > $(VENV)/ros-constraints.txt
-	$(PIP) install --quiet -c $(VENV)/ros-constraints.txt 'setuptools>=61' wheel
-	$(PIP) install --quiet -c $(VENV)/ros-constraints.txt --no-build-isolation '.[test]'
-	touch $@
+	@echo "installing dependencies into .venv, beside ROS 2 $$ROS_DISTRO"
+	@rm -rf $(VENV)
+	@$(PYTHON) -m venv --system-site-packages $(VENV)
+	@$(PYTHON) -c 'import numpy; print("numpy==" + numpy.__version__)' > $(VENV)/ros-constraints.txt
+	@$(PIP) install --quiet -c $(VENV)/ros-constraints.txt 'setuptools>=61' wheel
+	@$(PIP) install --quiet -c $(VENV)/ros-constraints.txt --no-build-isolation '.[test]'
+	@touch $@
 
 # Not editable: an editable install has no launch files, configurations or ament index entry.
 $(PACKAGE): $(DEPENDENCIES) $(SOURCES)
-	rm -rf build quadtree_lss.egg-info
-	$(PIP) install --quiet --no-build-isolation --no-deps --force-reinstall .
-	rm -rf build quadtree_lss.egg-info
-	touch $@
+	@echo 'installing quadtree_lss into .venv'
+	@rm -rf build quadtree_lss.egg-info
+	@$(PIP) install --quiet --no-build-isolation --no-deps --force-reinstall .
+	@rm -rf build quadtree_lss.egg-info
+	@touch $@
 
 demo: setup
-	$(BIN)/python -m quadtree_lss.ros.demo --out demo_output
+	@$(BIN)/python -m quadtree_lss.ros.demo --out demo_output
 
 test: setup
 	$(BIN)/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS)

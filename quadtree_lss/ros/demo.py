@@ -108,7 +108,7 @@ def run_live(
 def cell_differences(one: Path, other: Path) -> dict[str, float]:
     """Largest absolute difference of each array of two ``cells.npz``; NaN equals NaN.
 
-    Infinite where shapes, types of kind or places of NaN differ.
+    Infinite where shapes or places of NaN differ.
     """
     result = {}
     with np.load(one) as a, np.load(other) as b:
@@ -149,7 +149,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 def print_sites(rows: Sequence[dict[str, str]]) -> None:
     """The ranked sites as a table."""
     print("\n rank       x       y       z   score  slope  roughness  hazard  subscale")
-    print("            m       m       m             deg          m       m         m")
+    print("            m       m       m             deg        m^3       m         m")
     for row in rows:
         v = {name: float(value) for name, value in row.items()}
         print(

@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
@@ -58,6 +58,7 @@ class Listener:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep_status, profile)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._stop = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
 
     def __enter__(self) -> Listener:
@@ -70,9 +71,10 @@ class Listener:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._context.try_shutdown()
+        self._stop.set()
         self._thread.join(5.0)
         self._executor.shutdown()
+        self._context.try_shutdown()
 
     def stamp(self, topic: str) -> int | None:
         """Stamp of the newest message in ns, None if there is none."""
@@ -105,8 +107,5 @@ class Listener:
             self._changed.notify_all()
 
     def _spin(self) -> None:
-        try:
-            while self._context.ok():
-                self._executor.spin_once(timeout_sec=0.2)
-        except ExternalShutdownException:
-            return
+        while not self._stop.is_set():
+            self._executor.spin_once(timeout_sec=0.2)

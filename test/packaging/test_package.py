@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The installed package is what ROS and pip expect, and the same as the checkout."""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import importlib.util
+import os
+import re
+import stat
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS
+
+ROOT = Path(__file__).parents[2]
+PREFIX = Path(sys.prefix)
+SHARE = PREFIX / "share" / "quadtree_lss"
+NODES = ("mapping_node", "lss_node")
+EXECUTABLES = (*NODES, "replay_bag", "simulate", "evaluate")
+
+needs_rclpy = pytest.mark.skipif(
+    importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed"
+)
+
+
+def test_installed_files_are_those_of_the_checkout():
+    spec = importlib.util.find_spec("quadtree_lss")
+    assert spec is not None and spec.origin is not None
+    installed = Path(spec.origin).parent
+    for source in sorted((ROOT / "quadtree_lss").rglob("*.py")):
+        copy = installed / source.relative_to(ROOT / "quadtree_lss")
+        assert copy.read_bytes() == source.read_bytes(), f"{copy} is stale: make setup"
+    for folder, pattern in (("launch", "*.launch.py"), ("config", "*.yaml")):
+        names = {path.name for path in (ROOT / folder).glob(pattern)}
+        assert names and names == {path.name for path in (SHARE / folder).iterdir()}
+
+
+@needs_rclpy
+def test_ament_index_knows_the_package(monkeypatch):
+    packages = pytest.importorskip("ament_index_python.packages")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(PREFIX))
+    assert Path(packages.get_package_prefix("quadtree_lss")) == PREFIX
+    assert Path(packages.get_package_share_directory("quadtree_lss")) == SHARE
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_executable_is_found_by_ros_and_helps(name, tmp_path):
+    if name in NODES:
+        pytest.importorskip("rclpy")
+    path = PREFIX / "lib" / "quadtree_lss" / name
+    assert path.stat().st_mode & stat.S_IXUSR
+    env = {**os.environ, "ROS_LOG_DIR": str(tmp_path)}
+    done = subprocess.run([path, "--help"], env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "usage" in done.stdout
+    if name in NODES:
+        assert "domain.max_level" in done.stdout
+
+
+def test_manifest_has_what_colcon_and_rosdep_read():
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert manifest.get("format") == "3"
+    text = {tag: manifest.findtext(tag) for tag in ("name", "version", "license", "description")}
+    assert all(text.values())
+    assert text["version"] == importlib.metadata.version("quadtree_lss")
+    maintainer = manifest.find("maintainer")
+    assert maintainer is not None
+    assert re.fullmatch(r"[\w.+-]+@[\w-]+\.[\w.-]+", maintainer.get("email", ""))
+    assert manifest.findtext("export/build_type") == "ament_python"
+
+
+def test_manifest_names_every_ros_package_that_is_imported():
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    depends = {item.text for item in manifest.findall("exec_depend")}
+    ours = [*(ROOT / "quadtree_lss" / "ros").glob("*.py"), *(ROOT / "launch").glob("*.py")]
+    imported = {name for path in ours for name in _imports(path)}
+    of_ros = {n for n in imported if n.endswith(("_msgs", "_interfaces")) or n == "rclpy"}
+    of_ros |= imported & {"launch", "launch_ros"}
+    assert of_ros and of_ros <= depends, f"package.xml lacks {of_ros - depends}"
+
+
+def test_only_the_ros_package_imports_ros():
+    for path in sorted((ROOT / "quadtree_lss").rglob("*.py")):
+        inside = "ros" in path.relative_to(ROOT / "quadtree_lss").parts
+        names = {n for n in _imports(path) if n == "rclpy" or n.endswith("_msgs")}
+        assert inside or not names, f"{path} imports {names}"
+
+
+def _imports(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+def test_launch_file_starts_both_nodes_with_its_arguments():
+    path = SHARE / "launch" / "quadtree_lss.launch.py"
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert functions == {"generate_launch_description"}
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+
+    def first_words(name: str) -> set[str]:
+        return {
+            call.args[0].value
+            for call in calls
+            if isinstance(call.func, ast.Name) and call.func.id == name
+            if call.args and isinstance(call.args[0], ast.Constant)
+        }
+
+    declared = first_words("DeclareLaunchArgument")
+    assert declared == {"params_file", "namespace", "use_sim_time", "lidar_points", "nav_pose"}
+    assert first_words("LaunchConfiguration") == declared
+    started = {
+        keyword.value.value
+        for call in calls
+        if isinstance(call.func, ast.Name) and call.func.id == "Node"
+        for keyword in call.keywords
+        if keyword.arg == "executable" and isinstance(keyword.value, ast.Constant)
+    }
+    assert started == set(NODES)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)
+def test_shipped_configurations_are_valid(path):
+    load_config([SHARE / "config" / path.name])
+
+
+@pytest.mark.parametrize(
+    ("document", "fields"),
+    [("map_cells.md", CELL_FIELDS), ("landing_site_table.md", SITE_FIELDS)],
+)
+def test_every_field_is_documented_with_its_type(document, fields):
+    kinds = {"f4": "float32", "f8": "float64", "u1": "uint8", "u2": "uint16", "u4": "uint32"}
+    text = (ROOT / "msg_docs" / document).read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (\w+) \|", text, flags=re.MULTILINE)
+    assert rows == [(name, kinds[kind]) for name, kind in fields]

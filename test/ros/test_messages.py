@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arrays to messages and back; counting and limiting what goes out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from ros_scene import COVARIANCE, POSITION, ROTATION, events
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.messages.maps import CELL_FIELDS, MapMessageError, round_trip
+from quadtree_lss.ros.messages import (
+    cloud_message,
+    cloud_records,
+    grid_message,
+    header_message,
+    map_from_messages,
+    map_messages,
+)
+from quadtree_lss.ros.player import PlayError, play
+from quadtree_lss.ros.problems import Problems
+from quadtree_lss.ros.rate_limit import ChangePublisher
+
+pytestmark = pytest.mark.xdist_group("ros")
+
+
+@pytest.fixture(scope="module")
+def cells():
+    """A map of two scans, Morpheus configuration."""
+    mapper = Mapper(load_config(["morpheus"]))
+    for event in events(2):
+        if event.points_lidar is not None:
+            pose = Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE)
+            mapper.update(event.points_lidar, pose)
+    return mapper.snapshot()
+
+
+def test_map_survives_the_wire_as_it_survives_encoding(cells):
+    cloud, grid = map_messages(cells, "map")
+    cloud = deserialize_message(serialize_message(cloud), PointCloud2)
+    live, offline = map_from_messages(cloud, grid), round_trip(cells)
+    assert live.stamp_ns == cells.stamp_ns
+    assert live.domain == offline.domain
+    for name in ("level", "ix", "iy", "z", "normal", "covariance", "count", "feature", "observed"):
+        np.testing.assert_array_equal(getattr(live, name), getattr(offline, name), err_msg=name)
+
+
+def test_cloud_fields_lie_where_they_say(cells):
+    cloud, _ = map_messages(cells, "map")
+    data = np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)
+    field = next(item for item in cloud.fields if item.name == "elevation")
+    column = np.ascontiguousarray(data[:, field.offset : field.offset + 8]).view("<f8")[:, 0]
+    np.testing.assert_array_equal(column, cells.z)
+
+
+def test_foreign_clouds_are_refused(cells):
+    cloud, grid = map_messages(cells, "map")
+    cloud.fields = cloud.fields[:-1]
+    with pytest.raises(MapMessageError, match="layout"):
+        map_from_messages(cloud, grid)
+    short = cloud_message(np.zeros(3, [("x", "<f4")]), (("x", "f4"),), header_message(0, "map"))
+    with pytest.raises(MapMessageError):
+        cloud_records(short, CELL_FIELDS)
+
+
+def test_grid_rows_run_along_y():
+    values = np.arange(6, dtype=np.int8).reshape(2, 3)
+    grid = grid_message(values, (-1.0, 2.0), 0.5, header_message(1_500_000_000, "map"))
+    assert (grid.info.width, grid.info.height) == (3, 2)
+    assert list(grid.data) == [0, 1, 2, 3, 4, 5]
+    assert (grid.info.origin.position.x, grid.info.origin.position.y) == (-1.0, 2.0)
+    assert (grid.header.stamp.sec, grid.header.stamp.nanosec) == (1, 500_000_000)
+
+
+def test_the_last_change_is_always_published(ros):
+    context = Context()
+    rclpy.init(context=context, domain_id=ros.domain)
+    node = Node("node", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    state, sent = [0], []
+    publisher = ChangePublisher(node, 20.0, lambda: sent.append(state[0]))
+    for _ in range(3):
+        for _ in range(40):
+            state[0] += 1
+            publisher.changed()
+        while not sent or sent[-1] != state[0]:
+            executor.spin_once(timeout_sec=1.0)
+    assert len(sent) < state[0] / 4
+    before = len(sent)
+    executor.spin_once(timeout_sec=0.2)
+    assert len(sent) == before, "without a change nothing is published"
+    executor.shutdown()
+    context.try_shutdown()
+
+
+def test_problems_are_all_counted_and_told_once_per_interval():
+    class Log:
+        lines: list[str] = []
+
+        def warning(self, message):
+            self.lines.append(message)
+
+    problems = Problems(Log(), interval=3600.0)
+    for _ in range(5):
+        problems.report("size", "too short")
+    problems.report("frame", "wrong frame")
+    assert problems.counts == {"size": 5, "frame": 1}
+    assert Log.lines == ["too short", "wrong frame"]
+
+
+def test_player_says_who_is_missing(ros, tmp_path):
+    from ros_scene import write_bag
+
+    write_bag(tmp_path / "flight", 1)
+    with pytest.raises(PlayError, match="/lidar/points"):
+        play(tmp_path / "flight", wait=0.2, domain_id=ros.domain)
+    with pytest.raises(PlayError, match="rate"):
+        play(tmp_path / "flight", rate=0.0)

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes as processes over DDS."""
+
+from __future__ import annotations
+
+import functools
+import signal
+import subprocess
+
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, pose, write_bag
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.messages.maps import SITE_FIELDS
+from quadtree_lss.replay.results import write_cells
+from quadtree_lss.ros.demo import cell_differences, read_csv, run_live, site_difference
+from quadtree_lss.ros.listener import TOPICS
+from quadtree_lss.ros.messages import cloud_records, map_from_messages
+from quadtree_lss.ros.processes import program
+
+pytestmark = pytest.mark.xdist_group("ros")
+
+SCANS = 6
+
+
+def grid_values(grid):
+    """Values (ny, nx) of an occupancy grid with the centres x (nx,) and y (ny,) of its cells."""
+    info = grid.info
+    values = np.frombuffer(grid.data, dtype=np.int8).reshape(info.height, info.width)
+    x = info.origin.position.x + (np.arange(info.width) + 0.5) * info.resolution
+    y = info.origin.position.y + (np.arange(info.height) + 0.5) * info.resolution
+    return values, x, y
+
+
+def status_values(listener, name):
+    """Values by key of the last diagnostic status of a node."""
+    status = listener.diagnostics.get(name)
+    return {} if status is None else {item.key: item.value for item in status.values}
+
+
+def has_stamp(listener, topic, stamp):
+    """True if the newest message of a topic carries this stamp."""
+    return listener.stamp(topic) == stamp
+
+
+def test_scans_and_poses_become_ranked_sites(ros):
+    mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
+    listener = ros.listen()
+    with listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: all(listener.stamp(t) == last for t in TOPICS)), (
+            mapping.output() + lss.output()
+        )
+        newest = dict(listener.newest)
+        counts = functools.partial(status_values, listener, "mapping_node")
+        assert listener.wait_for(lambda: counts().get("scans") == str(SCANS)), counts()
+
+    cells = map_from_messages(newest["map/cells"], newest["map/observed"])
+    assert cells.stamp_ns == last
+    seen = cells.measured
+    assert seen.mean() > 0.5 and cells.estimated.all()
+    off_block = seen & ((np.abs(cells.x - 5.5) > 3.5) | (np.abs(cells.y + 5.5) > 3.5))
+    assert np.abs(cells.z - 0.02 * cells.x)[off_block].max() < 0.05
+
+    table = cloud_records(newest["landing/site_table"], SITE_FIELDS)
+    poses = newest["landing/sites"].poses
+    assert newest["landing/sites"].header.frame_id == "map"
+    assert 1 <= len(poses) == len(table) <= 3
+    assert (np.diff(table["score"]) >= 0.0).all()
+    for place, record in zip(poses, table, strict=True):
+        position = [place.position.x, place.position.y, place.position.z]
+        np.testing.assert_allclose(
+            position, [record["x"], record["y"], record["z"]], rtol=0, atol=1e-4
+        )
+        distance_x = max(BLOCK[0] - position[0], position[0] - BLOCK[1], 0.0)
+        distance_y = max(BLOCK[2] - position[1], position[1] - BLOCK[3], 0.0)
+        assert np.hypot(distance_x, distance_y) > 1.5, "the zone touches the block"
+        q = place.orientation
+        normal = [
+            2 * (q.x * q.z + q.y * q.w),
+            2 * (q.y * q.z - q.x * q.w),
+            1 - 2 * (q.x**2 + q.y**2),
+        ]
+        assert np.degrees(np.arccos(normal[2])) < 5.0
+        assert abs(2 * (q.x * q.y + q.z * q.w)) < 1e-6, "+x lies in the map's x-z plane"
+
+    hazards, x, y = grid_values(newest["landing/hazards"])
+    on_edge = np.ix_(np.abs(y - BLOCK[2]) < 0.6, np.abs(x - 5.5) < 1.0)
+    assert (hazards[on_edge] == 100).any()
+    score, _, _ = grid_values(newest["landing/score"])
+    assert score.shape == hazards.shape
+    assert score.min() >= 0 and score.max() == 100
+
+
+def test_live_equals_offline_cell_for_cell(ros):
+    bag = ros.folder / "flight"
+    write_bag(bag, SCANS)
+    offline = ros.folder / "offline"
+    command = [program("replay_bag"), bag, "--out", offline, "--config", ros.params, "--no-report"]
+    done = subprocess.run(
+        [str(part) for part in command], env=ros.env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    stamps = [int(row["stamp_ns"]) for row in read_csv(offline / "timing.csv")]
+    assert len(stamps) == SCANS and stamps[-1] == last_scan_ns(SCANS)
+
+    live = run_live(bag, ros.params, stamps[-1], ros.folder / "live", rate=2.0)
+
+    write_cells(ros.folder / "live.npz", live.cells)
+    differences = cell_differences(offline / "cells.npz", ros.folder / "live.npz")
+    assert differences and set(differences.values()) == {0.0}
+    rows = read_csv(offline / "sites.csv")
+    assert rows and site_difference(live, rows) < 1e-6
+
+
+def test_malformed_messages_are_counted_and_survived(ros):
+    mapping = ros.start("mapping_node")
+    listener = ros.listen()
+    with listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        good = next(e for e in events(1) if e.points_lidar is not None)
+        truncated = cloud(good.stamp_ns, good.points_lidar)
+        truncated.data = truncated.data[:-5]
+        nameless = cloud(good.stamp_ns, good.points_lidar)
+        nameless.fields = nameless.fields[:2]
+        endless = cloud(good.stamp_ns, good.points_lidar)
+        endless.width = 4_000_000_000
+        for bad in (truncated, nameless, endless, PointCloud2(), truncated):
+            sensors.scans.publish(bad)
+        not_unit = pose(good.stamp_ns)
+        not_unit.pose.pose.orientation.w = float("nan")
+        elsewhere = pose(good.stamp_ns)
+        elsewhere.header.frame_id = "odom"
+        negative = pose(good.stamp_ns)
+        negative.pose.covariance[0] = -1.0
+        for bad in (not_unit, elsewhere, negative):
+            sensors.poses.publish(bad)
+
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        counts = functools.partial(status_values, listener, "mapping_node")
+        expected = {
+            "problems.cloud_size": "2",
+            "problems.cloud_fields": "1",
+            "problems.cloud_too_large": "1",
+            "problems.cloud_empty": "1",
+            "problems.pose_quaternion": "1",
+            "problems.pose_frame": "1",
+            "problems.pose_covariance": "1",
+            "scans": str(SCANS),
+        }
+        assert listener.wait_for(lambda: counts().items() >= expected.items()), counts()
+    mapping.check()
+    warnings = [line for line in mapping.output().splitlines() if "bytes" in line]
+    assert len(warnings) == 1, "one line for two truncated clouds"
+    assert "Traceback" not in mapping.output()
+
+
+def test_late_and_restarted_subscribers_get_the_map(ros):
+    mapping = ros.start("mapping_node")
+    first = ros.listen()
+    with first:
+        sensors = Sensors(first)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert first.wait_for(lambda: first.stamp("map/cells") == last), mapping.output()
+    for signal_number in (signal.SIGKILL, signal.SIGINT):
+        lss = ros.start("lss_node")
+        late = ros.listen()
+        with late:
+            for topic in ("map/cells", "landing/sites"):
+                done = functools.partial(has_stamp, late, topic, last)
+                assert late.wait_for(done), lss.output()
+        lss.stop(signal_number)
+
+
+def test_scan_without_pose_is_dropped_with_its_cause(ros):
+    mapping = ros.start("mapping_node", "-p", "pose.max_wait:=0.2")
+    listener = ros.listen()
+    with listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        scan = next(e for e in events(1) if e.points_lidar is not None)
+        sensors.scans.publish(cloud(scan.stamp_ns, scan.points_lidar))
+        assert listener.wait_for(lambda: "dropped" in mapping.output())
+        line = next(text for text in mapping.output().splitlines() if "dropped" in text)
+        for part in ("1700000000.000000", "/lidar/points", "/nav/pose"):
+            assert part in line
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+
+
+def test_incompatible_qos_is_told_with_its_remedy(ros):
+    mapping = ros.start("mapping_node")
+    listener = ros.listen()
+    with listener:
+        profile = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+        publisher = listener.node.create_publisher(PointCloud2, "lidar/points", profile)
+        assert listener.wait_for(lambda: "qos.scan_reliability" in mapping.output()), (
+            mapping.output()
+        )
+        assert publisher.get_subscription_count() == 0
+    assert "'/lidar/points'" in mapping.output()
+
+
+@pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+def test_ends_cleanly_on_signals(ros, name, signal_number):
+    node = ros.start(name)
+    listener = ros.listen()
+    with listener:
+        assert listener.wait_for(lambda: name in listener.diagnostics), node.output()
+    assert node.stop(signal_number) == 0
+    assert "Traceback" not in node.output()
+
+
+@pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
+def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
+    node = ros.start(name, "-p", "domain.max_levle:=7")
+    assert node.process.wait(30.0) == 1
+    lines = node.output().splitlines()
+    assert len(lines) == 1
+    assert "domain.max_levle" in lines[0] and "'domain.max_level'" in lines[0]
+
+
+def test_contradicting_parameters_are_an_error(ros):
+    node = ros.start("mapping_node", "-p", "domain.min_level:=9")
+    assert node.process.wait(30.0) == 1
+    assert "domain.min_level = 9 exceeds domain.max_level = 6" in node.output()
+
+
+def test_wrong_usage_and_missing_home(ros):
+    env = {key: value for key, value in ros.env.items() if key not in ("HOME", "ROS_LOG_DIR")}
+    wrong = subprocess.run(
+        [program("lss_node"), "--rate", "5"], env=env, capture_output=True, text=True, check=False
+    )
+    assert wrong.returncode == 2 and "--rate" in wrong.stderr
+    del ros.env["HOME"], ros.env["ROS_LOG_DIR"]
+    node = ros.start("lss_node")
+    listener = ros.listen()
+    with listener:
+        assert listener.wait_for(lambda: "lss_node" in listener.diagnostics), node.output()
+    assert node.stop() == 0

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameter table on a node."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from quadtree_lss.core.config import ConfigError, parameters, values_from_config
+from quadtree_lss.ros.parameters import NodeParameters
+
+pytestmark = pytest.mark.xdist_group("ros")
+
+
+@pytest.fixture
+def context(ros) -> Iterator[Context]:
+    """An initialised context in the test's domain."""
+    result = Context()
+    rclpy.init(context=result, domain_id=ros.domain)
+    yield result
+    result.try_shutdown()
+
+
+def make_node(context: Context, **overrides: object) -> Node:
+    """A node with overrides; double underscores in names stand for dots."""
+    given = [Parameter(name.replace("__", "."), value=value) for name, value in overrides.items()]
+    return Node(
+        "node",
+        context=context,
+        parameter_overrides=given,
+        automatically_declare_parameters_from_overrides=True,
+    )
+
+
+def test_every_row_is_declared_with_type_range_and_access(context):
+    node = make_node(context)
+    config = NodeParameters(node).config
+    values = values_from_config(config)
+    for row in parameters():
+        assert node.get_parameter(row.name).value == values[row.name] == row.default
+        described = node.describe_parameter(row.name)
+        assert described.read_only is not row.live
+        assert row.doc in described.description
+        ranges = [*described.integer_range, *described.floating_point_range]
+        assert all(r.from_value == row.low and r.to_value == row.high for r in ranges)
+
+
+def test_overrides_reach_the_configuration_and_integers_serve_as_floats(context):
+    node = make_node(context, domain__size=64, lss__sites=2, use_sim_time=True)
+    config = NodeParameters(node).config
+    assert config.domain.size == 64.0 and config.lss.sites == 2
+    assert node.get_parameter("domain.size").value == 64.0
+    assert node.get_parameter("use_sim_time").value is True
+
+
+def test_qos_overrides_are_left_to_ros(context):
+    node = make_node(context)
+    name = "qos_overrides./lidar/points.subscription.depth"
+    node.declare_parameter(name, 3)
+    NodeParameters(node)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"lss__marign": 1.0}, ["lss.marign", "lss.margin"]),
+        ({"lidar__range_noise": -1.0}, ["lidar.range_noise", "outside"]),
+        ({"domain__min_level": "four"}, ["domain.min_level", "int"]),
+        ({"domain__min_level": 9, "domain__max_level": 8}, ["min_level", "max_level"]),
+        ({"mapping__fit": "cubic"}, ["mapping.fit", "height", "ml"]),
+    ],
+)
+def test_wrong_overrides_are_refused_in_one_line(context, overrides, words):
+    node = make_node(context, **overrides)
+    with pytest.raises(ConfigError) as caught:
+        NodeParameters(node)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert all(word in text for word in words)
+
+
+def test_live_parameters_change_and_others_do_not(context):
+    node = make_node(context)
+    seen = []
+    held = NodeParameters(node, seen.append)
+    (done,) = node.set_parameters([Parameter("lss.margin", value=1.5)])
+    assert done.successful
+    assert held.config.lss.margin == 1.5 and seen == [held.config]
+    for name, value in (("domain.size", 10.0), ("lss.margin", -1.0), ("lss.margin", "wide")):
+        (done,) = node.set_parameters([Parameter(name, value=value)])
+        assert not done.successful and done.reason
+    assert held.config.lss.margin == 1.5 and len(seen) == 1

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lidar hovering over a field with one block on it: scans and poses for the node tests."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2, PointField
+
+from quadtree_lss.ros.listener import Listener
+from quadtree_lss.ros.messages import header_message
+from quadtree_lss.ros.qos import stream
+from quadtree_lss.simulation.recording import BagRecorder
+
+START_NS = 1_700_000_000_000_000_000
+SCAN_NS, POSE_NS = 100_000_000, 37_000_000
+POSITION = np.array([0.0, 0.0, 100.0])
+DOWN_XYZW = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about x: boresight down, x stays x
+ROTATION = np.diag([1.0, -1.0, -1.0])
+COVARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-9, 1e-9, 1e-9])
+BLOCK = (4.0, 7.0, -7.0, -4.0)  # xmin, xmax, ymin, ymax, m; one metre high
+
+
+class Stamped(NamedTuple):
+    """A scan with its points (H, W, 3) in lidar axes, or a pose without."""
+
+    stamp_ns: int
+    points_lidar: NDArray[np.float64] | None
+
+
+def events(scans: int, seed: int = 1) -> Iterator[Stamped]:
+    """Scans and poses in the order of their stamps; scans lie between poses, none before one."""
+    rng = np.random.default_rng(seed)
+    last = START_NS + (scans - 1) * SCAN_NS
+    pose_ns, scan_ns = START_NS - POSE_NS // 2, START_NS
+    while pose_ns <= last + POSE_NS:
+        while scan_ns < pose_ns and scan_ns <= last:
+            yield Stamped(scan_ns, _scan(rng))
+            scan_ns += SCAN_NS
+        yield Stamped(pose_ns, None)
+        pose_ns += POSE_NS
+
+
+def last_scan_ns(scans: int) -> int:
+    """Stamp of the last scan of ``events``."""
+    return START_NS + (scans - 1) * SCAN_NS
+
+
+def _scan(rng: np.random.Generator) -> NDArray[np.float64]:
+    side = np.linspace(-15.5, 15.5, 64)
+    x, y = np.meshgrid(side, side[::-1])
+    x, y = x + rng.uniform(-0.2, 0.2, x.shape), y + rng.uniform(-0.2, 0.2, y.shape)
+    on_block = (x > BLOCK[0]) & (x < BLOCK[1]) & (y > BLOCK[2]) & (y < BLOCK[3])
+    z = 0.02 * x + on_block + rng.normal(0.0, 0.02, x.shape)
+    points_map = np.stack([x, y, z], axis=-1)
+    return (points_map - POSITION) @ ROTATION
+
+
+def write_bag(path: Path, scans: int) -> None:
+    """The events as a bag."""
+    with BagRecorder(path) as bag:
+        for event in events(scans):
+            if event.points_lidar is None:
+                pose = (POSITION, DOWN_XYZW, COVARIANCE)
+                bag.pose(event.stamp_ns, *pose, event.stamp_ns + 1_000_000)
+            else:
+                bag.scan(event.stamp_ns, event.points_lidar, event.stamp_ns + 10_000_000)
+
+
+def cloud(stamp_ns: int, points_lidar: NDArray[np.float64]) -> PointCloud2:
+    """Organised float32 cloud."""
+    height, width = points_lidar.shape[:2]
+    message = PointCloud2(header=header_message(stamp_ns, "lidar"), height=height, width=width)
+    message.fields = [
+        PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
+        for k, name in enumerate("xyz")
+    ]
+    message.point_step, message.row_step = 12, 12 * width
+    message.data = array("B", points_lidar.astype("<f4").tobytes())
+    return message
+
+
+def pose(stamp_ns: int) -> PoseWithCovarianceStamped:
+    """Pose of the hovering lidar."""
+    message = PoseWithCovarianceStamped(header=header_message(stamp_ns, "map"))
+    position, orientation = message.pose.pose.position, message.pose.pose.orientation
+    position.x, position.y, position.z = POSITION.tolist()
+    orientation.x, orientation.y, orientation.z, orientation.w = DOWN_XYZW.tolist()
+    message.pose.covariance = COVARIANCE.reshape(-1)
+    return message
+
+
+class Sensors:
+    """Publishers of scans and poses, matched with whoever listens."""
+
+    def __init__(self, listener: Listener) -> None:
+        node, profile = listener.node, stream(100, reliable=True)
+        self.scans = node.create_publisher(PointCloud2, "lidar/points", profile)
+        self.poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
+        self._listener = listener
+
+    def wait_for_subscribers(self) -> None:
+        """Until the mapping node is there."""
+        publishers = (self.scans, self.poses)
+        assert self._listener.wait_for(
+            lambda: all(p.get_subscription_count() for p in publishers), timeout=30.0
+        )
+        time.sleep(0.5)  # the subscriber's side of the match
+
+    def publish(self, scans: int) -> int:
+        """All events, somewhat faster than they were recorded; stamp of the last scan."""
+        for event in events(scans):
+            if event.points_lidar is None:
+                self.poses.publish(pose(event.stamp_ns))
+            else:
+                self.scans.publish(cloud(event.stamp_ns, event.points_lidar))
+                time.sleep(0.03)
+        return last_scan_ns(scans)
