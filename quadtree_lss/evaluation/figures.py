@@ -124,8 +124,9 @@ def quadtree(leaves: Leaves, truth: Truth) -> Figure:
         box,
     )
     x, y, z = _truth_window(truth, box)
-    image = _image(axes, x, y, z, cmap="cividis")
-    figure.colorbar(image, ax=axes, label="true elevation [m]")
+    low, high = _limits(z)
+    image = _image(axes, x, y, z, cmap="cividis", vmin=low, vmax=high)
+    figure.colorbar(image, ax=axes, label="true elevation [m]", extend="both")
     half = 0.5 * leaves.size
     west, east, south, north = (
         leaves.x - half,
@@ -161,8 +162,12 @@ def elevation_estimate(heights: ErrorField, truth: Truth) -> Figure:
 
 
 def _limits(values: FloatArray) -> tuple[float, float]:
+    """Colour limits of elevations that a few rock tops do not stretch."""
     finite = values[np.isfinite(values)]
-    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, (0.2, 99.8))
+    return float(low), float(high)
 
 
 def elevation_error_map(heights: ErrorField, truth: Truth) -> Figure:
@@ -235,6 +240,7 @@ def _mark(axes: Axes, sites: FloatArray) -> None:
             (x, y),
             ha="center",
             va="center",
+            annotation_clip=True,
             fontsize="small",
             weight="bold",
             bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.75},
@@ -258,8 +264,9 @@ def sites_over_terrain(truth: Truth, sites: FloatArray) -> Figure:
     """Selected sites with the vehicle's footprint over the terrain (Fig. 25)."""
     figure, axes = _axes("Selected landing sites; circles: vehicle", truth.box)
     x, y, z = _truth_window(truth, truth.box)
-    image = _image(axes, x, y, z, cmap="cividis")
-    figure.colorbar(image, ax=axes, label="true elevation [m]")
+    low, high = _limits(z)
+    image = _image(axes, x, y, z, cmap="cividis", vmin=low, vmax=high)
+    figure.colorbar(image, ax=axes, label="true elevation [m]", extend="both")
     _mark(axes, sites)
     return figure
 

@@ -91,17 +91,23 @@ def simulate(
     navigation, noise = np.random.default_rng(navigation_seed), np.random.default_rng(lidar_seed)
     total = sum(plan.scan_times.size for plan in plans)
     flown: list[_Flown] = []
-    with BagRecorder(path) as recorder:
-        start_ns = _START_NS
-        for plan in plans:
-            done = sum(leg.stamps_ns.size for leg in flown)
-            report = None if progress is None else _offset(progress, done, total)
-            flown.append(_fly(plan, start_ns, recorder, navigation, noise, report))
-            start_ns += round((plan.pose_times[-1] + _FLIGHT_GAP_S) * 1e9)
-    safe_fraction, truth_path = None, None
-    if truth:
-        truth_path = path.parent / TRUTH_NAME
-        safe_fraction = _write_truth(truth_path, plans[0], flown)
+    safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None
+    try:
+        with BagRecorder(path) as recorder:
+            for plan in plans:
+                done = sum(leg.stamps_ns.size for leg in flown)
+                report = None if progress is None else _offset(progress, done, total)
+                flown.append(_fly(plan, start_ns, recorder, navigation, noise, report))
+                start_ns += round((plan.pose_times[-1] + _FLIGHT_GAP_S) * 1e9)
+        if truth_path is not None:
+            safe_fraction = _write_truth(truth_path, plans[0], flown)
+    except BaseException as error:
+        # Half a bag looks like a whole one.
+        shutil.rmtree(path, ignore_errors=True)
+        if isinstance(error, OSError):
+            msg = f"cannot write {path}: {error.strerror or error}"
+            raise SimulationError(msg) from error
+        raise
     return SimulationResult(
         scenario=scenario,
         seed=seed,

@@ -208,3 +208,20 @@ def test_progress_counts_every_scan(tmp_path, hill):
         progress=lambda done, total: seen.append((done, total)),
     )
     assert seen == [(k + 1, 5) for k in range(5)]
+
+
+def test_interrupted_simulation_leaves_no_bag(tmp_path, hill):
+    def stop(done, total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    options = {"seed": 1, "duration": 1.0, "terrain": hill}
+    with pytest.raises(KeyboardInterrupt):
+        simulate("descent", tmp_path / "bag", **options, progress=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_place_that_cannot_be_written_is_one_clear_line(tmp_path, hill):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SimulationError, match="cannot"):
+        simulate("descent", tmp_path / "file" / "bag", seed=1, duration=1.0, terrain=hill)

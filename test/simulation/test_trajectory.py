@@ -101,7 +101,7 @@ def _errors(estimate, positions, rotations):
 
 def _truth(count, generator):
     positions = generator.normal(0.0, 100.0, (count, 3))
-    return positions, Rotation.random(count, random_state=3).as_matrix()
+    return positions, Rotation.from_quat(generator.normal(size=(count, 4))).as_matrix()
 
 
 def test_white_navigation_has_the_covariance_it_claims():

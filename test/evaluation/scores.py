@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results and truth files made up so that every score is known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+SPACING = 0.25
+
+
+def ground(x, y):
+    """A tilted plane."""
+    return 0.1 * x - 0.05 * y + 2.0
+
+
+def write_truth(path, *, box=(-8.0, 8.0, -8.0, 8.0), safe=None, elevation=ground):
+    """A truth file of 24 m × 24 m at 0.2 m posts; everything is safe unless told otherwise."""
+    axis = np.linspace(-12.0, 12.0, 121)
+    nodes_x = np.arange(box[0], box[1] + 1e-9, SPACING)
+    nodes_y = np.arange(box[2], box[3] + 1e-9, SPACING)
+    gx, gy = np.meshgrid(nodes_x, nodes_y)
+    np.savez(
+        path,
+        x=axis,
+        y=axis,
+        elevation=elevation(axis[None, :], axis[:, None]),
+        safe_x=nodes_x,
+        safe_y=nodes_y,
+        safe=np.ones(gx.shape, bool) if safe is None else safe(gx, gy),
+        box=np.array(box),
+        scan_stamp_ns=np.array([0]),
+        scan_position=np.zeros((1, 3)),
+        scan_quaternion_xyzw=np.array([[0.0, 0.0, 0.0, 1.0]]),
+    )
+    return path
+
+
+def write_results(
+    folder, *, offset=0.0, called_safe=None, unseen=None, sites=((0.0, 0.0),), spacing=SPACING
+):
+    """A results folder over 16 m × 16 m: coarse leaves in the west, fine ones in the east.
+
+    Leaves lie on `ground` plus ``offset``; ``called_safe`` and ``unseen`` are functions of the
+    nodes' x, y.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = [(3, i, j) for i in range(4) for j in range(8)]  # 2 m
+    rows += [(5, i, j) for i in range(16, 32) for j in range(32)]  # 0.5 m
+    level, ix, iy = np.array(rows).T
+    size = 16.0 / 2.0**level
+    x, y = -8.0 + (ix + 0.5) * size, -8.0 + (iy + 0.5) * size
+    normal = np.array([-0.1, 0.05, 1.0]) / np.linalg.norm([-0.1, 0.05, 1.0])
+    np.savez(
+        folder / "cells.npz",
+        level=level,
+        ix=ix,
+        iy=iy,
+        x=x,
+        y=y,
+        size=size,
+        z=ground(x, y) + offset,
+        nx=np.full(x.size, normal[0]),
+        ny=np.full(x.size, normal[1]),
+        nz=np.full(x.size, normal[2]),
+        covariance=np.zeros((x.size, 3, 3)),
+        count=np.full(x.size, 10),
+        measured=np.ones(x.size, bool),
+        domain=np.array([-8.0, -8.0, 16.0, 3, 5]),
+    )
+    nodes = -8.0 + spacing * np.arange(round(16.0 / spacing) + 1)
+    gx, gy = np.meshgrid(nodes, nodes)
+    hidden = np.zeros(gx.shape, bool) if unseen is None else unseen(gx, gy)
+    safe = np.ones(gx.shape, bool) if called_safe is None else called_safe(gx, gy)
+    np.savez(
+        folder / "grid.npz",
+        x=nodes,
+        y=nodes,
+        elevation=ground(gx, gy) + offset,
+        slope_deg=np.full(gx.shape, 6.4),
+        hazard=np.where(hidden, 128, 0).astype(np.uint8),
+        safe=safe & ~hidden,
+        score=np.where(safe & ~hidden, gx, np.nan),
+    )
+    header = "rank,x,y,z,nx,ny,nz,score,slope_deg,roughness,hazard_distance,subscale_height"
+    lines = [
+        f"{k + 1},{sx},{sy},{ground(sx, sy)},0,0,1,0,0,0,0,0" for k, (sx, sy) in enumerate(sites)
+    ]
+    (folder / "sites.csv").write_text("\n".join([header, *lines]) + "\n")
+    (folder / "timing.csv").write_text(
+        "stamp_ns,points,points_used,leaves,divisions,map_ms\n"
+        + "".join(f"{k},100,100,10,0,{k + 1.0}\n" for k in range(99))
+    )
+    (folder / "summary.json").write_text(json.dumps({"scans": 99}))
+    return folder

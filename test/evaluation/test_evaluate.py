@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scores of results whose answers are known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from evaluation.scores import ground, write_results, write_truth
+
+from quadtree_lss.evaluation import EvaluationError, evaluate
+from quadtree_lss.evaluation.metrics import fill_holes
+
+
+def _evaluate(tmp_path, truth=None, figures=False, **results):
+    folder = write_results(tmp_path / "results", **results)
+    path = write_truth(tmp_path / "truth.npz", **(truth or {}))
+    return evaluate(folder, path, figures=figures)
+
+
+def test_perfect_map(tmp_path):
+    result = _evaluate(tmp_path)
+    assert result.elevation.maximum < 1e-9
+    assert result.elevation.without_estimate == 0.0
+    assert result.detection.safe_found == 1.0
+    assert np.isnan(result.detection.hazardous_found)
+    assert result.unsafe_in_top_five == 0
+    assert (result.leaves, result.leaves_estimated) == (544, 544)
+    assert result.map_ms_median == 50.0
+    assert result.map_s_total == pytest.approx(99 * 50.0 * 1e-3)
+
+
+def test_constant_offset_is_a_mean_error(tmp_path):
+    error = _evaluate(tmp_path, offset=-0.3).elevation
+    assert error.mean_absolute == pytest.approx(0.3)
+    assert error.rms == pytest.approx(0.3)
+    assert error.mean == pytest.approx(-0.3)
+    assert error.rms_mean_removed == pytest.approx(0.0, abs=1e-9)
+
+
+def test_error_is_weighted_by_area(tmp_path):
+    # One metre off in the half with the few large leaves.
+    truth = {"elevation": lambda x, y: ground(x, y) - np.where(x < 0.0, 1.0, 0.0)}
+    error = _evaluate(tmp_path, truth=truth).elevation
+    assert error.mean_absolute == pytest.approx(0.5, abs=0.02)
+    assert error.rms_mean_removed == pytest.approx(0.5, abs=0.02)
+    assert error.maximum_mean_removed == pytest.approx(0.5, abs=0.02)
+
+
+def test_unseen_ground_is_not_scored_for_elevation(tmp_path):
+    truth = {"elevation": lambda x, y: ground(x, y) + np.where(x > 0.0, 50.0, 0.0)}
+    error = _evaluate(tmp_path, truth=truth, unseen=lambda x, y: x > -0.5).elevation
+    assert error.maximum < 1e-6
+    assert error.samples < 0.5 * 64**2
+
+
+def test_detection_rates(tmp_path):
+    result = _evaluate(
+        tmp_path,
+        truth={"safe": lambda x, y: x > 0.0},
+        called_safe=lambda x, y: (y > 0.0) | (x < -4.0),
+    ).detection
+    # Hazardous: 33 columns of which 16 (x < −4) are called safe, of the others y > 0.
+    hazardous, safe = 33 * 65, 32 * 65
+    missed = 16 * 65 + 17 * 32
+    assert result.hazardous_nodes == hazardous
+    assert result.safe_nodes == safe
+    assert result.missed_nodes == missed
+    assert result.hazardous_found == pytest.approx(1.0 - missed / hazardous)
+    assert result.safe_found == pytest.approx(32 * 32 / safe)
+    assert result.precision == pytest.approx(32 * 32 / (32 * 32 + missed))
+    assert result.missed_depth == pytest.approx(8.25)
+
+
+def test_calling_everything_unsafe_finds_no_safe_ground(tmp_path):
+    truth = {"safe": lambda x, y: x > 0.0}
+    result = _evaluate(tmp_path, truth=truth, called_safe=lambda x, y: x > 99.0).detection
+    assert result.hazardous_found == 1.0
+    assert result.safe_found == 0.0
+    assert np.isnan(result.precision)
+
+
+def test_unknown_counts_as_hazardous_and_is_reported_apart(tmp_path):
+    # A hole 1 m wide and 10 m long is filled; the far east is unseen and left out.
+    def unseen(x, y):
+        return ((np.abs(x + 4.0) < 0.5) & (np.abs(y) < 5.0)) | (x > 4.0)
+
+    result = _evaluate(tmp_path, truth={"safe": lambda x, y: y > 0.0}, unseen=unseen).detection
+    columns = 49  # x ≤ 4
+    assert result.hazardous_nodes == columns * 33
+    assert result.safe_nodes == columns * 32
+    assert result.hazardous_unknown == pytest.approx(3 * 20 / result.hazardous_nodes)
+    assert result.hazardous_found == pytest.approx(result.hazardous_unknown)
+    assert result.safe_unknown == pytest.approx(3 * 19 / result.safe_nodes)
+    assert result.unseen_box == pytest.approx(1.0 - columns / 65)
+
+
+@pytest.mark.parametrize(("width", "filled"), [(1.75, True), (2.5, False)])
+def test_holes_up_to_two_metres_are_filled(width, filled):
+    axis = np.arange(-10.0, 10.1, 0.25)
+    seen = np.hypot(*np.meshgrid(axis, axis)) > 0.5 * width
+    assert fill_holes(seen, 0.25).all() == filled
+    assert (fill_holes(seen, 0.25) >= seen).all()
+
+
+def test_edge_of_seen_ground_does_not_grow():
+    seen = np.zeros((60, 60), bool)
+    seen[10:40, 15:50] = True
+    np.testing.assert_array_equal(fill_holes(seen, 0.25), seen)
+
+
+def test_unsafe_sites_are_counted_among_the_first_five(tmp_path):
+    sites = [(-1.0, 0.0), (1.0, 0.0), (-2.0, 0.0), (2.0, 1.0), (3.0, 3.0), (-4.0, 0.0)]
+    result = _evaluate(tmp_path, truth={"safe": lambda x, y: x > 0.0}, sites=sites)
+    assert result.unsafe_in_top_five == 2
+    assert result.sites == 6
+
+
+def test_site_off_the_lattice_is_simulated(tmp_path):
+    cliff = {"elevation": lambda x, y: np.where(x > 0.0, 5.0, 0.0) + 0.0 * y}
+    result = _evaluate(tmp_path, truth=cliff, sites=[(0.1, 0.1), (5.1, 0.1)])
+    assert result.unsafe_in_top_five == 1
+
+
+def test_nodes_that_do_not_coincide_are_simulated(tmp_path):
+    # A lattice of 0.25 m against nodes shifted off it: the truth's own map is not read.
+    truth = {"box": (-7.9, 7.6, -7.9, 7.6), "safe": lambda x, y: x > 99.0}
+    result = _evaluate(tmp_path, truth=truth, spacing=0.5).detection
+    assert result.safe_found == 1.0
+    assert np.isnan(result.hazardous_found)
+
+
+def test_coarser_grid_is_compared_at_common_nodes(tmp_path):
+    truth = {"safe": lambda x, y: x > 0.0}
+    result = _evaluate(tmp_path, truth=truth, called_safe=truth["safe"], spacing=0.5).detection
+    assert (result.hazardous_found, result.safe_found) == (1.0, 1.0)
+    assert result.hazardous_nodes == 17 * 33
+
+
+def test_no_site_at_all(tmp_path):
+    result = _evaluate(tmp_path, sites=[], called_safe=lambda x, y: x > 99.0, figures=True)
+    assert result.sites == result.unsafe_in_top_five == 0
+    assert "0 of 0" in result.table()
+
+
+def test_writes_numbers_and_pictures(tmp_path):
+    result = _evaluate(tmp_path, figures=True)
+    numbers = json.loads((result.out / "evaluation.json").read_text())
+    assert numbers["elevation"]["rms"] == result.elevation.rms
+    assert numbers["detection"]["hazardous_found"] is None
+    assert len(result.figures) == 8
+    for path in result.figures:
+        assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_out_goes_where_told(tmp_path):
+    folder = write_results(tmp_path / "results")
+    truth = write_truth(tmp_path / "truth.npz")
+    result = evaluate(folder, truth, tmp_path / "deep" / "er", figures=False)
+    assert (tmp_path / "deep" / "er" / "evaluation.json").is_file()
+    assert result.out == tmp_path / "deep" / "er"
+    assert not (folder / "evaluation").exists()
+
+
+@pytest.mark.parametrize(
+    "name", ["cells.npz", "grid.npz", "sites.csv", "timing.csv", "summary.json"]
+)
+@pytest.mark.parametrize("damage", ["missing", "garbage"])
+def test_bad_results_are_one_clear_line(tmp_path, name, damage):
+    folder = write_results(tmp_path / "results")
+    truth = write_truth(tmp_path / "truth.npz")
+    if damage == "missing":
+        (folder / name).unlink()
+    else:
+        (folder / name).write_bytes(b"stamp\n\xff\xfe\x00,1")
+    with pytest.raises(EvaluationError, match=name) as caught:
+        evaluate(folder, truth)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_truth_and_missing_folder(tmp_path):
+    folder = write_results(tmp_path / "results")
+    with pytest.raises(EvaluationError, match="truth"):
+        evaluate(folder, tmp_path / "truth.npz")
+    with pytest.raises(EvaluationError, match="nowhere"):
+        evaluate(tmp_path / "nowhere", write_truth(tmp_path / "truth.npz"))
+
+
+def test_map_somewhere_else(tmp_path):
+    folder = write_results(tmp_path / "results")
+    truth = write_truth(tmp_path / "truth.npz", box=(9.0, 11.0, 9.0, 11.0))
+    with pytest.raises(EvaluationError, match="overlap"):
+        evaluate(folder, truth)

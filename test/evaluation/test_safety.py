@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contact simulation against plain loops and on ground whose answer is known."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from quadtree_lss.evaluation.safety import Lander, contact_safe, safety_map
+
+TAN_LIMIT = np.tan(np.radians(10.0))
+
+
+def _interpolated(x, y, z, px, py):
+    i = min(max(int(np.searchsorted(x, px, side="right")) - 1, 0), x.size - 2)
+    j = min(max(int(np.searchsorted(y, py, side="right")) - 1, 0), y.size - 2)
+    fu, fv = (px - x[i]) / (x[i + 1] - x[i]), (py - y[j]) / (y[j + 1] - y[j])
+    return (1 - fv) * ((1 - fu) * z[j, i] + fu * z[j, i + 1]) + fv * (
+        (1 - fu) * z[j + 1, i] + fu * z[j + 1, i + 1]
+    )
+
+
+def brute_force(x, y, z, px, py, lander):
+    """One place, one yaw, one set of three pads at a time; planes by solving three equations."""
+    radius = lander.diameter / 2
+    gx, gy = np.meshgrid(x, y)
+    footprint = (gx - px) ** 2 + (gy - py) ** 2 <= (radius + 1e-9) ** 2
+    for yaw in range(lander.yaws):
+        angles = (yaw / lander.yaws + np.arange(4)) * np.pi / 2
+        pads = []
+        for angle in angles:
+            cx, cy = px + radius * np.cos(angle), py + radius * np.sin(angle)
+            under = (gx - cx) ** 2 + (gy - cy) ** 2 <= (lander.pad_radius + 1e-9) ** 2
+            highest = max([_interpolated(x, y, z, cx, cy), *z[under]])
+            pads.append((cx, cy, highest))
+        for three in itertools.combinations(range(4), 3):
+            (fourth,) = set(range(4)) - set(three)
+            system = np.array([[1.0, pads[k][0] - px, pads[k][1] - py] for k in three])
+            plane = np.linalg.solve(system, [pads[k][2] for k in three])
+            fx, fy, ground = pads[fourth]
+            if ground > plane @ [1.0, fx - px, fy - py] + 1e-12:
+                continue  # the fourth pad would stand in the ground
+            if np.hypot(plane[1], plane[2]) > np.tan(np.radians(lander.max_slope_deg)):
+                return False
+            over = z - (plane[0] + plane[1] * (gx - px) + plane[2] * (gy - py))
+            if over[footprint].max() > lander.max_roughness:
+                return False
+    return True
+
+
+def _ground(generator, x, y):
+    """Rocks of many sizes on a gentle slope: some nodes safe, some not, many close to a limit."""
+    z = 0.06 * x[None, :] + 0.02 * generator.standard_normal((y.size, x.size))
+    for _ in range(14):
+        cx, cy = generator.uniform(x[0], x[-1]), generator.uniform(y[0], y[-1])
+        radius = generator.uniform(0.1, 0.4)
+        squared = (x[None, :] - cx) ** 2 + (y[:, None] - cy) ** 2
+        z += np.sqrt(np.maximum(radius**2 - squared, 0.0))
+    return z
+
+
+@pytest.mark.parametrize(("seed", "post"), [(0, 0.1), (1, 0.1), (2, 0.094), (3, 0.25), (4, 0.5)])
+def test_equals_brute_force(seed, post):
+    generator = np.random.default_rng(seed)
+    x = -5.0 + post * np.arange(int(10.0 / post) + 1)
+    y = -4.5 + post * np.arange(int(9.0 / post) + 1)
+    z = _ground(generator, x, y)
+    lander = Lander(yaws=6)
+    node_x, node_y = np.arange(-2.5, 2.6, 0.5), np.arange(-2.0, 2.1, 0.5)
+    fast = safety_map(x, y, z, node_x, node_y, lander)
+    slow = [[brute_force(x, y, z, px, py, lander) for px in node_x] for py in node_y]
+    np.testing.assert_array_equal(fast, slow)
+    assert 0.05 < fast.mean() < 0.98
+
+
+AXIS = np.linspace(-6.0, 6.0, 121)
+X, Y = np.meshgrid(AXIS, AXIS)
+
+
+def _safe(z, point=(0.0, 0.0), **lander):
+    return bool(contact_safe(AXIS, AXIS, z, [point], Lander(**lander))[0])
+
+
+def test_flat_ground_is_safe_and_its_height_does_not_matter():
+    assert _safe(np.zeros_like(X))
+    assert _safe(np.full_like(X, -1234.5))
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.3, 2.0, 4.5])
+def test_slope_decides_at_ten_degrees(heading):
+    # Pads rest on the highest post under them, which shifts all four alike on a plane, up to
+    # the posts' spacing: within a degree of the limit the answer may go either way.
+    along = np.cos(heading) * X + np.sin(heading) * Y
+    assert _safe(np.tan(np.radians(9.0)) * along)
+    assert not _safe(np.tan(np.radians(11.0)) * along)
+
+
+@pytest.mark.parametrize(("height", "safe"), [(0.28, True), (0.32, False)])
+def test_rock_between_the_pads_counts_by_its_height(height, safe):
+    z = np.where(np.hypot(X, Y) < 0.25, height, 0.0)
+    assert _safe(z) is safe
+
+
+def test_rock_under_a_pad_tilts_the_vehicle():
+    # One pad raised by h: the vehicle stands on it, the one opposite and one of the others, which
+    # is h/2 below the middle of that diagonal: slope √2/2 · h / 1.85 m, 10° at 0.461 m.
+    angle = 0.7
+    at = (1.85 * np.cos(angle), 1.85 * np.sin(angle))
+    rock = np.hypot(X - at[0], Y - at[1]) < 0.2
+    assert _safe(np.where(rock, 0.29, 0.0))
+    assert _safe(np.where(rock, 0.44, 0.0), max_roughness=10.0)
+    assert not _safe(np.where(rock, 0.48, 0.0), max_roughness=10.0, yaws=64)
+
+
+def test_rock_just_outside_the_circle_does_not_matter():
+    rock = np.hypot(X - 1.85 - 0.15 - 0.3, Y) < 0.2
+    z = np.where(rock, 1.0, 0.0)
+    assert _safe(z)
+    assert not _safe(z, point=(0.3, 0.0))
+
+
+def test_both_rocking_planes_count():
+    # Pads 0 and 2 on bumps of 0.2 m carry the vehicle; it rocks over their diagonal, 0.2 m down
+    # over 1.85 m to either side: 6.2°, safe. With 0.34 m it is 10.4°.
+    def bumps(height):
+        return np.where((np.hypot(X - 1.85, Y) < 0.2) | (np.hypot(X + 1.85, Y) < 0.2), height, 0.0)
+
+    assert _safe(bumps(0.2), yaws=1)
+    assert not _safe(bumps(0.34), yaws=1, max_roughness=10.0)
+
+
+def test_reaching_over_the_edge_is_unsafe():
+    assert _safe(np.zeros_like(X), point=(4.0, -4.0))
+    assert not _safe(np.zeros_like(X), point=(4.01, 0.0))
+    assert not _safe(np.zeros_like(X), point=(50.0, 0.0))
+
+
+def test_shifting_everything_shifts_the_map():
+    z = _ground(np.random.default_rng(9), AXIS, AXIS)
+    nodes = np.arange(-3.0, 3.1, 0.25)
+    here = safety_map(AXIS, AXIS, z, nodes, nodes)
+    there = safety_map(AXIS + 64.0, AXIS - 32.0, z + 5.0, nodes + 64.0, nodes - 32.0)
+    np.testing.assert_array_equal(here, there)
+    turned = safety_map(AXIS, AXIS, np.rot90(z), nodes, nodes)
+    assert (np.rot90(here) == turned).mean() > 0.99
