@@ -91,6 +91,7 @@ def simulate(
     navigation, noise = np.random.default_rng(navigation_seed), np.random.default_rng(lidar_seed)
     total = sum(plan.scan_times.size for plan in plans)
     flown: list[_Flown] = []
+    start_ns = _START_NS
     safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None
     try:
         with BagRecorder(path) as recorder:
