@@ -65,8 +65,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     share = weight / total[group]
     z0 = np.bincount(group, share * cells.z[chosen], minlength=count)
     normal = cells.normal[chosen]
-    sums = [np.bincount(group, share * normal[:, k], minlength=count) for k in range(3)]
-    reference = planes.unit(np.stack(sums, axis=-1)) if count else np.empty((0, 3))
+    reference = planes.unit(planes.sum_by(group, count, share[:, None] * normal))
     delta = np.column_stack([x[group], y[group], z0[group]])
     delta -= np.column_stack([cells.x[chosen], cells.y[chosen], cells.z[chosen]])
     d, change = planes.shift_origin(normal, np.zeros(len(chosen)), delta)
@@ -77,9 +76,9 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     error = np.column_stack([sphere.minus(normal, at), d])
     information = planes.inverse_symmetric(range_part)
     pulled = (information @ error[:, :, None])[:, :, 0]
-    fused_range = planes.inverse_symmetric(_sum(group, count, information))
-    step = (fused_range @ _sum(group, count, pulled)[:, :, None])[:, :, 0]
-    fused_pose = _sum(group, count, share[:, None, None] * pose_part)
+    fused_range = planes.inverse_symmetric(planes.sum_by(group, count, information))
+    step = (fused_range @ planes.sum_by(group, count, pulled)[:, :, None])[:, :, 0]
+    fused_pose = planes.sum_by(group, count, share[:, None, None] * pose_part)
     fused_normal = planes.upward(sphere.plus(reference, step[:, :2]))
     rise = step[:, 2] / fused_normal[:, 2]
     place = np.full(n * n, -1, dtype=np.intp)
@@ -95,9 +94,3 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
         pose_part=planes.move_up(fused_normal, planes.symmetric(fused_pose), rise),
         of_leaf=np.where(below, place[np.where(below, key, 0)], -1),
     )
-
-
-def _sum(group: Index, groups: int, values: Array) -> Array:
-    flat = values.reshape(len(group), -1)
-    columns = [np.bincount(group, flat[:, k], minlength=groups) for k in range(flat.shape[1])]
-    return np.stack(columns, axis=1).reshape(groups, *values.shape[1:]).astype(np.float64)

@@ -136,8 +136,8 @@ def fit_scans(
 ) -> tuple[Fit, Mask]:
     """Planes of cells from stored points of several scans, each with its own offset gamma_j.
 
-    The normal follows from the sum of the within-scan scatters; gamma_j = n.mean_j, and
-    d = mean of gamma_j (Eq. 22), so the range part of its variance is sum_j v_j / N_j / N_s^2
+    The normal follows from the sum of the within-scan scatters over their residuals' variances
+    (which depend on the normal a little: two passes); gamma_j = n.mean_j, and d = mean of gamma_j (Eq. 22), so the range part of its variance is sum_j v_j / N_j / N_s^2
     and the pose part sum_j Q_j / N_s^2, scans being independent.
 
     Args:
@@ -154,40 +154,41 @@ def fit_scans(
         The fit, and which cells (M,) the points suffice for; rows of others mean nothing.
     """
     cells = len(centre)
-    total = _sum_by(cell, cells, moment.count)
-    scans = _sum_by(cell, cells, np.ones(len(cell)))
+    total = planes.sum_by(cell, cells, moment.count)
+    scans = planes.sum_by(cell, cells, np.ones(len(cell)))
     most = np.zeros(cells)
     np.maximum.at(most, cell, moment.count)
     weighted = moment.count[:, None] * moment.ray
     pooled = Moments(
         total,
-        _sum_by(cell, cells, moment.mean) / scans[:, None],
-        _sum_by(cell, cells, moment.scatter),
-        planes.unit(_sum_by(cell, cells, weighted)),
+        planes.sum_by(cell, cells, moment.mean) / scans[:, None],
+        planes.sum_by(cell, cells, moment.scatter),
+        planes.unit(planes.sum_by(cell, cells, weighted)),
     )
     enough = (most >= config.min_points) | (total - scans >= config.min_points)
     good = fittable(pooled, size, prior, config, range_noise) & enough
     safe = SlopePrior(prior.normal, np.where(good, prior.spread, 1.0))
     normal = _normals(pooled.scatter, safe, config)
+    for _ in range(2):
+        variance = planes.orthogonal_noise_variance(normal[cell], moment.ray, range_noise)
+        if config.covariance == "independent":
+            arm = moment.mean - lidars[scan]
+            variance = variance + pose_variance(normal[cell], arm, pose_roots[scan])
+        weight = 1.0 / variance
+        average = planes.sum_by(cell, cells, weight * moment.count) / total
+        scatter = planes.sum_by(cell, cells, moment.scatter * weight[:, None, None])
+        normal = _normals(scatter / average[:, None, None], safe, config)
     basis = sphere.tangent_basis(normal)
     mean_noise = np.sqrt(planes.orthogonal_noise_variance(normal, pooled.ray, range_noise))
-    variance = planes.orthogonal_noise_variance(normal[cell], moment.ray, range_noise)
-    if config.covariance == "independent":
-        arm = moment.mean - lidars[scan]
-        variance = variance + pose_variance(normal[cell], arm, pose_roots[scan])
-    weight = 1.0 / variance
-    average = _sum_by(cell, cells, weight * moment.count) / total
-    slope = planes.slope_covariance(
-        _sum_by(cell, cells, moment.scatter * weight[:, None, None]), basis, safe.spread * average
-    )
-    offset = _sum_by(cell, cells, variance / moment.count) / scans**2
+    slope = planes.slope_covariance(scatter, basis, safe.spread * average)
+    offset = planes.sum_by(cell, cells, variance / moment.count) / scans**2
 
     def pose_part(origin: Array) -> Array:
         if config.covariance == "independent":
             return np.zeros((cells, 3, 3))
         arm = origin[cell] - lidars[scan]
         part = planes.pose_part(normal[cell], basis[cell], arm, pose_roots[scan])
-        return _sum_by(cell, cells, part) / (scans**2)[:, None, None]
+        return planes.sum_by(cell, cells, part) / (scans**2)[:, None, None]
 
     fit = _about_centre(
         normal, basis, mean_noise, slope, pooled.mean, offset, centre, pose_part
@@ -234,12 +235,3 @@ def pose_variance(normal: Array, arm: Array, pose_root: Array) -> Array:
     moved = (row[:, None, :] @ pose_root)[:, 0, :]
     out: Array = np.einsum("mi,mi->m", moved, moved)
     return out
-
-
-def _sum_by(group: Index, groups: int, values: Array) -> Array:
-    """Sums of ``values`` (G, ...) over equal ``group`` (G,)."""
-    flat = values.reshape(len(group), -1)
-    out = np.stack(
-        [np.bincount(group, flat[:, k], minlength=groups) for k in range(flat.shape[1])], axis=1
-    )
-    return out.reshape(groups, *values.shape[1:])

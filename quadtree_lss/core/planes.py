@@ -392,3 +392,13 @@ def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose:
 def symmetric(matrices: Array) -> Array:
     """Mean of (M, K, K) and its transpose."""
     return 0.5 * (matrices + matrices.transpose(0, 2, 1))
+
+
+def sum_by(group: Index, groups: int, values: Array) -> Array:
+    """Sums of ``values`` (G, ...) over equal ``group`` (G,): (groups, ...)."""
+    inner = values.shape[1:]
+    flat = values.reshape(len(group), int(np.prod(inner)))
+    out = np.empty((groups, flat.shape[1]))
+    for k in range(flat.shape[1]):
+        out[:, k] = np.bincount(group, flat[:, k], minlength=groups)
+    return out.reshape(groups, *inner)

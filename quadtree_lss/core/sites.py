@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt, maximum_filter
+from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.core import hazards
 from quadtree_lss.core.config import Config, LssConfig
@@ -20,6 +20,7 @@ from quadtree_lss.core.touchdown import Disc, NodePlanes, disc, node_planes, nod
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,11 @@ class LandingAssessment:
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Everything on the lattice of finest-cell corners, (n + 1, n + 1)."""
+    """What the assessment finds on the lattice of finest-cell corners, (n + 1, n + 1).
+
+    ``clearance`` is the least distance of the zone's ground from a hazard; ``roughness`` and
+    ``subscale`` are of the finest cells, (n, n), and ``zone`` says which of them a zone covers.
+    """
 
     planes: NodePlanes
     hazard: Bits
@@ -86,6 +91,7 @@ class _Nodes:
     clearance: Array
     roughness: Array
     subscale: Array
+    zone: Disc
 
 
 @dataclass
@@ -170,15 +176,16 @@ class LandingSiteSelector:
             open_[best] = False
         self._last_first = place[chosen[0]].copy() if chosen else None
         where = (row[chosen], column[chosen])
+        centre = at.lattice(*where)
         slopes = [at.nearest(v)[where] for v in (nodes.planes.slope_x, nodes.planes.slope_y)]
         sites = Sites(
             position=np.column_stack([place[chosen], at.linear(nodes.planes.elevation)[where]]),
             normal=normal_from_slopes(*slopes),
             score=ranked[chosen],
             slope_deg=at.nearest(_slope_deg(nodes.planes))[where],
-            roughness=at.nearest(nodes.roughness)[where],
+            roughness=_greatest(nodes.roughness, nodes.zone, *centre),
             hazard_distance=at.nearest(nodes.clearance)[where],
-            subscale_height=at.nearest(nodes.subscale)[where],
+            subscale_height=_greatest(nodes.subscale, nodes.zone, *centre),
             reasons=(),
         )
         return _with_reasons(sites, lss)
@@ -239,6 +246,11 @@ class _Sampler:
         """Value of the nearest lattice node."""
         row = np.where(self.v[:, 0] < 0.5, self.row0, self.row1)
         return values[row][:, np.where(self.u < 0.5, self.column0, self.column1)]
+
+    def lattice(self, rows: Index, columns: Index) -> tuple[Index, Index]:
+        """Row and column of the lattice nodes nearest to grid nodes (K,)."""
+        row = np.where(self.v[:, 0] < 0.5, self.row0, self.row1)
+        return row[rows], np.where(self.u < 0.5, self.column0, self.column1)[columns]
 
     def linear(self, values: Array) -> Array:
         """Bilinear interpolation."""
@@ -309,9 +321,10 @@ def _assess_nodes(cells: CellMap, raster: TerrainRaster, lss: LssConfig) -> _Nod
         hazard,
         safe,
         score,
-        _worst_clearance(clearance, zone),
-        _greatest(rough, over),
-        _greatest(raster.subscale, over),
+        np.maximum(clearance - zone, 0.0),
+        rough,
+        raster.subscale,
+        over,
     )
 
 
@@ -328,21 +341,13 @@ def _distance_from(marked: Mask, side: float) -> Array:
     return out
 
 
-def _worst_clearance(clearance: Array, zone: float) -> Array:
-    """Least distance to a hazard over the zone about each node: the distance less the radius."""
-    return np.maximum(clearance - zone, 0.0)
-
-
-def _greatest(values: Array, over: Disc) -> Array:
-    """Greatest cell value in the disc about each node: (n, n) to (n + 1, n + 1)."""
-    if not values.any():
-        return np.zeros((len(values) + 1, len(values) + 1))
-    reach = over.reach
-    footprint = np.zeros((2 * reach, 2 * reach), dtype=np.bool_)
-    footprint[reach + over.row, reach + over.column] = True
-    padded = np.pad(values, ((1, 1), (1, 1)))
-    # An even window's centre lies right of its middle: node (i, j) is the corner before cell (i, j).
-    return maximum_filter(padded, footprint=footprint, mode="constant")[1:, 1:]
+def _greatest(values: Array, over: Disc, rows: Index, columns: Index) -> Array:
+    """Greatest value (K,) of the cells (n, n) in the disc about nodes (K,) inside the domain."""
+    last = len(values) - 1
+    row = np.clip(rows[:, None] + over.row, 0, last)
+    column = np.clip(columns[:, None] + over.column, 0, last)
+    out: Array = values[row, column].max(axis=1)
+    return out
 
 
 def _score(

@@ -70,7 +70,7 @@ def exp_jacobian(tangents: ArrayLike) -> Array:
     small = angle < 1e-4
     square = np.where(small, 1.0, angle) ** 2
     chi = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / square)
-    out = np.empty((*phi.shape, 2))
+    out = np.empty((*phi.shape[:-1], 3, 2))
     out[..., :2, :] = chi[..., None, None] * phi[..., :, None] * phi[..., None, :]
     out[..., 0, 0] += sinc
     out[..., 1, 1] += sinc

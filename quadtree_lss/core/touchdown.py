@@ -9,6 +9,7 @@ above it by more than the roughness limit.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,10 +22,12 @@ from quadtree_lss.core.terrain_raster import TerrainRaster
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
-#: Nodes treated at once, so that the working set stays in the cache.
-BLOCK_ROWS = 16
-BLOCK_NODES = 2048
+#: Nodes compared with the ground at once, so that the working set stays small.
+NODES = 4096
+#: Side of the blocks of nodes that share a bound.
+BLOCK = 4
 
 
 @dataclass(frozen=True)
@@ -103,170 +106,208 @@ def unsafe_nodes(
 ) -> Mask:
     """Nodes (n + 1, n + 1) at which some heading fails; False where not a candidate.
 
+    Every node is tried at every heading for slope; for roughness a bound clears most (node,
+    resting plane) pairs, and only the others are compared with the ground cell by cell.
+
     Args:
         raster: The map on its finest cells.
         planes: Lander-scale planes of the same raster, any radius; they only bound the search.
         candidates: (n + 1, n + 1) nodes to check; their lander circle lies inside the domain.
     """
+    if not candidates.any():
+        return np.zeros(candidates.shape, dtype=np.bool_)
+    rows, columns = _extent(candidates)
+    ground = _Ground(raster, config)
+    over = disc(ground.radius, ground.side)
+    roof = _Roof(ground, planes, rows, columns)
+    steep = np.float32(np.tan(np.radians(config.touchdown_slope_deg)) ** 2)
+    limit = np.float32(config.touchdown_roughness)
+    failed = ~candidates[rows, columns]
+    doubts: list[tuple[Index, Single]] = []
+    for centre, slope_x, slope_y in ground.resting_planes(rows, columns):
+        failed |= slope_x * slope_x + slope_y * slope_y > steep
+        doubt = np.flatnonzero((roof.above(centre, slope_x, slope_y) > limit) & ~failed)
+        if len(doubt):
+            plane = (centre.ravel()[doubt], slope_x.ravel()[doubt], slope_y.ravel()[doubt])
+            doubts.append((doubt, np.stack(plane)))
+    _compare(ground, over, rows, columns, failed, doubts, limit)
     unsafe = np.zeros(candidates.shape, dtype=np.bool_)
-    rows, columns = np.nonzero(candidates)
-    if not len(rows):
-        return unsafe
-    over = disc(0.5 * config.vehicle_diameter, raster.domain.finest_size)
-    stance = _Stance(raster, planes, config)
-    top = _tops(raster, planes.elevation)
-    worst = _greatest_residual(top, planes, over, candidates)
-    for begin in range(0, len(rows), BLOCK_NODES):
-        r, c = rows[begin : begin + BLOCK_NODES], columns[begin : begin + BLOCK_NODES]
-        unsafe[r, c] = stance.fails(r, c, worst[r, c], top, over)
+    unsafe[rows, columns] = failed & candidates[rows, columns]
     return unsafe
 
 
-def _tops(raster: TerrainRaster, reference: Array) -> Single:
-    """Highest ground of each finest cell: plane, its rise to the cell's corner, subscale feature.
-
-    Heights are over the mean of ``reference`` and padded with a border as wide as any disc needs.
-    """
-    half = 0.5 * raster.domain.finest_size
-    rise = (np.abs(raster.slope_x) + np.abs(raster.slope_y)) * half
-    top = raster.elevation + rise + raster.subscale - float(np.mean(reference))
-    return top.astype(np.float32)
-
-
-def _greatest_residual(
-    top: Single, planes: NodePlanes, over: Disc, candidates: Mask
-) -> Single:
-    """Greatest height of the tops in each node's disc above the node's plane, (n + 1, n + 1)."""
-    n = len(top)
-    reach = over.reach
-    padded = np.pad(top, reach, mode="edge")
-    slope_x, slope_y = planes.slope_x.astype(np.float32), planes.slope_y.astype(np.float32)
-    height = (planes.elevation - float(np.mean(planes.elevation))).astype(np.float32)
-    out = np.full((n + 1, n + 1), -np.inf, dtype=np.float32)
-    busy = np.flatnonzero(candidates.any(axis=1))
-    first, last = int(busy[0]), int(busy[-1]) + 1
+def _extent(candidates: Mask) -> tuple[slice, slice]:
+    """Rows and columns of the smallest window that holds all candidates."""
+    rows = np.flatnonzero(candidates.any(axis=1))
     columns = np.flatnonzero(candidates.any(axis=0))
-    left, right = int(columns[0]), int(columns[-1]) + 1
-    for begin in range(first, last, BLOCK_ROWS):
-        end = min(begin + BLOCK_ROWS, last)
-        gx, gy = slope_x[begin:end, left:right], slope_y[begin:end, left:right]
-        best = out[begin:end, left:right]
-        work = np.empty_like(best)
-        tilt_y = np.empty_like(best)
-        previous = None
-        for row, column, x, y in zip(
-            over.row.tolist(), over.column.tolist(), over.x.tolist(), over.y.tolist(), strict=True
-        ):
-            if row != previous:
-                np.multiply(gy, np.float32(y), out=tilt_y)
-                previous = row
-            np.multiply(gx, np.float32(x), out=work)
-            work += tilt_y
-            window = padded[
-                begin + row + reach : end + row + reach, left + column + reach : right + column + reach
-            ]
-            np.subtract(window, work, out=work)
-            np.maximum(best, work, out=best)
-        best -= height[begin:end, left:right]
-    return out
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-class _Stance:
-    """The lander on its pads, for blocks of nodes."""
+class _Ground:
+    """Heights that the lander meets, over their mean; a border of cells is repeated outside.
 
-    def __init__(self, raster: TerrainRaster, planes: NodePlanes, config: LssConfig) -> None:
-        self.config = config
+    Attributes:
+        radius: Of the lander's circle, m.
+        side: Of a finest cell, m.
+        level: Mean height, that all others are over, m.
+        border: Cells repeated on every side.
+        pad: Height of a pad at each cell's centre: it stands on the highest ground within its
+            radius.
+        slope_x, slope_y: dz/dx, dz/dy of each cell.
+        top: Highest ground of each cell: plane, its rise to the corner, subscale feature.
+    """
+
+    def __init__(self, raster: TerrainRaster, config: LssConfig) -> None:
         self.radius = 0.5 * config.vehicle_diameter
+        self.yaws = config.touchdown_yaws
         self.side = raster.domain.finest_size
-        self.planes = planes
-        self.level = float(np.mean(planes.elevation))
+        self.level = float(np.mean(raster.elevation))
+        self.border = int(np.ceil(self.radius / self.side)) + 1
+        height = raster.elevation - self.level
+        rise = 0.5 * self.side * (np.abs(raster.slope_x) + np.abs(raster.slope_y))
         tilt = np.hypot(raster.slope_x, raster.slope_y)
-        self.pad = raster.elevation - self.level + config.pad_radius * tilt
-        self.slope_x, self.slope_y = raster.slope_x, raster.slope_y
+        self.pad = self._bordered(height + config.pad_radius * tilt)
+        self.slope_x = self._bordered(raster.slope_x)
+        self.slope_y = self._bordered(raster.slope_y)
+        self.top = self._bordered(height + rise + raster.subscale)
 
-    def heights(self, rows: NDArray[np.intp], columns: NDArray[np.intp], x: float, y: float) -> Array:
-        """Height (K,) that a pad at offset (x, y) from each node stands on, m."""
-        n = len(self.pad)
+    def _bordered(self, values: Array) -> Single:
+        return np.pad(values, self.border, mode="edge").astype(np.float32)
+
+    def _window(self, values: Single, rows: slice, columns: slice, up: int, right: int) -> Single:
+        """Cells at an offset from each node of a window."""
+        up, right = up + self.border, right + self.border
+        return values[rows.start + up : rows.stop + up, columns.start + right : columns.stop + right]
+
+    def _stand(self, rows: slice, columns: slice, x: float, y: float) -> Single:
+        """Height that a pad at offset (x, y) from each node of a window stands on, m."""
         right, up = int(np.floor(x / self.side)), int(np.floor(y / self.side))
-        at = np.clip(rows + up, 0, n - 1) * n + np.clip(columns + right, 0, n - 1)
-        dx, dy = x - (right + 0.5) * self.side, y - (up + 0.5) * self.side
-        return (
-            self.pad.ravel()[at]
-            + self.slope_x.ravel()[at] * dx
-            + self.slope_y.ravel()[at] * dy
-        )
+        dx = np.float32(x - (right + 0.5) * self.side)
+        dy = np.float32(y - (up + 0.5) * self.side)
+        out = self._window(self.slope_x, rows, columns, up, right) * dx
+        out += self._window(self.slope_y, rows, columns, up, right) * dy
+        out += self._window(self.pad, rows, columns, up, right)
+        return out
 
-    def fails(
-        self,
-        rows: NDArray[np.intp],
-        columns: NDArray[np.intp],
-        worst: Single,
-        top: Single,
-        over: Disc,
-    ) -> Mask:
-        """Which nodes (K,) fail at some heading.
+    def resting_planes(
+        self, rows: slice, columns: slice
+    ) -> Iterator[tuple[Single, Single, Single]]:
+        """Height at the node and the two slopes of each plane that the lander can rest on."""
+        r = self.radius
+        half, inverse = np.float32(0.5), np.float32(1.0 / r)
+        for yaw in np.arange(self.yaws) * (0.5 * np.pi / self.yaws):
+            c, s = float(np.cos(yaw)), float(np.sin(yaw))
+            east, north, west, south = (
+                self._stand(rows, columns, r * x, r * y)
+                for x, y in ((c, s), (-s, c), (-c, -s), (s, -c))
+            )
+            carried = east + west >= north + south
+            centre = half * np.maximum(east + west, north + south)
+            # The diagonal that carries has its own slope; one pad of the other touches down.
+            down = ((np.where(carried, north, east) - centre) * inverse,
+                    (centre - np.where(carried, south, west)) * inverse)
+            own = half * inverse * np.where(carried, east - west, north - south)
+            for other in down:
+                along = np.where(carried, own, other)
+                across = np.where(carried, other, own)
+                yield centre, along * c - across * s, along * s + across * c
 
-        ``worst`` bounds the roughness above a resting plane from above: the greatest height over
-        the node's plane, plus the greatest distance between the two planes on the circle. Only
-        nodes that this bound does not clear are evaluated cell by cell.
-        """
-        config = self.config
-        limit = np.tan(np.radians(config.touchdown_slope_deg)) ** 2
-        plane_z = (self.planes.elevation - self.level)[rows, columns]
-        gx, gy = self.planes.slope_x[rows, columns], self.planes.slope_y[rows, columns]
-        failed = np.zeros(len(rows), dtype=np.bool_)
-        doubts: list[tuple[NDArray[np.intp], Array]] = []
-        for yaw in np.arange(config.touchdown_yaws) * (0.5 * np.pi / config.touchdown_yaws):
-            c, s = np.cos(yaw), np.sin(yaw)
-            pads = [
-                self.heights(rows, columns, self.radius * px, self.radius * py)
-                for px, py in ((c, s), (-s, c), (-c, -s), (s, -c))
-            ]
-            first, second = pads[0] + pads[2], pads[1] + pads[3]
-            carried = first >= second
-            centre = 0.5 * np.maximum(first, second)
-            along = np.where(carried, pads[0] - pads[2], pads[1] - pads[3]) / (2.0 * self.radius)
-            ahead = np.where(carried, pads[1], pads[0])
-            behind = np.where(carried, pads[3], pads[2])
-            ax, ay = np.where(carried, c, -s), np.where(carried, s, c)
-            bx, by = np.where(carried, -s, c), np.where(carried, c, s)
-            for across in ((ahead - centre) / self.radius, (centre - behind) / self.radius):
-                failed |= along**2 + across**2 > limit
-                tx, ty = along * ax + across * bx, along * ay + across * by
-                apart = plane_z - centre + self.radius * np.hypot(gx - tx, gy - ty)
-                doubt = np.flatnonzero(~failed & (worst + apart > config.touchdown_roughness))
-                if len(doubt):
-                    doubts.append((doubt, np.stack([centre, tx, ty])[:, doubt]))
-        if doubts:
-            self._look_closely(failed, rows, columns, doubts, top, over)
-        return failed
 
-    def _look_closely(
-        self,
-        failed: Mask,
-        rows: NDArray[np.intp],
-        columns: NDArray[np.intp],
-        doubts: list[tuple[NDArray[np.intp], Array]],
-        top: Single,
-        over: Disc,
-    ) -> None:
-        """Evaluate doubtful (node, plane) pairs over every cell of the disc."""
-        n = len(top)
-        wanted = np.unique(np.concatenate([doubt for doubt, _ in doubts]))
-        wanted = wanted[~failed[wanted]]
-        if not len(wanted):
-            return
-        place = np.full(len(rows), -1, dtype=np.intp)
-        place[wanted] = np.arange(len(wanted))
-        at_row = np.clip(rows[wanted, None] + over.row, 0, n - 1)
-        at_column = np.clip(columns[wanted, None] + over.column, 0, n - 1)
-        ground = top[at_row, at_column]
-        basis = np.stack([np.ones_like(over.x), over.x, over.y]).astype(np.float32)
-        limit = np.float32(self.config.touchdown_roughness)
-        for doubt, plane in doubts:
-            open_ = ~failed[doubt]
-            doubt, plane = doubt[open_], plane[:, open_]
-            if not len(doubt):
-                continue
-            above = ground[place[doubt]] - plane.T.astype(np.float32) @ basis
-            failed[doubt] = above.max(axis=1) > limit
+class _Roof:
+    """A plane over all ground that the lander can meet at the nodes of a block.
+
+    For each block of ``BLOCK`` by ``BLOCK`` nodes: the node plane at the block's centre, raised
+    to lie above every cell top within the lander's radius of any node of the block. A resting
+    plane then leaves at most roof - rest at the node, plus the radius times the difference of the
+    slopes, above itself.
+    """
+
+    def __init__(self, ground: _Ground, planes: NodePlanes, rows: slice, columns: slice) -> None:
+        self.radius = np.float32(ground.radius)
+        row = np.arange(rows.start, rows.stop, BLOCK)
+        column = np.arange(columns.start, columns.stop, BLOCK)
+        middle = BLOCK // 2
+        last = len(planes.elevation) - 1
+        at = np.ix_(np.minimum(row + middle, last), np.minimum(column + middle, last))
+        gx, gy = planes.slope_x[at].astype(np.float32), planes.slope_y[at].astype(np.float32)
+        over = disc(ground.radius + ground.side * np.hypot(middle, middle), ground.side)
+        limit = len(ground.top) - 1
+        highest = np.full(gx.shape, -np.inf, dtype=np.float32)
+        for up, right, x, y in zip(over.row, over.column, over.x, over.y, strict=True):
+            r = np.clip(row + middle + up + ground.border, 0, limit)
+            c = np.clip(column + middle + right + ground.border, 0, limit)
+            top = ground.top[np.ix_(r, c)]
+            np.maximum(highest, top - gx * np.float32(x) - gy * np.float32(y), out=highest)
+        shape = (rows.stop - rows.start, columns.stop - columns.start)
+        self.slope_x, self.slope_y = _spread(gx, shape), _spread(gy, shape)
+        x = ((np.arange(shape[1]) % BLOCK - middle) * ground.side).astype(np.float32)
+        y = ((np.arange(shape[0]) % BLOCK - middle) * ground.side).astype(np.float32)
+        self.height = _spread(highest, shape) + self.slope_x * x + self.slope_y * y[:, None]
+
+    def above(self, centre: Single, slope_x: Single, slope_y: Single) -> Single:
+        """Bound on how high the ground rises above resting planes, per node of the window."""
+        dx, dy = self.slope_x - slope_x, self.slope_y - slope_y
+        apart = np.sqrt(dx * dx + dy * dy)
+        apart *= self.radius
+        apart += self.height
+        apart -= centre
+        return apart
+
+
+def _spread(blocks: Single, shape: tuple[int, int]) -> Single:
+    """Values of blocks at each of their nodes."""
+    return blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[: shape[0], : shape[1]]
+
+
+def _compare(
+    ground: _Ground,
+    over: Disc,
+    rows: slice,
+    columns: slice,
+    failed: Mask,
+    doubts: list[tuple[Index, Single]],
+    limit: np.float32,
+) -> None:
+    """Settle doubtful (node, plane) pairs on the cells of the disc; sets ``failed``.
+
+    The cell that stands highest over the mean of a node's doubtful planes mostly decides: where it
+    is too high the node fails, where its height plus the planes' distance is not, the plane is
+    cleared. What is left is compared with every cell.
+    """
+    if not doubts:
+        return
+    flat = failed.ravel()
+    width = columns.stop - columns.start
+    of_pair = np.concatenate([node for node, _ in doubts])
+    plane = np.concatenate([values for _, values in doubts], axis=1)
+    open_ = np.flatnonzero(~flat[of_pair])
+    open_ = open_[np.argsort(of_pair[open_], kind="stable")]
+    of_pair, plane = of_pair[open_], plane[:, open_]
+    nodes, first = np.unique(of_pair, return_index=True)
+    first = np.append(first, len(of_pair))
+    basis = np.stack([np.ones_like(over.x), over.x, over.y]).astype(np.float32)
+    stride = ground.top.shape[1]
+    offset = over.row * stride + over.column
+    for begin in range(0, len(nodes), NODES):
+        chunk = nodes[begin : begin + NODES]
+        pairs = slice(first[begin], first[min(begin + NODES, len(nodes))])
+        planes, place = plane[:, pairs], of_pair[pairs]
+        local = np.searchsorted(chunk, place)
+        row, column = chunk // width + rows.start, chunk % width + columns.start
+        corner = (row + ground.border) * stride + column + ground.border
+        tops = ground.top.ravel()[corner[:, None] + offset]
+        count = np.bincount(local, minlength=len(chunk))
+        mean = np.stack([np.bincount(local, part) / count for part in planes]).astype(np.float32)
+        over_mean = tops - mean.T @ basis
+        best = np.argmax(over_mean, axis=1)
+        each = np.arange(len(chunk))
+        worst, high = over_mean[each, best], tops[each, best][local]
+        x, y = basis[1][best][local], basis[2][best][local]
+        flat[place[high - planes[0] - planes[1] * x - planes[2] * y > limit]] = True
+        apart = mean[:, local] - planes
+        bound = worst[local] + apart[0] + np.float32(ground.radius) * np.hypot(apart[1], apart[2])
+        left = np.flatnonzero((bound > limit) & ~flat[place])
+        for part in range(0, len(left), NODES):
+            pick = left[part : part + NODES]
+            above = tops[local[pick]] - planes[:, pick].T @ basis
+            flat[place[pick[above.max(axis=1) > limit]]] = True

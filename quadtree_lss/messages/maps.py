@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.quadtree import CellMap, Domain
+from quadtree_lss.core.quadtree import CellMap, Domain, fill_blocks
 from quadtree_lss.core.sites import LandingAssessment
 from quadtree_lss.errors import QuadtreeLssError
 
@@ -38,7 +38,7 @@ CELL_FIELDS: tuple[tuple[str, str], ...] = (
     ("x", "f4"),
     ("y", "f4"),
     ("z", "f4"),
-    ("size", "f4"),
+    ("size", "f8"),
     ("elevation", "f8"),
     ("normal_x", "f8"),
     ("normal_y", "f8"),
@@ -129,7 +129,15 @@ def decode_cells(
         raise MapMessageError("tiling", msg)
     size = float(records["size"][0]) * float(1 << int(level[0]))
     domain = Domain(float(xmin), float(ymin), size, int(records["min_level"][0]), max_level)
-    return CellMap(
+    if not (np.isfinite([xmin, ymin, size]).all() and 0.0 < size < 1e9):
+        msg = f"map/cells lies at ({xmin}, {ymin}) with size {size} m"
+        raise MapMessageError("domain", msg)
+    if domain.min_level > max_level or not np.array_equal(
+        records["size"], domain.cell_size(level)
+    ):
+        msg = "map/cells has leaves whose size does not follow from their level"
+        raise MapMessageError("domain", msg)
+    cells = CellMap(
         stamp_ns=stamp_ns,
         domain=domain,
         level=level,
@@ -146,6 +154,33 @@ def decode_cells(
         feature=_columns(records, _FEATURE),
         observed=observed,
     )
+    _check(cells)
+    return cells
+
+
+def _check(cells: CellMap) -> None:
+    """Refuse leaves that overlap and estimates that none can be.
+
+    Raises:
+        MapMessageError: reason ``tiling`` or ``values``.
+    """
+    rows = np.arange(len(cells.level))
+    raster = np.full(cells.domain.finest_count**2, -1, dtype=np.int32)
+    fill_blocks(raster, cells.domain, cells.level, cells.ix, cells.iy, rows)
+    if (raster < 0).any():
+        msg = "map/cells has leaves that overlap"
+        raise MapMessageError("tiling", msg)
+    known = cells.estimated
+    with np.errstate(invalid="ignore"):
+        sound = np.abs(np.sum(cells.normal**2, axis=1) - 1.0) < 1e-6
+        sound &= (cells.normal[:, 2] > 0.0) & (np.abs(cells.z) < 1e7)
+        for part in (cells.covariance_range, cells.covariance_pose):
+            sound &= (np.diagonal(part, axis1=1, axis2=2) >= 0.0).all(axis=1)
+            sound &= np.isfinite(part).all(axis=(1, 2))
+        sound &= ~cells.measured | (np.isfinite(cells.roughness) & (cells.roughness >= 0.0))
+    if not sound[known].all() or cells.measured[~known].any():
+        msg = "map/cells has a leaf with an impossible plane (normal, elevation, covariance)"
+        raise MapMessageError("values", msg)
 
 
 def _columns(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
