@@ -82,10 +82,12 @@ def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
 
 def hazard_figure(assessment: LandingAssessment) -> Figure:
     """Kinds of hazards, and beside them where the vehicle may land, with the ranked sites."""
-    figure = Figure(figsize=(11.0, 6.0), layout="constrained")
+    figure = Figure(figsize=(11.0, 6.4))
     left, right = figure.subplots(1, 2, sharey=True)
+    figure.subplots_adjust(left=0.07, right=0.98, top=0.95, bottom=0.18, wspace=0.05)
     for axes, title in ((left, "Hazards by kind"), (right, "Where landing is allowed")):
         _label(axes, title)
+    right.set_ylabel("")
     kind = np.zeros(assessment.hazard.shape, dtype=np.int64)
     for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=1))):
         kind[(assessment.hazard & bit) > 0] = place
@@ -95,8 +97,8 @@ def hazard_figure(assessment: LandingAssessment) -> Figure:
     allowed = np.where(assessment.safe, 1, np.where(unseen, 2, 0))
     names = [("excluded", CLEAR_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
     decisions = _draw_classes(right, assessment, allowed, names)
-    figure.legend(handles=kinds, loc="outside lower left", ncols=3, frameon=False)
-    figure.legend(handles=decisions, loc="outside lower right", ncols=3, frameon=False)
+    figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
+    figure.legend(handles=decisions, loc="lower right", ncols=3, frameon=False)
     _draw_sites(right, assessment, radius=0.0)
     return figure
 

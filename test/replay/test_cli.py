@@ -120,6 +120,12 @@ def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     assert code == 0 and "Elevation error" in shown
 
 
+def test_publishing_without_ros_says_so(bag, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "quadtree_lss.ros.player", None)  # what `import` then meets
+    code, _, err = run(capsys, "replay", bag, "--publish")
+    assert code == 1 and "rclpy" in err and err.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("given", "kept"),
     [
