@@ -58,8 +58,8 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     cell, group = compact(key[chosen].astype(np.intp), n * n)
     count = len(cell)
     size = float(cells.domain.cell_size(level))
-    x = cells.domain.xmin + (cell % n + 0.5) * size
-    y = cells.domain.ymin + (cell // n + 0.5) * size
+    x: Array = np.asarray(cells.domain.xmin + (cell % n + 0.5) * size, dtype=np.float64)
+    y: Array = np.asarray(cells.domain.ymin + (cell // n + 0.5) * size, dtype=np.float64)
     weight = np.maximum(cells.count[chosen].astype(np.float64), 1.0)
     total = np.bincount(group, weight, minlength=count)
     share = weight / total[group]

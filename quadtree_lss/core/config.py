@@ -116,10 +116,18 @@ class PoseConfig:
     )
     queue: int = _p(10, "scans that may wait for their pose or their turn", low=1, high=1000)
     unknown_position_sigma: float = _p(
-        0.1, "position standard deviation where the message says unknown", unit="m", low=0.0, high=1e3
+        0.1,
+        "position standard deviation where the message says unknown",
+        unit="m",
+        low=0.0,
+        high=1e3,
     )
     unknown_attitude_sigma_deg: float = _p(
-        0.05, "attitude standard deviation where the message says unknown", unit="deg", low=0.0, high=90.0
+        0.05,
+        "attitude standard deviation where the message says unknown",
+        unit="deg",
+        low=0.0,
+        high=90.0,
     )
 
 
@@ -143,10 +151,16 @@ class MappingConfig:
         choices=("lack_of_fit", "mahalanobis"),
     )
     division_factor: float = _p(
-        1.2, "a cell divides above this multiple of the expected value (Eq. 47)", low=1.0, high=100.0
+        1.2,
+        "a cell divides above this multiple of the expected value (Eq. 47)",
+        low=1.0,
+        high=100.0,
     )
     division_min_residuals: int = _p(
-        8, "free residuals (points less three a scan) before the statistic counts", low=1, high=100000
+        8,
+        "free residuals (points less three a scan) before the statistic counts",
+        low=1,
+        high=100000,
     )
     min_points: int = _p(3, "points of one scan that make a first fit", low=3, high=10000)
     slope_prior_points: float = _p(
@@ -163,7 +177,11 @@ class MappingConfig:
         1.0, "residuals count at most this much in running statistics", unit="m", low=0.01, high=1e3
     )
     roughness_tolerance: float = _p(
-        0.3, "a measurement farther from its plane is an exception (Eq. 48)", unit="m", low=0.01, high=100.0
+        0.3,
+        "a measurement farther from its plane is an exception (Eq. 48)",
+        unit="m",
+        low=0.01,
+        high=100.0,
     )
     noise_check: bool = _p(True, "warn when the observed range noise differs from the configured")
 
@@ -178,7 +196,10 @@ class FeaturesConfig:
         0.002, "features of less volume (k^2) are discarded", unit="m^3", low=0.0, high=1e4
     )
     max_sigma_fraction: float = _p(
-        0.3, "features wider (sigma) than this fraction of the cell are discarded", low=0.01, high=2.0
+        0.3,
+        "features wider (sigma) than this fraction of the cell are discarded",
+        low=0.01,
+        high=2.0,
     )
     min_points: int = _p(12, "points of one scan a cell needs for a feature", low=6, high=100000)
 
@@ -193,9 +214,16 @@ class LssConfig:
         choices=("paper", "touchdown"),
     )
     grid_spacing: float = _p(0.5, "spacing of candidate sites", unit="m", low=0.01, high=1000.0)
-    vehicle_diameter: float = _p(3.7, "diameter of the pads' circle", unit="m", low=0.1, high=1000.0)
+    vehicle_diameter: float = _p(
+        3.7, "diameter of the pads' circle", unit="m", low=0.1, high=1000.0
+    )
     margin: float = _p(
-        0.0, "guidance error added to the vehicle's radius", unit="m", low=0.0, high=1000.0, live=True
+        0.0,
+        "guidance error added to the vehicle's radius",
+        unit="m",
+        low=0.0,
+        high=1000.0,
+        live=True,
     )
     max_slope_deg: float = _p(10.0, "slope tolerance", unit="deg", low=0.1, high=89.0, live=True)
     max_roughness: float = _p(0.3, "roughness tolerance", unit="m", low=0.01, high=100.0, live=True)
@@ -210,19 +238,32 @@ class LssConfig:
         high=1e5,
     )
     touchdown_slope_deg: float = _p(
-        9.0, "slope limit of the touchdown check on the map", unit="deg", low=0.1, high=89.0, live=True
+        9.0,
+        "slope limit of the touchdown check on the map",
+        unit="deg",
+        low=0.1,
+        high=89.0,
+        live=True,
     )
     touchdown_roughness: float = _p(
-        0.25, "roughness limit of the touchdown check on the map", unit="m", low=0.01, high=100.0, live=True
+        0.25,
+        "roughness limit of the touchdown check on the map",
+        unit="m",
+        low=0.01,
+        high=100.0,
+        live=True,
     )
     touchdown_yaws: int = _p(12, "headings of the touchdown check", low=1, high=360)
     pad_radius: float = _p(0.15, "radius of a landing pad", unit="m", low=0.0, high=10.0)
     max_gap: float = _p(
-        0.6, "ground farther from any measurement is unseen", unit="m", low=0.0, high=1000.0, live=True
+        0.6,
+        "ground farther from any measurement is unseen",
+        unit="m",
+        low=0.0,
+        high=1000.0,
+        live=True,
     )
-    weight_slope: float = _p(
-        1.0, "alpha_theta of Eq. 58, per radian", low=0.0, high=1e6, live=True
-    )
+    weight_slope: float = _p(1.0, "alpha_theta of Eq. 58, per radian", low=0.0, high=1e6, live=True)
     weight_roughness: float = _p(
         1.0, "alpha_R of Eq. 58, per cubic metre", low=0.0, high=1e6, live=True
     )
@@ -231,7 +272,11 @@ class LssConfig:
     )
     weight_subscale: float = _p(1.0, "alpha_s of Eq. 58, per metre", low=0.0, high=1e6, live=True)
     weight_target: float = _p(
-        0.02, "added score per metre from the target, when one is given", low=0.0, high=1e6, live=True
+        0.02,
+        "added score per metre from the target, when one is given",
+        low=0.0,
+        high=1e6,
+        live=True,
     )
     hazard_distance_cap: float = _p(
         10.0, "farther hazards do not improve a score", unit="m", low=0.1, high=1e5, live=True
@@ -401,7 +446,9 @@ def _check_together(config: Config) -> None:
         )
         raise ConfigError(msg)
     if lidar.min_range >= lidar.max_range:
-        msg = f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
+        msg = (
+            f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
+        )
         raise ConfigError(msg)
     nodes = domain.size / config.lss.grid_spacing
     if nodes > 4096:

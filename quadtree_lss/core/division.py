@@ -35,7 +35,7 @@ def distances(normal: Array, through: Array, group: Index, points: Array) -> Arr
         through: (M, 3) a point of each plane, same origin as ``points``.
         group: (N,) plane of each point.
     """
-    out = normal[:, 0][group] * points[0]
+    out: Array = normal[:, 0][group] * points[0]
     out += normal[:, 1][group] * points[1]
     out += normal[:, 2][group] * points[2]
     out -= np.einsum("mi,mi->m", normal, through)[group]
@@ -54,7 +54,8 @@ def lack_of_fit(distance: Array, noise: Array, count: Array) -> Array:
         (M,), of expectation E[chi_1] on planar ground; 0 where N <= 3.
     """
     free = np.maximum(count - 3.0, 1.0)
-    return np.where(count > 3.0, distance / noise * np.sqrt(count / free), 0.0)
+    out: Array = np.where(count > 3.0, distance / noise * np.sqrt(count / free), 0.0)
+    return out
 
 
 def mahalanobis_factor(
@@ -76,7 +77,8 @@ def mahalanobis_factor(
         ray[:, :, None] * ray[:, None, :]
     )
     weight = np.einsum("mi,mij,mj->m", ray, planes.inverse_symmetric(sigma), ray)
-    return np.sqrt(np.maximum(weight, 0.0)) / cosine
+    out: Array = np.sqrt(np.maximum(weight, 0.0)) / cosine
+    return out
 
 
 def lack_of_fit_statistic(fit: Fit, moment: Moments, group: Index, points: Array) -> Array:

@@ -139,7 +139,8 @@ def estimate(
         active = active[~settled]
         if not len(active):
             break
-    return state, np.linalg.inv(normal), data
+    covariance: Array = np.linalg.inv(normal).astype(np.float64)
+    return state, covariance, data
 
 
 def _bounded(state: Array, half: Array, finest: Array) -> Array:

@@ -137,8 +137,9 @@ def fit_scans(
     """Planes of cells from stored points of several scans, each with its own offset gamma_j.
 
     The normal follows from the sum of the within-scan scatters over their residuals' variances
-    (which depend on the normal a little: two passes); gamma_j = n.mean_j, and d = mean of gamma_j (Eq. 22), so the range part of its variance is sum_j v_j / N_j / N_s^2
-    and the pose part sum_j Q_j / N_s^2, scans being independent.
+    (which depend on the normal a little: two passes); gamma_j = n.mean_j, and d = mean of gamma_j
+    (Eq. 22), so the range part of its variance is sum_j v_j / N_j / N_s^2 and the pose part
+    sum_j Q_j / N_s^2, scans being independent.
 
     Args:
         moment: G groups, one for each (cell, scan) that occurs.
@@ -190,9 +191,7 @@ def fit_scans(
         part = planes.pose_part(normal[cell], basis[cell], arm, pose_roots[scan])
         return planes.sum_by(cell, cells, part) / (scans**2)[:, None, None]
 
-    fit = _about_centre(
-        normal, basis, mean_noise, slope, pooled.mean, offset, centre, pose_part
-    )
+    fit = _about_centre(normal, basis, mean_noise, slope, pooled.mean, offset, centre, pose_part)
     return fit, good
 
 

@@ -105,7 +105,11 @@ class Leaves(Quadtree):
             return rows
         level = self.level[rows]
         normal, z = self.normal[rows], self.z[rows]
-        range_part, pose_part, misfit = self.range_part[rows], self.pose_part[rows], self.misfit[rows]
+        range_part, pose_part, misfit = (
+            self.range_part[rows],
+            self.pose_part[rows],
+            self.misfit[rows],
+        )
         children = self.split(rows)
         done = len(children)
         quarter = np.repeat(0.25 * self.domain.cell_size(level[:done]), 4)

@@ -50,7 +50,9 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
     )
 
 
-def fixed_from_body_covariance(sigma_position: Array, sigma_rotation: Array, rotation: Array) -> Array:
+def fixed_from_body_covariance(
+    sigma_position: Array, sigma_rotation: Array, rotation: Array
+) -> Array:
     """Fixed-axis 6x6 covariance of a pose perturbed as in Eq. 16.
 
     Eq. 16 perturbs on the right, in lidar axes: R_hat = R exp(dR). About the map's axes the same
@@ -85,7 +87,8 @@ def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Arra
     jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(arm), 3, 3)), -skew(arm)], axis=-1)
     ray = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
     along = range_noise**2 * ray[:, :, None] * ray[:, None, :]
-    return jacobian @ pose.covariance @ jacobian.transpose(0, 2, 1) + along
+    out: Array = jacobian @ pose.covariance @ jacobian.transpose(0, 2, 1) + along
+    return out
 
 
 def points_to_map(points_lidar: Array, pose: Pose) -> Array:
@@ -117,8 +120,8 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
     else:
         distance = np.full(valid.shape, np.inf)
         points = points_lidar[valid]
-        found, _ = cKDTree(points, balanced_tree=False, compact_nodes=False).query(points, k=2)
-        distance[valid] = found[:, 1]
+        tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+        distance[valid] = np.asarray(tree.query(points, k=2)[0])[:, 1]
     lonely = valid & (distance > gate)
     if not lonely.any():
         return lonely
@@ -127,7 +130,7 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
 
 
 def _nearest_in_range(ranges: Array, valid: Mask) -> Array:
-    """Least absolute range difference of each pixel (H, W) to the pixels beside, above and below."""
+    """Least absolute range difference of each pixel (H, W) to the four next to it."""
     known = np.where(valid, ranges, np.nan)
     nearest = np.full(valid.shape, np.inf)
     for first, second in (

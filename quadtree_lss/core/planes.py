@@ -65,7 +65,7 @@ def moments(group: Index, groups: int, points: Array, lidar: Array) -> Moments:
         mean[:, i] = np.bincount(group, points[i], minlength=groups) / count
     for i in range(3):
         for j in range(i, 3):
-            total = np.bincount(group, points[i] * points[j], minlength=groups)
+            total = np.bincount(group, points[i] * points[j], minlength=groups).astype(np.float64)
             total -= count * mean[:, i] * mean[:, j]
             scatter[:, i, j] = scatter[:, j, i] = np.maximum(total, 0.0) if i == j else total
     return Moments(count, mean, scatter, unit(mean - lidar))
@@ -105,7 +105,11 @@ def fit_height(scatter: Array, prior_normal: Array, prior_spread: Array) -> Arra
     """
     slope_x = -prior_normal[:, 0] / prior_normal[:, 2]
     slope_y = -prior_normal[:, 1] / prior_normal[:, 2]
-    sxx, syy, sxy = scatter[:, 0, 0] + prior_spread, scatter[:, 1, 1] + prior_spread, scatter[:, 0, 1]
+    sxx, syy, sxy = (
+        scatter[:, 0, 0] + prior_spread,
+        scatter[:, 1, 1] + prior_spread,
+        scatter[:, 0, 1],
+    )
     sxz = scatter[:, 0, 2] + prior_spread * slope_x
     syz = scatter[:, 1, 2] + prior_spread * slope_y
     determinant = sxx * syy - sxy * sxy
@@ -168,7 +172,8 @@ def upward(normals: Array) -> Array:
 def orthogonal_noise_variance(normal: Array, ray: Array, range_noise: float) -> Array:
     """Variance (M,) of Eq. 19's residual from range noise: sigma^2 (n.u)^2, m^2."""
     cosine = np.abs(np.einsum("mi,mi->m", normal, ray))
-    return (range_noise * np.maximum(cosine, MIN_COSINE)) ** 2
+    out: Array = (range_noise * np.maximum(cosine, MIN_COSINE)) ** 2
+    return out
 
 
 def slope_covariance(scatter: Array, basis: Array, spread: Array) -> Array:
@@ -284,7 +289,7 @@ def congruent(change: Array, covariance: Array) -> Array:
 
 
 def transport(covariance: Array, of: Array, to: Array) -> Array:
-    """Covariance (M, 3, 3) of errors in the tangent at ``of`` (M, 3), seen in the tangent at ``to``."""
+    """Covariance (M, 3, 3) of errors in the tangent at ``of``, seen in the tangent at ``to``."""
     return congruent(tangent_change(of, to), covariance)
 
 

@@ -38,4 +38,5 @@ def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
         if y0 != y1:
             crosses = (y0 > y) != (y1 > y)
             inside ^= crosses & (x < x0 + (y - y0) * ex / ey)
-    return np.where(inside, 1.0, -1.0) * np.sqrt(square)
+    out: Array = np.where(inside, 1.0, -1.0) * np.sqrt(square)
+    return out

@@ -26,7 +26,8 @@ def exp(rotation_vectors: ArrayLike) -> Array:
     k = skew(v)
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    return np.eye(3) + first * k + second * (k @ k)
+    out: Array = np.eye(3) + first * k + second * (k @ k)
+    return out
 
 
 def log(rotations: ArrayLike) -> Array:
@@ -46,7 +47,8 @@ def rotation_from_quaternion(quaternions_xyzw: ArrayLike) -> Array:
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     vector, scalar = q[..., :3], q[..., 3, None, None]
     k = skew(vector)
-    return np.eye(3) + 2.0 * scalar * k + 2.0 * (k @ k)
+    out: Array = np.eye(3) + 2.0 * scalar * k + 2.0 * (k @ k)
+    return out
 
 
 def quaternion_from_rotation(rotations: ArrayLike) -> Array:
@@ -76,6 +78,6 @@ def quaternion_from_rotation(rotations: ArrayLike) -> Array:
 
 
 def slerp(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
-    """Rotation at ``fraction`` of the way between two rotation matrices (3, 3), at constant rate."""
+    """Rotation at ``fraction`` of the way between two matrices (3, 3), at constant rate."""
     r0, r1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     return r0 @ exp(fraction * log(r0.T @ r1))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
+Kind = TypeVar("Kind", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,8 @@ class LandingSiteSelector:
 
 def _grid(low: float, size: float, spacing: float) -> Array:
     """Nodes from ``low`` in steps of ``spacing`` up to the domain's far edge, inclusive."""
-    return low + spacing * np.arange(int(np.floor(size / spacing + 1e-9)) + 1)
+    count = int(np.floor(size / spacing + 1e-9)) + 1
+    return np.asarray(low + spacing * np.arange(count), dtype=np.float64)
 
 
 class _Sampler:
@@ -223,7 +226,7 @@ class _Sampler:
         self.u = np.clip(column - self.column0, 0.0, 1.0)
         self.v = np.clip(row - self.row0, 0.0, 1.0)[:, None]
 
-    def _corners(self, values: NDArray[np.generic]) -> tuple[NDArray[np.generic], ...]:
+    def _corners(self, values: NDArray[Kind]) -> tuple[NDArray[Kind], ...]:
         low, high = values[self.row0], values[self.row1]
         return (
             low[:, self.column0],
@@ -234,13 +237,11 @@ class _Sampler:
 
     def everywhere(self, values: Mask) -> Mask:
         """True where all surrounding lattice nodes are."""
-        a, b, c, d = self._corners(values)
-        return np.asarray(a & b & c & d, dtype=np.bool_)
+        return np.asarray(np.logical_and.reduce(self._corners(values)), dtype=np.bool_)
 
     def any(self, values: Bits) -> Bits:
         """Bits set in any surrounding lattice node."""
-        a, b, c, d = self._corners(values)
-        return np.asarray(a | b | c | d, dtype=np.uint8)
+        return np.asarray(np.bitwise_or.reduce(self._corners(values)), dtype=np.uint8)
 
     def nearest(self, values: Array) -> Array:
         """Value of the nearest lattice node."""
@@ -254,7 +255,7 @@ class _Sampler:
 
     def linear(self, values: Array) -> Array:
         """Bilinear interpolation."""
-        a, b, c, d = (np.asarray(part, dtype=np.float64) for part in self._corners(values))
+        a, b, c, d = self._corners(values)
         u, v = self.u, self.v
         out: Array = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
         return out

@@ -115,9 +115,7 @@ def accumulate(
     leaves.residuals[rows] += np.where(count > 1.0, count, 0.0)
 
 
-def exception_mass(
-    leaves: Leaves, residuals: Residuals, noise: Array, tolerance: float
-) -> Array:
+def exception_mass(leaves: Leaves, residuals: Residuals, noise: Array, tolerance: float) -> Array:
     """Eq. 48's sum of xi in each leaf (M,): probability mass beyond the roughness tolerance.
 
     xi = Phi((e - t) / s) + Phi((-e - t) / s) with e the residual without the scan's offset and

@@ -64,9 +64,7 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
         gap = distance_transform_edt(~cells.observed) - 0.5
         seen = gap * side <= max_gap
         if not measured.all():
-            nearest = distance_transform_edt(
-                ~measured, return_distances=False, return_indices=True
-            )
+            nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
             bridged = elevation[nearest[0], nearest[1]]
             elevation = np.where(measured, elevation, bridged)
             slope_x = np.where(measured, slope_x, 0.0)

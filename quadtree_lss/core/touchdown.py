@@ -177,7 +177,9 @@ class _Ground:
     def _window(self, values: Single, rows: slice, columns: slice, up: int, right: int) -> Single:
         """Cells at an offset from each node of a window."""
         up, right = up + self.border, right + self.border
-        return values[rows.start + up : rows.stop + up, columns.start + right : columns.stop + right]
+        return values[
+            rows.start + up : rows.stop + up, columns.start + right : columns.stop + right
+        ]
 
     def _stand(self, rows: slice, columns: slice, x: float, y: float) -> Single:
         """Height that a pad at offset (x, y) from each node of a window stands on, m."""
@@ -196,20 +198,20 @@ class _Ground:
         r = self.radius
         half, inverse = np.float32(0.5), np.float32(1.0 / r)
         for yaw in np.arange(self.yaws) * (0.5 * np.pi / self.yaws):
-            c, s = float(np.cos(yaw)), float(np.sin(yaw))
+            c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
             east, north, west, south = (
-                self._stand(rows, columns, r * x, r * y)
+                self._stand(rows, columns, r * float(x), r * float(y))
                 for x, y in ((c, s), (-s, c), (-c, -s), (s, -c))
             )
             carried = east + west >= north + south
-            centre = half * np.maximum(east + west, north + south)
+            centre: Single = half * np.maximum(east + west, north + south)
             # The diagonal that carries has its own slope; one pad of the other touches down.
-            down = ((np.where(carried, north, east) - centre) * inverse,
-                    (centre - np.where(carried, south, west)) * inverse)
-            own = half * inverse * np.where(carried, east - west, north - south)
-            for other in down:
-                along = np.where(carried, own, other)
-                across = np.where(carried, other, own)
+            own: Single = half * inverse * np.where(carried, east - west, north - south)
+            ahead: Single = (np.where(carried, north, east) - centre) * inverse
+            behind: Single = (centre - np.where(carried, south, west)) * inverse
+            for other in (ahead, behind):
+                along: Single = np.where(carried, own, other)
+                across: Single = np.where(carried, other, own)
                 yield centre, along * c - across * s, along * s + across * c
 
 
@@ -247,7 +249,7 @@ class _Roof:
     def above(self, centre: Single, slope_x: Single, slope_y: Single) -> Single:
         """Bound on how high the ground rises above resting planes, per node of the window."""
         dx, dy = self.slope_x - slope_x, self.slope_y - slope_y
-        apart = np.sqrt(dx * dx + dy * dy)
+        apart: Single = np.sqrt(dx * dx + dy * dy)
         apart *= self.radius
         apart += self.height
         apart -= centre

@@ -94,7 +94,7 @@ class ScanUpdate:
 
     def _round(self, index: Index, points: Array) -> Round:
         leaf = self.leaves.leaf_of_finest[self.scan.finest[index]]
-        rows, group = compact(leaf, self.leaves.count)
+        rows, group = compact(leaf.astype(np.intp), self.leaves.count)
         moment = planes.moments(group, len(rows), points, self.lidar)
         centre = np.empty((len(rows), 2))
         centre[:, 0] = self.leaves.x[rows] - self.origin[0]
