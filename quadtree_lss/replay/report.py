@@ -87,7 +87,7 @@ def _sites(result: ReplayResult) -> str:
         "z, m",
         "score",
         "slope, deg",
-        "roughness, m",
+        "roughness, m³",
     )
     header = (*header, "hazard distance, m", "subscale height, m", "why")
     rows = [

@@ -174,11 +174,13 @@ def test_it_is_the_map_that_the_messages_give_one_by_one(bag, result):
 
 
 def test_without_report_an_old_one_does_not_stay(bag, tmp_path):
-    replay(bag, tmp_path, CONFIG, duration=0.5)
-    assert (tmp_path / "report.html").exists()
+    old = [tmp_path / "report.html", tmp_path / "figures" / "score.png"]
+    other = tmp_path / "figures" / "mine.png"
+    other.parent.mkdir()
+    for path in (*old, other):
+        path.write_text("of an earlier run")
     replay(bag, tmp_path, CONFIG, report=False)
-    assert not (tmp_path / "report.html").exists()
-    assert not list((tmp_path / "figures").iterdir())
+    assert not any(path.exists() for path in old) and other.exists()
 
 
 def test_a_part_of_the_bag(bag, tmp_path):
