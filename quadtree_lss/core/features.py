@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-ITERATIONS = 12
+ITERATIONS = 10
 #: Points this many standard deviations above the plane make a cell a candidate.
 HIGH = 3.0
 #: Fraction of points that noise alone raises so high, P(N(0, 1) > 3).
@@ -33,6 +33,8 @@ WINDOW = 5.0
 MAX_SAMPLES = 512
 #: Relative change of the cost at which an estimate has converged.
 SETTLED = 1e-3
+#: Peak of the bell that fits a hemisphere best over the hemisphere's height.
+SHAPE = 1.25
 #: A first estimate must lower the cost (a chi-square) by this much against flat ground.
 SIGNIFICANCE = 25.0
 #: Candidates treated in one scan; the rest wait for the next, the strongest go first.
@@ -42,6 +44,17 @@ MAX_CANDIDATES = 256
 def peak(state: Array) -> Array:
     """Height of bumps over their surroundings, k^2 / (2 pi sigma^2): (..., 5) to (...), m."""
     out: Array = state[..., 1] ** 2 / (2.0 * np.pi * state[..., 4] ** 2)
+    return out
+
+
+def as_boulder(state: Array) -> Array:
+    """States (M, 5) of fitted bells turned into those of boulders of the same volume.
+
+    A bell fitted to a hemisphere by least squares peaks a quarter above it. The volume k^2 is
+    right; widening sigma by sqrt(5/4) lowers the peak to the boulder's height and keeps it.
+    """
+    out = state.copy()
+    out[:, 4] *= np.sqrt(SHAPE)
     return out
 
 
@@ -97,6 +110,23 @@ def flat_cost(samples: Samples) -> Array:
     total = np.maximum(samples.weight.sum(axis=1), 1e-300)
     mean = (samples.weight * samples.z).sum(axis=1) / total
     out: Array = (samples.weight * (samples.z - mean[:, None]) ** 2).sum(axis=1)
+    return out
+
+
+def promise(samples: Samples, state: Array) -> Array:
+    """How much a bump of the state's place and width can lower the flat cost at best, (C,).
+
+    Linear in height, so in closed form: (sum w g z)^2 / sum w g^2 with the bell g freed of its
+    mean; 0 where the best height is negative.
+    """
+    square = (samples.x - state[:, 2:3]) ** 2 + (samples.y - state[:, 3:4]) ** 2
+    bell = np.exp(-0.5 * square / state[:, 4:5] ** 2)
+    total = np.maximum(samples.weight.sum(axis=1, keepdims=True), 1e-300)
+    bell -= (samples.weight * bell).sum(axis=1, keepdims=True) / total
+    bell *= samples.weight
+    rise = np.maximum((bell * samples.z).sum(axis=1), 0.0)
+    weight = (bell * bell / np.maximum(samples.weight, 1e-300)).sum(axis=1)
+    out: Array = rise**2 / np.maximum(weight, 1e-300)
     return out
 
 
@@ -295,15 +325,23 @@ class FeatureEstimator:
         place[chosen] = np.arange(len(chosen))
         size = leaves.domain.cell_size(leaves.level[rows])
         count = residuals.moment.count[chosen]
-        mean, information = self._prior(leaves, residuals, rows, place, high, count, known)
+        mean = self._start(leaves, residuals, rows, place, high, count, known)
         samples = self._window(leaves, residuals, rows, place, mean, size, variance)
+        worth = np.flatnonzero(known | (promise(samples, mean) >= 0.5 * SIGNIFICANCE))
+        if not len(worth):
+            return
+        rows, known, mean, samples = rows[worth], known[worth], mean[worth], samples.take(worth)
+        size, count = size[worth], count[worth]
+        # Eq. 52's unit covariance for a new feature, the last one for a known.
+        information = np.broadcast_to(np.eye(5), (len(rows), 5, 5)).copy()
+        information[known] = np.linalg.inv(leaves.feature_covariance[rows[known]])
         finest = 0.4 * size / np.sqrt(count)
         state, covariance, cost = estimate(samples, mean, information, 0.5 * size, finest)
         gain = flat_cost(samples) - cost
         config = self.config
         keep = (
             (state[:, 1] ** 2 >= config.min_volume)
-            & (peak(state) >= config.min_height)
+            & (peak(state) >= SHAPE * config.min_height)
             & (state[:, 4] <= config.max_sigma_fraction * size)
             & (known | (gain >= SIGNIFICANCE))
             & np.isfinite(covariance).all(axis=(1, 2))
@@ -311,7 +349,7 @@ class FeatureEstimator:
         leaves.feature[rows] = np.where(keep[:, None], state, np.nan)
         leaves.feature_covariance[rows] = np.where(keep[:, None, None], covariance, np.nan)
 
-    def _prior(
+    def _start(
         self,
         leaves: Leaves,
         residuals: Residuals,
@@ -320,9 +358,8 @@ class FeatureEstimator:
         high: Index,
         count: Array,
         known: Mask,
-    ) -> tuple[Array, Array]:
-        """Mean (C, 5) and information (C, 5, 5): the last state, or a start with Eq. 52's unit
-        covariance."""
+    ) -> Array:
+        """Where each estimate begins, (C, 5): the last state, or from the data."""
         cell = place[residuals.group[high]]
         high, cell = high[cell >= 0], cell[cell >= 0]
         raised = gather_raised(
@@ -333,10 +370,7 @@ class FeatureEstimator:
             residuals.distance[high] / leaves.normal[rows, 2][cell],
         )
         fresh = start(raised, count, leaves.domain.cell_size(leaves.level[rows]) ** 2)
-        mean = np.where(known[:, None], leaves.feature[rows], fresh)
-        information = np.broadcast_to(np.eye(5), (len(rows), 5, 5)).copy()
-        information[known] = np.linalg.inv(leaves.feature_covariance[rows[known]])
-        return mean, information
+        return np.where(known[:, None], leaves.feature[rows], fresh)
 
     def _window(
         self,

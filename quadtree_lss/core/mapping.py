@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.core import statistics
 from quadtree_lss.core.config import Config
-from quadtree_lss.core.features import FeatureEstimator
+from quadtree_lss.core.features import FeatureEstimator, as_boulder
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.quadtree import CellMap, Domain, morton_order
@@ -133,6 +133,6 @@ class Mapper:
             measured=leaves.measured[order],
             roughness=roughness,
             exception_fraction=exceptions,
-            feature=leaves.feature[order],
+            feature=as_boulder(leaves.feature[order]),
             observed=self.observed.reshape(n, n).copy(),
         )

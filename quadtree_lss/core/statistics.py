@@ -119,8 +119,8 @@ def exception_mass(leaves: Leaves, residuals: Residuals, noise: Array, tolerance
     """Eq. 48's sum of xi in each leaf (M,): probability mass beyond the roughness tolerance.
 
     xi = Phi((e - t) / s) + Phi((-e - t) / s) with e the residual without the scan's offset and
-    s^2 = noise + tilt variance at the point. Points whose |e| is four s or more inside the
-    tolerance (s at the cell's corner) count as zero.
+    s^2 = noise + tilt variance at the point. Points whose |e| is three s or more inside the
+    tolerance (s at the cell's corner) count as zero: their mass is below 0.00135.
 
     Args:
         noise: (M,) variance from range noise, m^2.
@@ -132,7 +132,7 @@ def exception_mass(leaves: Leaves, residuals: Residuals, noise: Array, tolerance
     bound = np.sqrt(noise + reach * (tilt[:, 0, 0] + tilt[:, 1, 1]))
     out = np.zeros(len(rows))
     size = np.abs(residuals.distance)
-    sure = tolerance - 4.0 * bound
+    sure = tolerance - 3.0 * bound
     if size.max() <= sure.min():
         return out
     near = np.flatnonzero(size > sure[residuals.group])
@@ -140,13 +140,14 @@ def exception_mass(leaves: Leaves, residuals: Residuals, noise: Array, tolerance
         return out
     group = residuals.group[near]
     e = size[near]
-    arm = residuals.points[:, near].T - moment.mean[group]
-    basis = sphere.tangent_basis(leaves.normal[rows[group]])
-    lever = np.einsum("mij,mi->mj", basis, arm)
-    at_point = noise[group] + np.einsum("mi,mij,mj->m", lever, tilt[group], lever)
+    arm = residuals.points.take(near, axis=1) - moment.mean.T.take(group, axis=1)
+    basis = sphere.tangent_basis(leaves.normal[rows])
+    lever = np.einsum("kmj,km->jm", basis.transpose(1, 0, 2)[:, group], arm)
+    at_point = noise[group] + tilt[group, 0, 0] * lever[0] ** 2 + tilt[group, 1, 1] * lever[1] ** 2
+    at_point += 2.0 * tilt[group, 0, 1] * lever[0] * lever[1]
     deviation = np.sqrt(np.maximum(at_point, 1e-12))
     mass = ndtr((e - tolerance) / deviation) + ndtr((-e - tolerance) / deviation)
-    np.add.at(out, group, mass)
+    out += np.bincount(group, mass, minlength=len(rows))
     return np.minimum(out, moment.count)
 
 
