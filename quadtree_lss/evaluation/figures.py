@@ -109,7 +109,15 @@ def _seen_box(heights: ErrorField) -> tuple[float, float, float, float]:
     return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
 
 
+def _around(truth: Truth) -> tuple[float, float, float, float]:
+    """The scanned box and a vehicle's radius around it."""
+    xmin, xmax, ymin, ymax = truth.box
+    reach = 0.5 * Lander().diameter + 0.15
+    return xmin - reach, xmax + reach, ymin - reach, ymax + reach
+
+
 def _outline(axes: Axes, truth: Truth) -> None:
+    """The scanned box."""
     xmin, xmax, ymin, ymax = truth.box
     axes.add_patch(
         Rectangle((xmin, ymin), xmax - xmin, ymax - ymin, fill=False, edgecolor="black", lw=0.8)
@@ -204,7 +212,7 @@ def true_safety(safety: SafetyField, truth: Truth) -> Figure:
 
 def classification(safety: SafetyField, truth: Truth, sites: FloatArray) -> Figure:
     """Verdict against truth, node by node, with the best sites (Fig. 22)."""
-    figure, axes = _axes("Classification of terrain", truth.box)
+    figure, axes = _axes("Classification of terrain", _around(truth))
     called = safety.called_safe & safety.seen
     kind = np.select(
         [
@@ -226,6 +234,7 @@ def classification(safety: SafetyField, truth: Truth, sites: FloatArray) -> Figu
             colours, labels, (np.bincount(kind.ravel(), minlength=5) / total), strict=True
         )
     ]
+    _outline(axes, truth)
     _mark(axes, sites)
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
     return figure
@@ -249,24 +258,26 @@ def _mark(axes: Axes, sites: FloatArray) -> None:
 
 def score(grid: Grid, truth: Truth, sites: FloatArray) -> Figure:
     """Score of the terrain where landing is allowed, lower is better (Figs. 23, 24)."""
-    figure, axes = _axes("Site score, lower is better; white: excluded", truth.box)
+    figure, axes = _axes("Site score, lower is better; white: excluded", _around(truth))
     allowed: BoolArray = grid.safe & np.isfinite(grid.score)
     values = np.where(allowed, grid.score, np.nan)
     low, high = np.percentile(grid.score[allowed], (0.5, 99.5)) if allowed.any() else (0.0, 1.0)
     image = _image(axes, grid.x, grid.y, values, cmap="viridis", vmin=low, vmax=high)
     figure.colorbar(image, ax=axes, label="score [-]", extend="both")
-    _contours(axes, truth, truth.box)
+    _contours(axes, truth, _around(truth))
+    _outline(axes, truth)
     _mark(axes, sites)
     return figure
 
 
 def sites_over_terrain(truth: Truth, sites: FloatArray) -> Figure:
     """Selected sites with the vehicle's footprint over the terrain (Fig. 25)."""
-    figure, axes = _axes("Selected landing sites; circles: vehicle", truth.box)
-    x, y, z = _truth_window(truth, truth.box)
+    figure, axes = _axes("Selected landing sites; circles: vehicle", _around(truth))
+    x, y, z = _truth_window(truth, _around(truth))
     low, high = _limits(z)
     image = _image(axes, x, y, z, cmap="cividis", vmin=low, vmax=high)
     figure.colorbar(image, ax=axes, label="true elevation [m]", extend="both")
+    _outline(axes, truth)
     _mark(axes, sites)
     return figure
 
