@@ -7,6 +7,7 @@ noise moves each along its ray. All lengths in m, all frames the map's unless a 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -199,3 +200,21 @@ def moments_of(group: Array, groups: int, points: Array, lidar: Array) -> Moment
     np.add.at(scatter, group, off[:, :, None] * off[:, None, :])
     ray = mean - lidar
     return Moments(count, mean, scatter, ray / np.linalg.norm(ray, axis=1, keepdims=True))
+
+
+def strip(columns: int) -> CellMap:
+    """Flat ground of one finest level, 0.25 m, with ``columns`` of it unobserved."""
+    config = configured(domain={"min_level": 6, "max_level": 6}, lidar={"range_noise": 0.01})
+    cells = mapped(config, flat(), density=400.0, scans=1).snapshot()
+    assert cells.measured.all()
+    missing = (cells.ix >= 30) & (cells.ix < 30 + columns)
+    observed = np.ones((64, 64), dtype=bool)
+    observed[:, 30 : 30 + columns] = False
+    nothing = np.where(missing, np.nan, 0.0)
+    return dataclasses.replace(
+        cells,
+        measured=~missing,
+        observed=observed,
+        z=cells.z + nothing,
+        normal=cells.normal + nothing[:, None],
+    )

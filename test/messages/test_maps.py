@@ -139,6 +139,30 @@ def test_a_finer_observed_grid_than_the_leaves_is_another_maximum_level(cells):
         maps.decode_cells(maps.encode_cells(cells), coarse, 0.0, 0.0, 1)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("size", np.nan),
+        ("size", 0.0),
+        ("size", -1.0),
+        ("size", np.inf),
+        ("elevation", np.nan),
+        ("elevation", np.inf),
+        ("normal_x", np.nan),
+        ("normal_z", 0.0),
+        ("normal_z", -1.0),
+        ("min_level", 200),
+    ],
+)
+def test_impossible_values_are_refused(cells, name, value):
+    """A measured leaf needs a finite, upward plane, or unsafe ground would pass for safe."""
+    records = maps.encode_cells(cells)
+    records[name] = value
+    with pytest.raises(MapMessageError) as caught:
+        decoded(records, cells)
+    assert "\n" not in str(caught.value)
+
+
 def test_landing_assessment_survives_the_message(cells):
     config = configured(domain={"xmin": -7.3, "ymin": 102.4}, lss={"vehicle_diameter": 2.0})
     once = maps.round_trip(cells)

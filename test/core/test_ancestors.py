@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planes of higher levels fused from leaves, against a direct fit of all the points below."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from core.builders import configured, make_pose, mapped, pose_covariance, scan, scattered, slope
+
+from quadtree_lss.core import sphere
+from quadtree_lss.core.ancestors import fuse_to_level
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+
+GROUND = slope(0.12, -0.07, 30.0)
+
+
+def one_scan(level: int, covariance: np.ndarray, seed: int = 1) -> CellMap:
+    config = configured(
+        domain={"min_level": level, "max_level": level}, lidar={"range_noise": 0.03}
+    )
+    rng = np.random.default_rng(seed)
+    pose = make_pose((40.0, -30.0, 500.0), covariance)
+    mapper = Mapper(config)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 16_000)
+    mapper.update(scan(GROUND, x, y, pose, 0.03, rng), pose)
+    return mapper.snapshot()
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_fused_planes_are_those_of_a_direct_fit(level):
+    """On planar ground the leaves' planes are sufficient: nothing is lost by fusing them."""
+    covariance = pose_covariance(0.3, 1e-3)
+    direct, fused = one_scan(level, covariance), fuse_to_level(one_scan(4, covariance), level)
+    order = np.lexsort((direct.ix, direct.iy))
+    cell = (direct.iy.astype(int) << level) + direct.ix
+    np.testing.assert_array_equal(fused.cell, cell[order])
+    np.testing.assert_allclose(fused.x, direct.x[order])
+    np.testing.assert_allclose(fused.y, direct.y[order])
+    sigma = np.sqrt(np.einsum("mii->mi", direct.covariance_range[order]))
+    tilt = np.abs(sphere.minus(fused.normal, direct.normal[order]))
+    # Bins move by the noise across the ray, and small leaves' own tilt weights: second order.
+    assert (tilt < 0.2 * sigma[:, :2]).all()
+    assert (np.abs(fused.z - direct.z[order]) < 0.2 * sigma[:, 2]).all()
+    for name, other in (
+        ("range_part", direct.covariance_range[order]),
+        ("pose_part", direct.covariance_pose[order]),
+    ):
+        part = getattr(fused, name)
+        scale = np.sqrt(np.einsum("mi,mj->mij", *[np.einsum("mii->mi", other)] * 2))
+        assert (np.abs(part - other) <= 0.05 * scale).all()
+
+
+def test_shared_pose_error_enters_once_and_range_noise_averages():
+    covariance = pose_covariance(0.3, 1e-6)
+    leaves = one_scan(4, covariance)
+    fused = fuse_to_level(leaves, 1)
+    below = leaves.covariance_pose[:, 2, 2].mean()
+    np.testing.assert_allclose(fused.pose_part[:, 2, 2], below, rtol=0.01)
+    assert below == pytest.approx(0.09, rel=0.02)
+    assert (fused.range_part[:, 2, 2] < leaves.covariance_range[:, 2, 2].min() / 20.0).all()
+
+
+def test_each_leaf_finds_its_ancestor():
+    cells = mapped(
+        configured(lidar={"range_noise": 0.03}), lambda x, y: 0.5 * (x > 5.1), density=50.0
+    ).snapshot()
+    for level in range(5):
+        fused = fuse_to_level(cells, level)
+        assert fused.level == level
+        size = float(cells.domain.cell_size(level))
+        for k in range(len(cells.level)):
+            a = fused.of_leaf[k]
+            if cells.level[k] < level:
+                assert a == -1
+                continue
+            assert abs(cells.x[k] - fused.x[a]) <= 0.5 * size
+            assert abs(cells.y[k] - fused.y[a]) <= 0.5 * size
+
+
+def test_inherited_leaves_are_no_information():
+    cells = one_scan(4, pose_covariance(0.1, 1e-6))
+    inherited = (cells.ix + cells.iy) % 2 == 0
+    poisoned = dataclasses.replace(
+        cells, measured=~inherited, z=np.where(inherited, cells.z + 5.0, cells.z)
+    )
+    fused, full = fuse_to_level(poisoned, 2), fuse_to_level(cells, 2)
+    assert np.abs(fused.z - full.z).max() < 0.05
+    ratio = fused.range_part[:, 2, 2] / full.range_part[:, 2, 2]
+    np.testing.assert_allclose(ratio, 2.0, rtol=0.3)
+
+
+def test_ancestors_without_a_measured_leaf_do_not_exist():
+    cells = one_scan(4, pose_covariance(0.1, 1e-6))
+    west = dataclasses.replace(cells, measured=cells.x < 8.0)
+    fused = fuse_to_level(west, 1)
+    assert fused.cell.tolist() == [0, 2]
+    assert (fused.of_leaf[cells.x > 8.0] == -1).all()
+    empty = dataclasses.replace(cells, measured=np.zeros(len(cells.z), dtype=bool))
+    assert len(fuse_to_level(empty, 1).cell) == 0
+
+
+def test_a_leaf_is_its_own_ancestor():
+    cells = one_scan(2, pose_covariance(0.1, 1e-4))
+    fused = fuse_to_level(cells, 2)
+    at = fused.of_leaf
+    np.testing.assert_allclose(fused.z[at], cells.z, atol=1e-9)
+    np.testing.assert_allclose(fused.normal[at], cells.normal, atol=1e-12)
+    np.testing.assert_allclose(fused.range_part[at], cells.covariance_range, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(fused.pose_part[at], cells.covariance_pose, rtol=1e-6, atol=1e-12)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subscale features: hemispheres in a flat 2 m cell are found, measured, and not imagined."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from core.builders import configured, lattice, make_pose, mapped, scan, slope
+
+from quadtree_lss.core import features
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+
+CELLS_2M = {"min_level": 3, "max_level": 3}
+A, K, MU_X, MU_Y, SIGMA = range(5)
+
+
+def hemispheres(seed: int, smallest: float = 0.15, largest: float = 0.4):
+    """One hemisphere in each cell of 2 m, wholly inside: radius, centre (64,), row-major."""
+    rng = np.random.default_rng(seed)
+    radius = rng.uniform(smallest, largest, 64)
+    reach = 1.0 - radius - 0.05
+    x = 2.0 * (np.arange(64) % 8) + 1.0 + reach * rng.uniform(-1.0, 1.0, 64)
+    y = 2.0 * (np.arange(64) // 8) + 1.0 + reach * rng.uniform(-1.0, 1.0, 64)
+    return radius, x, y
+
+
+def rocky(radius, x0, y0):
+    """Ground with those hemispheres."""
+
+    def ground(x, y):
+        cell = np.clip(y // 2.0, 0, 7).astype(int) * 8 + np.clip(x // 2.0, 0, 7).astype(int)
+        square = radius[cell] ** 2 - (x - x0[cell]) ** 2 - (y - y0[cell]) ** 2
+        return np.sqrt(np.maximum(square, 0.0))
+
+    return ground
+
+
+def by_place(cells: CellMap) -> np.ndarray:
+    """(64, 5) features, row-major over the 2 m cells."""
+    order = np.lexsort((cells.ix, cells.iy))
+    return cells.feature[order]
+
+
+def test_hemispheres_are_found_with_their_height_and_place():
+    """100 points/m^2 and scan, 3 scans, 4 cm noise: nine of ten are found, which means with
+    their height within 35 % and their centre within 0.1 m."""
+    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
+    found, high, near = [], [], []
+    for seed in range(5):
+        radius, x0, y0 = hemispheres(seed)
+        cells = mapped(config, rocky(radius, x0, y0), density=100.0, scans=3, seed=seed).snapshot()
+        state = by_place(cells)
+        centre_x = 2.0 * (np.arange(64) % 8) + 1.0 + state[:, MU_X]
+        centre_y = 2.0 * (np.arange(64) // 8) + 1.0 + state[:, MU_Y]
+        found.append(np.isfinite(state[:, K]))
+        high.append(np.abs(features.peak(state) / radius - 1.0) <= 0.35)
+        near.append(np.hypot(centre_x - x0, centre_y - y0) <= 0.1)
+    found, high, near = np.concatenate(found), np.concatenate(high), np.concatenate(near)
+    assert np.mean(found) >= 0.9
+    assert np.mean(found & near) >= 0.9
+    assert np.mean(found & near & high) >= 0.9
+
+
+@pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.15, -0.1)], ids=["flat", "slope"])
+def test_plain_ground_has_hardly_any_feature(gradient):
+    """False alarms below 4 % of 320 cells; height is above the cell's plane, so slopes are none."""
+    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
+    alarms = [
+        np.isfinite(
+            mapped(config, slope(*gradient), density=100.0, scans=3, seed=seed).snapshot().feature
+        )[:, K]
+        for seed in range(5)
+    ]
+    assert np.mean(alarms) < 0.04
+
+
+def bell(height: float, sigma: float, x0: float, y0: float):
+    return lambda x, y: height * np.exp(-0.5 * ((x - x0) ** 2 + (y - y0) ** 2) / sigma**2)
+
+
+@pytest.mark.parametrize(("height", "sigma"), [(0.4, 0.15), (0.3, 0.2), (0.6, 0.12)])
+def test_k_squared_is_the_volume(height, sigma):
+    """Erratum of Eq. 49: a bell of height p has volume 2 pi sigma^2 p."""
+    config = configured(
+        domain={"size": 4.0, "min_level": 0, "max_level": 0}, lidar={"range_noise": 0.01}
+    )
+    mapper = Mapper(config)
+    rng = np.random.default_rng(1)
+    x, y = lattice(0.0, 0.0, 4.0, 80)
+    pose = make_pose((2.0, 2.0, 500.0))
+    for _ in range(3):
+        mapper.update(scan(bell(height, sigma, 2.3, 1.8), x, y, pose, 0.01, rng), pose)
+    state = mapper.snapshot().feature[0]
+    volume = 2.0 * np.pi * sigma**2 * height
+    # The cell's plane leans a little towards the bump, which takes a few per cent of it.
+    assert state[K] ** 2 == pytest.approx(volume, rel=0.08)
+    assert abs(state[SIGMA]) == pytest.approx(sigma, rel=0.05)
+    assert features.peak(state) == pytest.approx(height, rel=0.05)
+    np.testing.assert_allclose(state[[MU_X, MU_Y]], [0.3, -0.2], atol=0.02)
+
+
+def test_height_is_the_bell_and_integrates_to_the_volume():
+    state = np.array([0.7, 0.3, 0.2, -0.1, 0.25])
+    step = 0.01
+    x, y = np.meshgrid(*[np.arange(-2.0, 2.0, step)] * 2)
+    heights = features.height(state, x, y)
+    assert heights.sum() * step**2 == pytest.approx(state[K] ** 2, rel=1e-6)
+    assert features.height(state, 0.2, -0.1) == pytest.approx(features.peak(state))
+    assert heights.max() == pytest.approx(features.peak(state), rel=1e-2)
+
+
+def test_a_feature_stays_with_more_scans_and_is_one():
+    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
+    radius, x0, y0 = hemispheres(11, 0.3, 0.4)
+    ground = rocky(radius, x0, y0)
+    few = by_place(mapped(config, ground, density=100.0, scans=2, seed=1).snapshot())
+    many = by_place(mapped(config, ground, density=100.0, scans=8, seed=1).snapshot())
+    both = np.isfinite(few[:, K]) & np.isfinite(many[:, K])
+    assert np.mean(np.isfinite(many[:, K])) >= 0.95
+    apart = np.hypot(*(few - many)[both][:, [MU_X, MU_Y]].T)
+    assert np.median(apart) < 0.03
+
+
+def test_off_is_off():
+    config = configured(
+        domain=CELLS_2M, lidar={"range_noise": 0.04}, features={"enabled": False}
+    )
+    radius, x0, y0 = hemispheres(3)
+    cells = mapped(config, rocky(radius, x0, y0), density=50.0, scans=1).snapshot()
+    assert np.isnan(cells.feature).all()
+
+
+def test_limits_are_obeyed():
+    radius, x0, y0 = hemispheres(4)
+    limits = {"min_height": 0.3, "min_volume": 0.02, "max_sigma_fraction": 0.1}
+    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04}, features=limits)
+    state = by_place(mapped(config, rocky(radius, x0, y0), density=100.0).snapshot())
+    state = state[np.isfinite(state[:, K])]
+    assert len(state) > 5
+    assert (features.peak(state) >= 0.3).all()
+    assert (state[:, K] ** 2 >= 0.02).all()
+    assert (np.abs(state[:, SIGMA]) <= 0.1 * 2.0).all()

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Avoided features of leaves and the raster that landing assessment reads."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from core.builders import configured, flat, mapped, slope, strip, upward_normals
+
+from quadtree_lss.core import hazards
+from quadtree_lss.core.ancestors import fuse_to_level
+from quadtree_lss.core.features import height
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.terrain_raster import rasterise
+
+
+def terrain(x, y):
+    """A step, a block, and a 12-degree slope in the north-east."""
+    step = 0.4 * (x > 5.1)
+    block = 0.5 * ((np.abs(x - 3.0) < 0.5) & (np.abs(y - 3.0) < 0.5))
+    return step + block + np.tan(np.radians(12.0)) * np.maximum(y - 10.0, 0.0) * (x > 9.0)
+
+
+@pytest.fixture(scope="module")
+def cells() -> CellMap:
+    config = configured(lidar={"range_noise": 0.03})
+    return mapped(config, terrain, density=120.0, scans=2).snapshot()
+
+
+def bits_at(cells: CellMap, bits: np.ndarray, x: float, y: float) -> int:
+    side = cells.domain.finest_size
+    return int(bits[cells.leaf_raster()[int(y / side), int(x / side)]])
+
+
+def test_slope_is_the_angle_from_the_vertical():
+    normals = upward_normals(np.random.default_rng(1), 50, 1.5)
+    np.testing.assert_allclose(hazards.slope(normals), np.arccos(normals[:, 2]), atol=1e-7)
+    assert hazards.slope(np.array([0.0, 0.0, 1.0])) == 0.0
+
+
+def test_reference_level_is_the_nearest_in_size():
+    cells = mapped(configured(), flat(), density=5.0, scans=1).snapshot()
+    for level in range(7):
+        assert hazards.reference_level(cells, 16.0 / 2**level) == level
+        assert hazards.reference_level(cells, 1.1 * 16.0 / 2**level) == level
+    assert hazards.reference_level(cells, 1e4) == 0
+    assert hazards.reference_level(cells, 1e-3) == 6
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_elevation_deviation_is_the_greatest_over_the_footprint(cells, level):
+    """Against a grid of samples over each leaf, distance along the fused plane's normal."""
+    found = hazards.elevation_deviation(cells, level)
+    fused = fuse_to_level(cells, level)
+    steps = np.linspace(-0.5, 0.5, 5)
+    for k in range(len(cells.z)):
+        a = fused.of_leaf[k]
+        if cells.level[k] <= level or a < 0:
+            assert found[k] == 0.0
+            continue
+        dx, dy = (v.ravel() * cells.size[k] for v in np.meshgrid(steps, steps))
+        n = cells.normal[k]
+        z = cells.z[k] - (n[0] * dx + n[1] * dy) / n[2]
+        points = np.column_stack([cells.x[k] + dx, cells.y[k] + dy, z])
+        off = (points - (fused.x[a], fused.y[a], fused.z[a])) @ fused.normal[a]
+        assert found[k] == pytest.approx(np.abs(off).max(), abs=1e-9)
+
+
+def test_each_hazard_has_its_bit(cells):
+    config = configured().lss
+    bits = hazards.avoided_features(cells, config)
+    assert bits_at(cells, bits, 12.5, 13.0) & hazards.SLOPE
+    assert bits_at(cells, bits, 3.0, 3.0) & hazards.ELEVATION
+    assert bits_at(cells, bits, 2.0, 13.0) == 0
+    assert bits_at(cells, bits, 12.0, 5.0) == 0
+
+
+def test_bits_follow_the_tolerances(cells):
+    config = dataclasses.replace(
+        configured().lss, max_slope_deg=5.0, max_roughness=0.15, max_exception_fraction=0.01
+    )
+    bits = hazards.avoided_features(cells, config)
+    level = hazards.reference_level(cells, config.elevation_reference_size)
+    own = cells.measured
+    expected = np.degrees(np.arccos(np.minimum(cells.normal[:, 2], 1.0))) > 5.0
+    np.testing.assert_array_equal((bits & hazards.SLOPE > 0), expected & own)
+    high = hazards.elevation_deviation(cells, level) > 0.15
+    np.testing.assert_array_equal((bits & hazards.ELEVATION > 0), high & own)
+    often = np.nan_to_num(cells.exception_fraction) > 0.01
+    np.testing.assert_array_equal((bits & hazards.EXCEPTION > 0), often & own)
+
+
+def test_a_rock_in_an_undivided_cell_is_an_exception():
+    """Fixed 4 m cells: a block of 1 m half a metre high is on 1/16 of one, more than 5 %."""
+    config = configured(domain={"min_level": 2, "max_level": 2}, lidar={"range_noise": 0.03})
+
+    def ground(x, y):
+        return 0.5 * ((np.abs(x - 2.0) < 0.5) & (np.abs(y - 2.0) < 0.5))
+
+    cells = mapped(config, ground, density=60.0).snapshot()
+    bits = hazards.avoided_features(cells, config.lss)
+    at = np.flatnonzero((cells.ix == 0) & (cells.iy == 0))[0]
+    assert bits[at] == hazards.EXCEPTION
+    assert not np.delete(bits, at).any()
+
+
+@pytest.mark.parametrize("min_level", [0, 1, 2])
+def test_leaves_larger_than_the_reference_have_no_elevation_feature(min_level):
+    """Flat ground that was never divided below the reference size of 4 m."""
+    config = configured(domain={"min_level": min_level})
+    cells = mapped(config, flat(), density=20.0, scans=1).snapshot()
+    assert not hazards.avoided_features(cells, config.lss).any()
+
+
+def test_unmeasured_leaves_have_no_bits():
+    config = configured()
+    cells = mapped(config, slope(1.0, 0.0), density=20.0, scans=1, where=(0.0, 0.0, 8.0)).snapshot()
+    bits = hazards.avoided_features(cells, config.lss)
+    assert not bits[~cells.measured].any()
+    assert (bits[cells.measured] & hazards.SLOPE).all()
+
+
+def test_raster_is_the_leaf_planes_at_the_finest_centres(cells):
+    raster = rasterise(cells, 0.6)
+    n, side = cells.domain.finest_count, cells.domain.finest_size
+    leaf = cells.leaf_raster()
+    np.testing.assert_array_equal(raster.leaf, leaf)
+    rng = np.random.default_rng(2)
+    for row, column in rng.integers(0, n, (300, 2)):
+        k = leaf[row, column]
+        if not cells.measured[k]:
+            continue
+        dx, dy = (column + 0.5) * side - cells.x[k], (row + 0.5) * side - cells.y[k]
+        normal = cells.normal[k]
+        expected = cells.z[k] - (normal[0] * dx + normal[1] * dy) / normal[2]
+        assert raster.elevation[row, column] == pytest.approx(expected, abs=1e-9)
+        assert raster.slope_x[row, column] == pytest.approx(-normal[0] / normal[2], abs=1e-12)
+        bump = height(cells.feature[k], dx, dy) if np.isfinite(cells.feature[k, 1]) else 0.0
+        assert raster.subscale[row, column] == pytest.approx(bump, abs=1e-9)
+
+
+@pytest.mark.parametrize(("columns", "unseen"), [(1, []), (4, []), (5, [32]), (7, [32, 33, 34])])
+def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
+    """Centres lie 0.125, 0.375, 0.625 m ... from the nearest observed cell's edge; 0.6 m is set."""
+    raster = rasterise(strip(columns), 0.6)
+    assert np.flatnonzero(~raster.seen.all(axis=0)).tolist() == unseen
+    assert np.isfinite(raster.elevation).all()
+
+
+def test_gaps_are_bridged_level_from_the_nearest_measured_cell():
+    cells = strip(4)
+    raster = rasterise(cells, 0.6)
+    np.testing.assert_allclose(raster.elevation, 0.0, atol=0.2)
+    assert not raster.slope_x[:, 30:34].any()
+    nearest = raster.elevation[:, [29, 34]]
+    np.testing.assert_array_equal(raster.elevation[:, [30, 33]], nearest)
+
+
+def test_a_map_of_nothing_is_unseen():
+    cells = mapped(configured(), flat(), density=0.0, scans=1).snapshot()
+    raster = rasterise(cells, 0.6)
+    assert not raster.seen.any()
+    assert np.isnan(raster.elevation).all()

@@ -1,0 +1,407 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landing sites: what is safe, how it is scored and ranked, and what is said when nothing is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from core.builders import configured, flat, mapped, slope, strip
+
+from quadtree_lss.core import hazards
+from quadtree_lss.core.config import Config
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.polygons import signed_distance
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector, distance_to
+from quadtree_lss.core.terrain_raster import rasterise
+
+SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
+RADIUS = 1.0
+
+
+def with_lss(config: Config, **values: object) -> Config:
+    return dataclasses.replace(config, lss=dataclasses.replace(config.lss, **values))
+
+
+def small(**lss: object) -> Config:
+    """A lander of 2 m on a domain of 16 m with leaves down to 0.5 m."""
+    values = {"vehicle_diameter": 2.0 * RADIUS, "min_separation": 2.0, "grid_spacing": 0.5, **lss}
+    return configured(domain=SMALL, lidar={"range_noise": 0.02}, lss=values)
+
+
+def obstacles(x, y):
+    """Two blocks, a 0.4 m step in the east, a gentle roll."""
+    block = 0.5 * ((np.abs(x - 3.25) < 0.5) & (np.abs(y - 4.25) < 0.5))
+    block = block + 0.6 * ((np.abs(x - 7.25) < 0.5) & (np.abs(y - 12.25) < 0.5))
+    return block + 0.4 * (x > 13.1) + 0.03 * np.sin(0.8 * x + 0.5 * y)
+
+
+@pytest.fixture(scope="module")
+def cells() -> CellMap:
+    return mapped(small(), obstacles, density=150.0, scans=2).snapshot()
+
+
+@pytest.fixture(scope="module")
+def level_ground() -> CellMap:
+    return mapped(small(), flat(3.0), density=60.0).snapshot()
+
+
+def assess(cells: CellMap, config: Config, **where: object) -> LandingAssessment:
+    return LandingSiteSelector(config).assess(cells, **where)
+
+
+def rectangle_distance(x: float, y: float, cells: list[tuple[int, int]], side: float) -> float:
+    """Distance of a point from the nearest of some finest cells (row, column)."""
+    best = np.inf
+    for row, column in cells:
+        dx = max(column * side - x, x - (column + 1) * side, 0.0)
+        dy = max(row * side - y, y - (row + 1) * side, 0.0)
+        best = min(best, float(np.hypot(dx, dy)))
+    return best
+
+
+def marked(raster: np.ndarray) -> list[tuple[int, int]]:
+    return [(int(r), int(c)) for r, c in np.argwhere(raster)]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.2, 1.0])
+def test_distance_is_to_the_cells_edge(share):
+    mask = np.random.default_rng(1).random((12, 12)) < share
+    found = distance_to(mask, 0.4)
+    for row in range(13):
+        for column in range(13):
+            expected = rectangle_distance(0.4 * column, 0.4 * row, marked(mask), 0.4)
+            assert found[row, column] == pytest.approx(expected, abs=1e-12)
+
+
+def test_grid_nodes_start_at_the_corner(level_ground):
+    for spacing, count in ((0.5, 33), (0.3, 54), (5.0, 4)):
+        found = assess(level_ground, small(grid_spacing=spacing))
+        np.testing.assert_allclose(found.x, spacing * np.arange(count), atol=1e-12)
+        np.testing.assert_array_equal(found.x, found.y)
+        for name in ("elevation", "slope_deg", "hazard", "safe", "score"):
+            assert getattr(found, name).shape == (count, count)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.7])
+def test_the_papers_rule_keeps_the_zone_off_every_hazardous_cell(cells, margin):
+    """Safe where the zone lies inside the domain and touches neither hazard nor unseen ground."""
+    config = small(assessment="paper", margin=margin)
+    found = assess(cells, config)
+    bits = hazards.avoided_features(cells, config.lss)[cells.leaf_raster()]
+    bad = marked(bits > 0)
+    assert bad
+    zone = RADIUS + margin
+    for row, y in enumerate(found.y):
+        for column, x in enumerate(found.x):
+            inside = min(x, y, 16.0 - x, 16.0 - y) >= zone - 1e-9
+            clear = rectangle_distance(x, y, bad, 0.5) > zone
+            assert found.safe[row, column] == (inside and clear), (x, y)
+    np.testing.assert_array_equal(np.isfinite(found.score), found.safe)
+
+
+def densities(cells: CellMap, config: Config) -> np.ndarray:
+    """Eq. 58 without the distance term on the finest cells, by the paper's leaf slopes."""
+    leaf, lss = cells.leaf_raster(), config.lss
+    subscale = rasterise(cells, lss.max_gap).subscale
+    return (
+        lss.weight_slope * np.arccos(np.minimum(cells.normal[:, 2], 1.0))[leaf]
+        + lss.weight_roughness * np.nan_to_num(cells.roughness[leaf])
+        + lss.weight_subscale * subscale
+    )
+
+
+def zone_cells(x: float, y: float, zone: float) -> tuple[np.ndarray, np.ndarray]:
+    """Finest cells whose centre lies in the zone."""
+    centre = 0.5 * (np.arange(32) + 0.5)
+    return np.nonzero(np.hypot(centre - x, centre[:, None] - y) <= zone)
+
+
+def test_the_score_is_the_mean_density_over_the_zone(cells):
+    config = small(assessment="paper", weight_hazard_distance=0.0, weight_subscale=2.0, margin=0.4)
+    found, density = assess(cells, config), densities(cells, config)
+    assert found.safe.any()
+    for row, column in np.argwhere(found.safe):
+        over = zone_cells(found.x[column], found.y[row], RADIUS + 0.4)
+        assert found.score[row, column] == pytest.approx(density[over].mean(), abs=1e-9)
+
+
+def test_the_distance_to_the_nearest_hazard_counts_up_to_its_cap(cells):
+    """d_H of a cell varies by less than half its diagonal within the cell, so that much error."""
+    weight, cap = 0.5, 3.0
+    config = small(
+        assessment="paper",
+        weight_slope=0.0,
+        weight_roughness=0.0,
+        weight_subscale=0.0,
+        weight_hazard_distance=weight,
+        hazard_distance_cap=cap,
+    )
+    found = assess(cells, config)
+    bad = marked(hazards.avoided_features(cells, config.lss)[cells.leaf_raster()] > 0)
+    for row, column in np.argwhere(found.safe)[::7]:
+        over = zone_cells(found.x[column], found.y[row], RADIUS)
+        distance = [
+            min(rectangle_distance(0.5 * (c + 0.5), 0.5 * (r + 0.5), bad, 0.5), cap)
+            for r, c in zip(*over, strict=True)
+        ]
+        assert found.score[row, column] == pytest.approx(-weight * np.mean(distance), abs=0.1)
+    far = found.score[found.safe]
+    assert far.min() >= -weight * cap - 1e-9
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize(("count", "separation"), [(1, 2.0), (5, 2.0), (8, 3.3), (50, 0.0)])
+def test_ranking_takes_the_best_that_are_far_enough_apart(cells, assessment, count, separation):
+    config = small(assessment=assessment, sites=count, min_separation=separation)
+    found = assess(cells, config)
+    open_ = [
+        (found.score[row, column], row, column) for row, column in np.argwhere(found.safe).tolist()
+    ]
+    expected: list[tuple[float, float]] = []
+    for _, row, column in sorted(open_):
+        x, y = found.x[column], found.y[row]
+        if all(np.hypot(x - a, y - b) >= separation for a, b in expected):
+            expected.append((x, y))
+        if len(expected) == count:
+            break
+    np.testing.assert_array_equal(found.sites.position[:, :2], expected)
+    assert (np.diff(found.sites.score) >= 0.0).all()
+    assert len(found.sites.reasons) == len(expected)
+    assert all(found.sites.reasons)
+
+
+def test_sites_are_described_by_the_ground_in_their_zone(cells):
+    config = small(assessment="paper")
+    found = assess(cells, config)
+    leaf, sites = cells.leaf_raster(), found.sites
+    bad = marked(hazards.avoided_features(cells, config.lss)[leaf] > 0)
+    subscale = rasterise(cells, config.lss.max_gap).subscale
+    rough = np.nan_to_num(cells.roughness[leaf])
+    for k, (x, y, z) in enumerate(sites.position):
+        over = zone_cells(x, y, RADIUS)
+        assert sites.roughness[k] == pytest.approx(rough[over].max(), abs=1e-12)
+        assert sites.subscale_height[k] == pytest.approx(subscale[over].max(), abs=1e-12)
+        clear = rectangle_distance(x, y, bad, 0.5) - RADIUS
+        assert sites.hazard_distance[k] == pytest.approx(max(clear, 0.0), abs=1e-9)
+        assert abs(z - obstacles(x, y)) < 0.1
+        angle = np.degrees(np.arccos(min(sites.normal[k, 2], 1.0)))
+        assert sites.slope_deg[k] == pytest.approx(angle, abs=1e-6)
+
+
+def test_the_same_map_gives_the_same_sites(cells):
+    a, b = (assess(cells, small()) for _ in range(2))
+    np.testing.assert_array_equal(a.score, b.score)
+    np.testing.assert_array_equal(a.sites.position, b.sites.position)
+    assert a.sites.reasons == b.sites.reasons
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_level_ground_is_safe_wherever_the_zone_fits(level_ground, assessment):
+    found = assess(level_ground, small(assessment=assessment, margin=0.5))
+    inside = np.minimum(found.x, 16.0 - found.x) >= RADIUS + 0.5
+    np.testing.assert_array_equal(found.safe, inside[:, None] & inside)
+    assert len(found.sites.score) == 5
+    assert (found.sites.slope_deg < 1.0).all()
+    np.testing.assert_allclose(found.sites.position[:, 2], 3.0, atol=0.02)
+    assert np.isinf(found.sites.hazard_distance).all()
+    assert not found.hazard.any()
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
+    """A block of 1 m, 0.5 m high: its cells reach a finest cell beyond it at most."""
+    config = small(assessment=assessment, vehicle_diameter=3.0)
+
+    def ground(x, y):
+        return 0.5 * ((np.abs(x - 8.25) < 0.5) & (np.abs(y - 8.25) < 0.5))
+
+    found = assess(mapped(config, ground, density=200.0).snapshot(), config)
+    x, y = np.meshgrid(found.x, found.y)
+    edge = np.hypot(
+        np.maximum(np.abs(x - 8.25) - 0.5, 0.0), np.maximum(np.abs(y - 8.25) - 0.5, 0.0)
+    )
+    # Wholly under the lander, or under a pad at some heading.
+    assert not found.safe[edge <= 1.5 - 0.5].any()
+    inside = np.minimum(np.minimum(x, 16.0 - x), np.minimum(y, 16.0 - y)) >= 1.5
+    assert found.safe[inside & (edge > 1.5 + 1.5)].all()
+    assert found.safe.any()
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_a_slope_of_twelve_degrees_is_no_landing_ground(assessment):
+    config = small(assessment=assessment)
+
+    def ground(x, y):
+        return np.tan(np.radians(12.0)) * np.maximum(x - 8.0, 0.0)
+
+    found = assess(mapped(config, ground, density=100.0).snapshot(), config)
+    assert not found.safe[:, found.x > 9.5].any()
+    gentle = (found.x >= 1.0) & (found.x < 8.0 - 2.0)
+    assert found.safe[2:-2, gentle].all()
+    steep = found.slope_deg[4:-4, (found.x > 11.0) & (found.x < 13.0)]
+    np.testing.assert_allclose(steep, 12.0, atol=0.5)
+
+
+def test_a_step_is_no_landing_ground_for_a_lander_across_it():
+    """0.4 m over a lander of 2 m are 11 degrees."""
+    config = small()
+    found = assess(mapped(config, lambda x, y: 0.4 * (x > 8.1), density=100.0).snapshot(), config)
+    across = np.abs(found.x - 8.1) < 0.6
+    assert not found.safe[:, across].any()
+    assert found.safe[3:-3, (found.x > 2.0) & (found.x < 6.0)].all()
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_unseen_ground_is_never_landable(assessment):
+    """A strip of five cells of 0.25 m leaves its middle unseen, one of four is bridged."""
+    config = configured(
+        domain={"min_level": 6, "max_level": 6},
+        lss={"vehicle_diameter": 2.0, "assessment": assessment, "grid_spacing": 0.25},
+    )
+    bridged, broken = (assess(strip(columns), config) for columns in (4, 5))
+    assert not (bridged.hazard & hazards.UNSEEN).any()
+    seam = broken.hazard & hazards.UNSEEN > 0
+    assert seam[:, [32, 33]].all()
+    assert not np.delete(seam, [32, 33], axis=1).any()
+    assert np.isnan(broken.elevation[seam]).all()
+    # Column 32 spans 8.00 ... 8.25 m; the zone of 1 m must not touch it.
+    near = (broken.x >= 7.0) & (broken.x <= 9.25)
+    assert not broken.safe[:, near].any()
+
+
+def test_terrain_outside_the_domain_is_never_landable(level_ground):
+    found = assess(level_ground, small(margin=1.0))
+    for row, column in np.argwhere(found.safe):
+        x, y = found.x[column], found.y[row]
+        assert min(x, y, 16.0 - x, 16.0 - y) >= RADIUS + 1.0 - 1e-9
+
+
+def test_a_node_between_lattice_nodes_is_as_safe_as_all_around_it(cells):
+    fine, between = assess(cells, small()), assess(cells, small(grid_spacing=0.3))
+    for row, y in enumerate(between.y):
+        for column, x in enumerate(between.x):
+            rows = {int(np.floor(y / 0.5 + 1e-9)), int(np.ceil(y / 0.5 - 1e-9))}
+            columns = {int(np.floor(x / 0.5 + 1e-9)), int(np.ceil(x / 0.5 - 1e-9))}
+            around = [fine.safe[r, c] for r in rows for c in columns if r <= 32 and c <= 32]
+            assert between.safe[row, column] == all(around)
+
+
+AREA = [(2.0, 6.0), (12.0, 6.0), (12.0, 15.0), (5.0, 15.0)]
+
+
+def test_the_zone_lies_in_the_landing_area_and_off_the_keep_out(cells):
+    keep_out = [(6.0, 6.0), (8.0, 6.0), (8.0, 9.0)]
+    free = assess(cells, small(margin=0.3))
+    found = assess(cells, small(margin=0.3), area=AREA, keep_out=keep_out)
+    x, y = np.meshgrid(found.x, found.y)
+    zone = RADIUS + 0.3
+    allowed = (signed_distance(AREA, x, y) >= zone) & (signed_distance(keep_out, x, y) <= -zone)
+    np.testing.assert_array_equal(np.isfinite(found.score), free.safe & allowed)
+    np.testing.assert_array_equal(found.score[free.safe & allowed], free.score[free.safe & allowed])
+    # The ground itself is as safe as before.
+    np.testing.assert_array_equal(found.safe, free.safe)
+    assert len(found.sites.score) > 0
+
+
+def test_near_the_target_is_better(level_ground):
+    config = small(weight_target=100.0, sites=1)
+    for target in ((4.0, 11.0), (4.0, 11.0, 250.0), (100.0, 8.0)):
+        first = assess(level_ground, config, target=target).sites.position[0]
+        nearest = np.clip(target[:2], RADIUS, 16.0 - RADIUS)
+        np.testing.assert_allclose(first[:2], nearest, atol=1e-9)
+    plain = assess(level_ground, config)
+    aimed = assess(level_ground, config, target=(4.0, 11.0))
+    x, y = np.meshgrid(plain.x, plain.y)
+    added = 100.0 * np.hypot(x - 4.0, y - 11.0)
+    np.testing.assert_allclose(aimed.score, plain.score + added, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("hysteresis", "stays"), [(0.0, False), (0.005, False), (1.0, True)])
+def test_hysteresis_keeps_the_first_site_while_it_is_good_enough(level_ground, hysteresis, stays):
+    selector = LandingSiteSelector(small(hysteresis=hysteresis, weight_target=0.1, sites=2))
+    first = selector.assess(level_ground, target=(5.0, 5.0)).sites.position[0]
+    second = selector.assess(level_ground, target=(6.0, 5.0)).sites
+    assert np.array_equal(second.position[0], first) == stays
+    assert len(second.score) == 2
+
+
+def test_hysteresis_does_not_keep_a_site_that_became_unsafe(level_ground):
+    config = small(hysteresis=1000.0, sites=1)
+    selector = LandingSiteSelector(config)
+    first = selector.assess(level_ground, target=(5.0, 5.0)).sites.position[0]
+    x, y = first[:2]
+    closed = [(x - 1, y - 1), (x + 1, y - 1), (x + 1, y + 1), (x - 1, y + 1)]
+    second = selector.assess(level_ground, target=(5.0, 5.0), keep_out=closed).sites.position[0]
+    assert np.hypot(*(second - first)[:2]) >= 1.0
+
+
+def assert_empty_but_explained(found: LandingAssessment) -> None:
+    assert len(found.sites.score) == len(found.sites.reasons) == 0
+    assert found.sites.position.shape == found.sites.normal.shape == (0, 3)
+    assert not np.isfinite(found.score).any()
+    assert found.explanation
+    assert "\n" not in found.explanation
+
+
+def test_a_map_of_nothing_has_no_site():
+    config = small()
+    found = assess(Mapper(config).snapshot(), config)
+    assert_empty_but_explained(found)
+    assert (found.hazard & hazards.UNSEEN).all()
+    assert not found.safe.any()
+
+
+@pytest.mark.parametrize("level", [0, 1])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
+    config = with_lss(
+        configured(domain={"min_level": level, "max_level": level}), assessment=assessment
+    )
+    found = assess(mapped(config, flat(), density=10.0).snapshot(), config)
+    assert found.score.shape == (33, 33)
+    assert found.explanation
+    assert np.isfinite(found.slope_deg).all()
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_nothing_but_hazards_has_no_site(assessment):
+    config = small(assessment=assessment)
+    found = assess(mapped(config, slope(0.6, 0.0), density=60.0).snapshot(), config)
+    assert_empty_but_explained(found)
+    assert not found.safe.any()
+    assert "no safe" in found.explanation
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        {"area": [(100.0, 100.0), (130.0, 100.0), (130.0, 130.0)]},
+        {"area": [(5.0, 5.0), (6.0, 5.0), (6.0, 6.0)]},
+        {"keep_out": [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]},
+    ],
+    ids=["elsewhere", "too small", "all closed"],
+)
+def test_no_room_is_an_empty_result_that_says_so(level_ground, where):
+    found = assess(level_ground, small(), **where)
+    assert_empty_but_explained(found)
+    assert found.safe.any()
+
+
+def test_bad_polygons_are_refused(level_ground):
+    with pytest.raises(ValueError, match="polygon"):
+        assess(level_ground, small(), area=[(0.0, 0.0), (1.0, 1.0)])
+
+
+def test_a_vehicle_larger_than_the_domain_has_no_site(level_ground):
+    for assessment in ("paper", "touchdown"):
+        config = small(vehicle_diameter=40.0, assessment=assessment)
+        assert_empty_but_explained(assess(level_ground, config))
+
+
+def test_a_vehicle_smaller_than_a_cell_is_assessed(level_ground):
+    for assessment in ("paper", "touchdown"):
+        config = small(vehicle_diameter=0.1, assessment=assessment)
+        assert len(assess(level_ground, config).sites.score) > 0

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roughness density (Eq. 55) and exceptions (Eq. 48) of cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from core.builders import configured, flat, lattice, make_pose, mapped, pose_covariance, scan, slope
+
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+
+
+def fixed(level: int, noise: float, **mapping: object):
+    return configured(
+        domain={"min_level": level, "max_level": level},
+        lidar={"range_noise": noise},
+        mapping=mapping,
+    )
+
+
+def seen_on_lattice(config, surface, per_side: int, covariance=None) -> CellMap:
+    """Noise-free look at points on a grid."""
+    pose = make_pose((8.0, 8.0, 4000.0)) if covariance is None else make_pose(
+        (8.0, 8.0, 4000.0), covariance
+    )
+    mapper = Mapper(config)
+    x, y = lattice(0.0, 0.0, 16.0, per_side)
+    mapper.update(scan(surface, x, y, pose, 0.0), pose)
+    return mapper.snapshot()
+
+
+@pytest.mark.parametrize("level", [1, 3])
+@pytest.mark.parametrize("surface", [flat(), slope(0.15, 0.1)], ids=["flat", "slope"])
+def test_noise_on_a_plane_is_no_roughness(level, surface):
+    """The floor is taken off: what is left is the error of a mean, 0.6 sigma / sqrt(N)."""
+    config = fixed(level, 0.05)
+    cells = mapped(config, surface, density=60.0, scans=3).snapshot()
+    bound = cells.size**2 * 5.0 * 0.6 * 0.05 / np.sqrt(cells.count)
+    assert (cells.roughness <= bound).all()
+    # Without the floor's removal it would be the area times 0.8 sigma.
+    assert cells.roughness.mean() < 0.1 * cells.size[0] ** 2 * 0.8 * 0.05
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+@pytest.mark.parametrize("per_side", [160, 320])
+def test_roughness_of_a_rock_is_independent_of_cell_size_and_density(level, per_side):
+    """A rock of volume V and footprint a in the middle of a cell of area A lifts the plane by
+    V / A, so that Eq. 55 gives V (1 - a / A) for the rock and as much for the ground around it."""
+    half, height = 0.4, 0.25
+    size = 16.0 / 2**level
+    middle = 0.5 * size
+
+    def ground(x, y):
+        return height * ((np.abs(x - middle) < half) & (np.abs(y - middle) < half))
+
+    noise = 3e-4  # not in the points, but its floor is taken off
+    cells = seen_on_lattice(fixed(level, noise), ground, per_side)
+    volume, footprint = height * (2.0 * half) ** 2, (2.0 * half) ** 2
+    expected = 2.0 * volume * (1.0 - footprint / size**2) - size**2 * np.sqrt(2.0 / np.pi) * noise
+    at = np.argmin(np.hypot(cells.x - middle, cells.y - middle))
+    assert cells.roughness[at] == pytest.approx(expected, rel=0.02)
+    assert np.delete(cells.roughness, at).max() < 1e-3 * expected
+
+
+def test_exceptions_are_the_share_of_points_beyond_the_tolerance():
+    """A block of half a metre covers 1/64 of a 4 m cell."""
+    def ground(x, y):
+        return 1.0 * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
+
+    cells = seen_on_lattice(fixed(2, 0.02), ground, 256)
+    at = np.argmin(np.hypot(cells.x - 2.0, cells.y - 2.0))
+    assert cells.exception_fraction[at] == pytest.approx(1.0 / 64.0, rel=0.02)
+    assert np.delete(cells.exception_fraction, at).max() < 1e-6
+
+
+def test_points_on_the_tolerance_count_half():
+    """xi is the mass of the residual's distribution outside: a half when it is centred there.
+
+    A cap on 1/64 of a cell lifts the plane by 1/64 of its height h; h (1 - 1/64) = 0.3.
+    """
+    height = 0.3 / (1.0 - 1.0 / 64.0)
+
+    def ground(x, y):
+        return height * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
+
+    cells = seen_on_lattice(fixed(2, 0.02), ground, 256)
+    at = np.argmin(np.hypot(cells.x - 2.0, cells.y - 2.0))
+    assert cells.exception_fraction[at] == pytest.approx(0.5 / 64.0, rel=0.03)
+
+
+def test_tolerance_is_the_configured_one():
+    def ground(x, y):
+        return 0.2 * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
+
+    for tolerance, share in ((0.3, 0.0), (0.1, 1.0 / 64.0)):
+        config = fixed(2, 0.01, roughness_tolerance=tolerance)
+        assert seen_on_lattice(config, ground, 256).exception_fraction.max() == pytest.approx(
+            share, abs=1e-4
+        )
+
+
+def test_pose_uncertainty_makes_no_exception_of_flat_ground():
+    """Erratum of Eq. 48: a metre of common error says nothing of the ground within the cell."""
+    cells = seen_on_lattice(fixed(2, 0.02), flat(), 64, pose_covariance(1.0, 1e-3))
+    assert cells.exception_fraction.max() < 1e-6
+
+
+def test_wild_points_count_at_most_the_clip():
+    """One point a kilometre off adds residual_clip to the sum, not a kilometre."""
+    config = fixed(1, 0.02, residual_clip=0.5)
+    pose = make_pose((8.0, 8.0, 4000.0))
+    x, y = lattice(0.0, 0.0, 16.0, 128)
+    plain, spoilt = Mapper(config), Mapper(config)
+    points = scan(flat(), x, y, pose, 0.0)
+    wild = points.copy()
+    plain.update(points, pose)
+    spoilt.update(points, pose)
+    wild[0, 2] -= 1000.0
+    plain.update(points, pose)
+    spoilt.update(wild, pose)
+    worst = spoilt.snapshot().roughness.max() - plain.snapshot().roughness.max()
+    # A thousand metres over 2 * 4096 points, unclipped, would be 7.8 m^3 for 64 m^2.
+    assert worst <= 64.0 * 0.5

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The touchdown check against a slow, straightforward one, heading by heading and cell by cell."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from core.builders import configured, flat, leaf_by_descent, mapped, slope
+
+from quadtree_lss.core import hazards
+from quadtree_lss.core.config import LssConfig
+from quadtree_lss.core.features import height
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.sites import LandingSiteSelector
+
+SMALL = {"size": 8.0, "min_level": 1, "max_level": 4}
+
+
+class SlowLander:
+    """Stands on the leaf planes of a fully measured map, one node and heading at a time."""
+
+    def __init__(self, cells: CellMap, config: LssConfig) -> None:
+        self.cells, self.config = cells, config
+        self.n, self.side = cells.domain.finest_count, cells.domain.finest_size
+        leaf = [[leaf_by_descent(cells, c, r) for c in range(self.n)] for r in range(self.n)]
+        self.leaf = np.array(leaf)
+        self.slope_x = -cells.normal[:, 0] / cells.normal[:, 2]
+        self.slope_y = -cells.normal[:, 1] / cells.normal[:, 2]
+
+    def ground(self, k: int, x: float, y: float) -> float:
+        c = self.cells
+        return c.z[k] + self.slope_x[k] * (x - c.x[k]) + self.slope_y[k] * (y - c.y[k])
+
+    def pad(self, row: int, column: int, x: float, y: float) -> float:
+        """Height a pad at offset x, y from a node stands on: the plane's highest point under it."""
+        d = self.cells.domain
+        k = self.leaf[row + int(np.floor(y / self.side)), column + int(np.floor(x / self.side))]
+        tilt = np.hypot(self.slope_x[k], self.slope_y[k])
+        at_x, at_y = d.xmin + column * self.side + x, d.ymin + row * self.side + y
+        return self.ground(k, at_x, at_y) + self.config.pad_radius * tilt
+
+    def tops(self, row: int, column: int) -> list[tuple[float, float, float]]:
+        """Offset and highest ground of each finest cell whose centre is in the lander's circle."""
+        d, out = self.cells.domain, []
+        for r, c in itertools.product(range(self.n), repeat=2):
+            x, y = (c + 0.5 - column) * self.side, (r + 0.5 - row) * self.side
+            if np.hypot(x, y) > 0.5 * self.config.vehicle_diameter:
+                continue
+            k = self.leaf[r, c]
+            cx, cy = d.xmin + (c + 0.5) * self.side, d.ymin + (r + 0.5) * self.side
+            z = self.ground(k, cx, cy)
+            z += 0.5 * self.side * (abs(self.slope_x[k]) + abs(self.slope_y[k]))
+            if np.isfinite(self.cells.feature[k, 1]):
+                x0, y0 = cx - self.cells.x[k], cy - self.cells.y[k]
+                z += float(height(self.cells.feature[k], np.array(x0), np.array(y0)))
+            out.append((x, y, z))
+        return out
+
+    def worst(self, row: int, column: int) -> tuple[float, float]:
+        """Greatest tangent of slope and greatest height over a resting plane, over all headings."""
+        config = self.config
+        radius, tops = 0.5 * config.vehicle_diameter, np.array(self.tops(row, column))
+        steepest, highest = 0.0, -np.inf
+        for k in range(config.touchdown_yaws):
+            yaw = k * 0.5 * np.pi / config.touchdown_yaws
+            c, s = np.cos(yaw), np.sin(yaw)
+            feet = [(c, s), (-s, c), (-c, -s), (s, -c)]
+            feet = [(radius * x, radius * y) for x, y in feet]
+            pads = [(x, y, self.pad(row, column, x, y)) for x, y in feet]
+            carried = 0 if pads[0][2] + pads[2][2] >= pads[1][2] + pads[3][2] else 1
+            for third in (carried + 1, (carried + 3) % 4):
+                three = np.array([pads[carried], pads[carried + 2], pads[third]])
+                plane = np.linalg.solve(np.column_stack([three[:, :2], np.ones(3)]), three[:, 2])
+                steepest = max(steepest, float(np.hypot(plane[0], plane[1])))
+                over = tops[:, 2] - tops[:, :2] @ plane[:2] - plane[2]
+                highest = max(highest, float(over.max()))
+        return steepest, highest
+
+
+def touchdown_bits(cells: CellMap, config) -> np.ndarray:
+    fine = dataclasses.replace(
+        config, lss=dataclasses.replace(config.lss, grid_spacing=cells.domain.finest_size)
+    )
+    return LandingSiteSelector(fine).assess(cells).hazard & hazards.TOUCHDOWN > 0
+
+
+def landable(cells: CellMap, config) -> list[tuple[int, int]]:
+    """Nodes whose lander circle lies inside the domain."""
+    n, side = cells.domain.finest_count, cells.domain.finest_size
+    reach = 0.5 * config.lss.vehicle_diameter
+    inside = [k for k in range(n + 1) if min(k, n - k) * side >= reach]
+    return list(itertools.product(inside, inside))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("yaws", [1, 5])
+def test_rough_ground_against_the_slow_check(seed, yaws):
+    """Random bumps such that some nodes pass and some fail, by slope as well as by roughness."""
+    config = configured(
+        domain=SMALL,
+        lidar={"range_noise": 0.02},
+        lss={"touchdown_yaws": yaws, "vehicle_diameter": 2.9},
+    )
+    rng = np.random.default_rng(seed)
+    place, size = rng.uniform(0.0, 8.0, (12, 2)), rng.uniform(0.05, 0.4, 12)
+
+    def ground(x, y):
+        bumps = [
+            h * np.exp(-((x - a) ** 2 + (y - b) ** 2) / (0.1 + h))
+            for (a, b), h in zip(place, size, strict=True)
+        ]
+        return 0.03 * x + np.sum(bumps, axis=0)
+
+    cells = mapped(config, ground, density=150.0, scans=1, seed=seed).snapshot()
+    assert cells.measured.all()
+    found, slow = touchdown_bits(cells, config), SlowLander(cells, config.lss)
+    limit = np.tan(np.radians(config.lss.touchdown_slope_deg))
+    outcome = set()
+    for row, column in landable(cells, config):
+        steepest, highest = slow.worst(row, column)
+        margin = min(abs(steepest - limit), abs(highest - config.lss.touchdown_roughness))
+        if margin < 1e-5:
+            continue  # too near to call in single precision
+        fails = steepest > limit or highest > config.lss.touchdown_roughness
+        assert found[row, column] == fails, (row, column, steepest, highest)
+        outcome.add(fails)
+    assert outcome == {True, False}
+
+
+@pytest.mark.parametrize(("degrees", "unsafe"), [(0.0, False), (8.0, False), (10.0, True)])
+def test_even_slopes_fail_by_their_angle(degrees, unsafe):
+    config = configured(domain=SMALL, lidar={"range_noise": 0.01})
+    tangent = np.tan(np.radians(degrees))
+    for direction in (0.0, 0.8, 2.5):
+        ground = slope(tangent * np.cos(direction), tangent * np.sin(direction))
+        cells = mapped(config, ground, density=60.0).snapshot()
+        bits = touchdown_bits(cells, config)
+        assert all(bits[node] == unsafe for node in landable(cells, config))
+
+
+@pytest.mark.parametrize(("rise", "unsafe"), [(0.18, False), (0.35, True)])
+def test_a_rock_under_the_belly_fails_by_its_height(rise, unsafe):
+    """A block of half a metre in the middle of the circle, out of reach of the pads."""
+    config = configured(domain=SMALL, lidar={"range_noise": 0.01})
+
+    def ground(x, y):
+        return rise * ((np.abs(x - 4.0) < 0.5) & (np.abs(y - 4.0) < 0.5))
+
+    cells = mapped(config, ground, density=200.0).snapshot()
+    assert touchdown_bits(cells, config)[8, 8] == unsafe
+
+
+def test_a_step_under_the_pads_fails_by_its_slope():
+    """Over 3.7 m, 0.65 m of step are 10 degrees; over the rocking third pad more."""
+    config = configured(domain=SMALL, lidar={"range_noise": 0.01})
+    cells = mapped(config, lambda x, y: 0.65 * (x > 4.0), density=200.0).snapshot()
+    assert touchdown_bits(cells, config)[8, 8]
+    cells = mapped(config, flat(), density=60.0).snapshot()
+    assert not touchdown_bits(cells, config).any()
