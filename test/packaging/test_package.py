@@ -39,7 +39,7 @@ def test_installed_files_are_those_of_the_checkout():
         assert copy.read_bytes() == source.read_bytes(), f"{copy} is stale: make setup"
     for folder, pattern in (("launch", "*.launch.py"), ("config", "*.yaml")):
         names = {path.name for path in (ROOT / folder).glob(pattern)}
-        assert names and names == {path.name for path in (SHARE / folder).iterdir()}
+        assert names and names == {path.name for path in (SHARE / folder).glob(pattern)}
 
 
 @needs_rclpy
