@@ -25,6 +25,8 @@ NO_POSE = np.zeros((6, 6))
 GRADIENT = (0.15, -0.08)
 NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
 TRIALS = 5000
+#: Side of the one cell of a test, m.
+SIZE = np.array([2.0])
 
 
 def no_prior(cells: int) -> SlopePrior:
@@ -149,6 +151,7 @@ def fit_both(clouds, lidars, config=ML, noise=0.02, prior=None) -> tuple[Fit, np
         np.zeros(len(clouds), dtype=np.intp),
         np.arange(len(clouds)),
         np.zeros((1, 2)),
+        SIZE,
         no_prior(1) if prior is None else prior,
         config,
         noise,
@@ -307,7 +310,7 @@ def sets_of_points() -> st.SearchStrategy[np.ndarray]:
 def test_what_is_called_fittable_gives_a_sound_plane(cloud, config, spread):
     prior = SlopePrior(UP[None], np.array([spread if config.fit == "height" else 0.0]))
     moment = one(cloud)
-    if not fittable(moment, prior, config, 0.05)[0]:
+    if not fittable(moment, SIZE, prior, config, 0.05)[0]:
         return
     root = planes.covariance_root(pose_covariance(0.1, 1e-3))
     fit = fit_scan(moment, np.zeros((1, 2)), prior, config, 0.05, LIDAR, root)
@@ -332,15 +335,22 @@ def test_what_is_called_fittable_gives_a_sound_plane(cloud, config, spread):
 )
 def test_degenerate_sets_are_not_fittable(cloud, fit):
     config = MappingConfig(fit=fit)
-    assert not fittable(one(cloud), no_prior(1), config, 0.05)[0]
+    assert not fittable(one(cloud), SIZE, no_prior(1), config, 0.05)[0]
     _, good = fit_both([cloud], LIDAR[None], config, noise=0.05)
     assert not good[0]
+
+
+@pytest.mark.parametrize("fit", ["height", "ml"])
+def test_points_of_a_full_cell_are_fittable(fit):
+    rng = np.random.default_rng(10)
+    cloud = np.column_stack([rng.uniform(-1.0, 1.0, (50, 2)), 0.02 * rng.standard_normal(50)])
+    assert fittable(one(cloud), SIZE, no_prior(1), MappingConfig(fit=fit), 0.05)[0]
 
 
 def test_three_spread_points_are_fittable_and_exact():
     cloud = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.3], [0.0, 2.0, -0.2]])
     for config in (HEIGHT, ML):
-        assert fittable(one(cloud), no_prior(1), config, 0.05)[0]
+        assert fittable(one(cloud), SIZE, no_prior(1), config, 0.05)[0]
         fit = fit_scan(
             one(cloud), np.zeros((1, 2)), no_prior(1), config, 0.05, LIDAR, NO_POSE
         )
