@@ -255,6 +255,14 @@ class LssConfig:
     )
     touchdown_yaws: int = _p(12, "headings of the touchdown check", low=1, high=360)
     pad_radius: float = _p(0.15, "radius of a landing pad", unit="m", low=0.0, high=10.0)
+    hazard_growth: float = _p(
+        0.25,
+        "unsafe ground is taken to reach this much farther: what the map's place is wrong by",
+        unit="m",
+        low=0.0,
+        high=100.0,
+        live=True,
+    )
     max_gap: float = _p(
         0.6,
         "ground farther from any measurement is unseen",

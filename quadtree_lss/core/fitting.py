@@ -122,18 +122,45 @@ def fit_scan(
     return _about_centre(normal, basis, noise, slope, moment.mean, offset, centre, pose_part)
 
 
+def pool_scans(
+    moment: Moments, cell: Index, cells: int, min_points: int
+) -> tuple[Moments, Array, Mask]:
+    """What several scans say of each cell together.
+
+    Args:
+        moment: G groups, one for each (cell, scan) that occurs.
+        cell: (G,) cell of each group, 0 .. M - 1, all of which occur.
+        cells: M.
+        min_points: Points of one scan, or points beyond one in each scan, that make a first fit.
+
+    Returns:
+        Moments of the M cells (scatters summed, means averaged over scans as in Eq. 22), the
+        number of scans (M,), and which cells have enough points.
+    """
+    total = planes.sum_by(cell, cells, moment.count)
+    scans = planes.sum_by(cell, cells, np.ones(len(cell)))
+    most = np.zeros(cells)
+    np.maximum.at(most, cell, moment.count)
+    pooled = Moments(
+        total,
+        planes.sum_by(cell, cells, moment.mean) / scans[:, None],
+        planes.sum_by(cell, cells, moment.scatter),
+        planes.unit(planes.sum_by(cell, cells, moment.count[:, None] * moment.ray)),
+    )
+    return pooled, scans, (most >= min_points) | (total - scans >= min_points)
+
+
 def fit_scans(
     moment: Moments,
     cell: Index,
     scan: Index,
     centre: Array,
-    size: Array,
     prior: SlopePrior,
     config: MappingConfig,
     range_noise: float,
     lidars: Array,
     pose_roots: Array,
-) -> tuple[Fit, Mask]:
+) -> Fit:
     """Planes of cells from stored points of several scans, each with its own offset gamma_j.
 
     The normal follows from the sum of the within-scan scatters over their residuals' variances
@@ -142,46 +169,29 @@ def fit_scans(
     sum_j Q_j / N_s^2, scans being independent.
 
     Args:
-        moment: G groups, one for each (cell, scan) that occurs.
+        moment: G groups, one for each (cell, scan) that occurs; the cells are ``fittable``.
         cell: (G,) cell of each group, 0 .. M - 1, all of which occur.
         scan: (G,) index into ``lidars`` and ``pose_roots``.
         centre: (M, 2) cell centres.
-        size: (M,) their sides, m.
         prior: Slope prior of the M cells.
         lidars: (S, 3) lidar positions.
         pose_roots: (S, 6, 6) roots of pose covariances.
-
-    Returns:
-        The fit, and which cells (M,) the points suffice for; rows of others mean nothing.
     """
     cells = len(centre)
-    total = planes.sum_by(cell, cells, moment.count)
-    scans = planes.sum_by(cell, cells, np.ones(len(cell)))
-    most = np.zeros(cells)
-    np.maximum.at(most, cell, moment.count)
-    weighted = moment.count[:, None] * moment.ray
-    pooled = Moments(
-        total,
-        planes.sum_by(cell, cells, moment.mean) / scans[:, None],
-        planes.sum_by(cell, cells, moment.scatter),
-        planes.unit(planes.sum_by(cell, cells, weighted)),
-    )
-    enough = (most >= config.min_points) | (total - scans >= config.min_points)
-    good = fittable(pooled, size, prior, config, range_noise) & enough
-    safe = SlopePrior(prior.normal, np.where(good, prior.spread, 1.0))
-    normal = _normals(pooled.scatter, safe, config)
+    pooled, scans, _ = pool_scans(moment, cell, cells, config.min_points)
+    normal = _normals(pooled.scatter, prior, config)
     for _ in range(2):
         variance = planes.orthogonal_noise_variance(normal[cell], moment.ray, range_noise)
         if config.covariance == "independent":
             arm = moment.mean - lidars[scan]
             variance = variance + pose_variance(normal[cell], arm, pose_roots[scan])
         weight = 1.0 / variance
-        average = planes.sum_by(cell, cells, weight * moment.count) / total
+        average = planes.sum_by(cell, cells, weight * moment.count) / pooled.count
         scatter = planes.sum_by(cell, cells, moment.scatter * weight[:, None, None])
-        normal = _normals(scatter / average[:, None, None], safe, config)
+        normal = _normals(scatter / average[:, None, None], prior, config)
     basis = sphere.tangent_basis(normal)
     mean_noise = np.sqrt(planes.orthogonal_noise_variance(normal, pooled.ray, range_noise))
-    slope = planes.slope_covariance(scatter, basis, safe.spread * average)
+    slope = planes.slope_covariance(scatter, basis, prior.spread * average)
     offset = planes.sum_by(cell, cells, variance / moment.count) / scans**2
 
     def pose_part(origin: Array) -> Array:
@@ -191,8 +201,7 @@ def fit_scans(
         part = planes.pose_part(normal[cell], basis[cell], arm, pose_roots[scan])
         return planes.sum_by(cell, cells, part) / (scans**2)[:, None, None]
 
-    fit = _about_centre(normal, basis, mean_noise, slope, pooled.mean, offset, centre, pose_part)
-    return fit, good
+    return _about_centre(normal, basis, mean_noise, slope, pooled.mean, offset, centre, pose_part)
 
 
 def _normals(scatter: Array, prior: SlopePrior, config: MappingConfig) -> Array:

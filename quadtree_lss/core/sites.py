@@ -296,22 +296,22 @@ def _assess_nodes(cells: CellMap, raster: TerrainRaster, lss: LssConfig) -> _Nod
     planes = node_planes(raster, 0.75 * radius)
     lattice = np.arange(n + 1)
     border = np.minimum(lattice, n - lattice) * side
-    inside = np.minimum(border[:, None], border) >= zone - 1e-9
-    reachable = inside & (distance_to(~raster.seen, side) > zone)
+    known = np.minimum(distance_to(~raster.seen, side), np.minimum(border[:, None], border))
     hazard = touching(bits)
     if lss.assessment == "touchdown":
-        landable = inside & (distance_to(~raster.seen, side) > radius)
+        landable = known >= radius - 1e-9
         unsafe = unsafe_nodes(raster, planes, landable, lss)
+        unsafe |= landable & (distance_to((bits & hazards.EXCEPTION) > 0, side) <= radius)
+        unsafe |= landable & (_distance_from(unsafe, side) <= lss.hazard_growth)
         hazard[unsafe] |= hazards.TOUCHDOWN
-        near_exception = distance_to((bits & hazards.EXCEPTION) > 0, side) <= radius
-        bad = unsafe | (near_exception & landable)
-        clearance = _distance_from(bad, side)
-        safe = reachable & ~bad & (clearance > lss.margin)
-        density_slope = np.arctan(np.hypot(planes.slope_x, planes.slope_y))
-        density_slope = 0.25 * sum_of_corners(density_slope)
+        # Ground that spoils a landing lies about a radius from the nodes it makes unsafe.
+        away = _distance_from(unsafe, side)
+        safe = ~unsafe & (away > lss.margin) & (known >= zone - 1e-9)
+        clearance = np.minimum(away + radius, known)
+        density_slope = 0.25 * sum_of_corners(np.radians(_slope_deg(planes)))
     else:
-        clearance = distance_to(bits > 0, side)
-        safe = reachable & (clearance > zone)
+        clearance = np.minimum(distance_to(bits > 0, side), known)
+        safe = clearance > zone
         density_slope = hazards.slope(cells.normal)[raster.leaf]
     hazard[touching((~raster.seen).astype(np.uint8)) > 0] |= hazards.UNSEEN
     over = disc(zone, side)

@@ -89,15 +89,22 @@ def node_planes(raster: TerrainRaster, radius: float) -> NodePlanes:
     """Planes at the lander's scale.
 
     A disc about a node is symmetric, so the normal equations are diagonal:
-    slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z).
+    slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z). Outside the domain the ground
+    at its edge goes on.
     """
     over = disc(radius, raster.domain.finest_size)
     level = float(np.nanmean(raster.elevation))
-    z = np.nan_to_num(raster.elevation - level)
+    border = over.reach
+    z = np.pad(raster.elevation - level, border, mode="edge")
+    inner = slice(border, -border)
+
+    def sums(weights: Array) -> Array:
+        return node_sums(z, weights, over)[inner, inner]
+
     return NodePlanes(
-        level + node_sums(z, np.full(len(over.x), 1.0 / len(over.x)), over),
-        node_sums(z, over.x / np.sum(over.x**2), over),
-        node_sums(z, over.y / np.sum(over.y**2), over),
+        level + sums(np.full(len(over.x), 1.0 / len(over.x))),
+        sums(over.x / np.sum(over.x**2)),
+        sums(over.y / np.sum(over.y**2)),
     )
 
 

@@ -268,20 +268,27 @@ class ScanUpdate:
         lidars, roots = stored.poses(keys)
         lidars = lidars - self.origin
         scan = pairs % len(keys)
-        fit, fitted = fitting.fit_scans(
-            planes.moments(group, len(pairs), points, lidars[scan]),
-            pairs // len(keys),
-            scan,
-            current.centre[few],
-            size,
-            prior,
+        moment = planes.moments(group, len(pairs), points, lidars[scan])
+        place = pairs // len(keys)
+        pooled, _, enough = fitting.pool_scans(moment, place, len(few), self.config.min_points)
+        good = enough & fitting.fittable(pooled, size, prior, self.config, self.range_noise)
+        chosen = np.flatnonzero(good)
+        if not len(chosen):
+            return good
+        part = np.flatnonzero(good[place])
+        fit = fitting.fit_scans(
+            moment.take(part),
+            (np.cumsum(good) - 1)[place[part]],
+            scan[part],
+            current.centre[few[chosen]],
+            prior.take(chosen),
             self.config,
             self.range_noise,
             lidars,
             roots,
         )
-        chosen = np.flatnonzero(fitted)
-        self._set(rows, chosen, fit)
-        self.leaves.points_fitted[rows[chosen]] += stored.per_row[rows[chosen]]
-        stored.drop(rows[chosen])
-        return fitted
+        at = rows[chosen]
+        self._set(at, np.arange(len(at)), fit)
+        self.leaves.points_fitted[at] += stored.per_row[at]
+        stored.drop(at)
+        return good
