@@ -51,17 +51,33 @@ class MappingNode(Node):
         scan_qos = stream(config.qos.scan_depth, reliable=reliable)
         pose_qos = stream(config.qos.pose_depth, reliable=True)
         subscribe(self, PointCloud2, SCANS, self._on_scan, scan_qos)
-        subscribe(self, PoseWithCovarianceStamped, POSES, self._on_pose, pose_qos)
+        self._pose_input = subscribe(
+            self, PoseWithCovarianceStamped, POSES, self._on_pose, pose_qos
+        )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(EXPIRY_PERIOD_S, self._work, clock=steady)
 
     def _on_scan(self, message: Any) -> None:
-        self._intake.on_cloud(message, time.monotonic_ns())
+        arrival_ns = time.monotonic_ns()
+        self._take_poses()
+        self._intake.on_cloud(message, arrival_ns)
         self._work()
 
     def _on_pose(self, message: Any) -> None:
         self._intake.on_pose(message)
+        self._take_poses()
         self._work()
+
+    def _take_poses(self) -> None:
+        """All poses that have arrived, at once.
+
+        The executor takes one message of each topic in turn; poses come several to a scan, and
+        after a pause the scans would run ahead of them and fill their queue.
+        """
+        source = self._pose_input
+        with source.handle:
+            while (taken := source.handle.take_message(source.msg_type, source.raw)) is not None:
+                self._intake.on_pose(taken[0])
 
     def _work(self) -> None:
         """Map every scan whose pose is there; say what could not be used."""
