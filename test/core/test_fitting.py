@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from quadtree_lss.core import planes, rotations, sphere
 from quadtree_lss.core.config import MappingConfig
-from quadtree_lss.core.fitting import Fit, SlopePrior, fit_scan, fit_scans, fittable
+from quadtree_lss.core.fitting import Fit, SlopePrior, fit_scan, fit_scans, fittable, pool_scans
 from quadtree_lss.core.planes import Moments
 
 HEIGHT = MappingConfig(fit="height")
@@ -145,26 +145,24 @@ def pooled(clouds: list[np.ndarray], lidars: np.ndarray) -> Moments:
                      for f in dataclasses.fields(Moments)))
 
 
-def fit_both(clouds, lidars, config=ML, noise=0.02, prior=None) -> tuple[Fit, np.ndarray]:
-    return fit_scans(
-        pooled(clouds, lidars),
-        np.zeros(len(clouds), dtype=np.intp),
-        np.arange(len(clouds)),
-        np.zeros((1, 2)),
-        SIZE,
-        no_prior(1) if prior is None else prior,
-        config,
-        noise,
-        lidars,
-        np.zeros((len(clouds), 6, 6)),
+def fit_both(clouds, lidars, config=ML, noise=0.02) -> tuple[Fit | None, bool]:
+    """Fit of one cell to scans, or None and False where they do not suffice."""
+    moment, cell = pooled(clouds, lidars), np.zeros(len(clouds), dtype=np.intp)
+    of_cell, _, enough = pool_scans(moment, cell, 1, config.min_points)
+    if not (fittable(of_cell, SIZE, no_prior(1), config, noise) & enough)[0]:
+        return None, False
+    scan_of, poses = np.arange(len(clouds)), np.zeros((len(clouds), 6, 6))
+    fit = fit_scans(
+        moment, cell, scan_of, np.zeros((1, 2)), no_prior(1), config, noise, lidars, poses
     )
+    return fit, True
 
 
 def test_several_scans_minimise_the_weighted_cost():
     """Eq. 25 with its erratum: weights 1 / (n' Sigma n), one free offset per scan (Eq. 21)."""
     clouds, lidars = two_scans(np.random.default_rng(4))
     fit, good = fit_both(clouds, lidars)
-    assert good.all()
+    assert good
     found = fit.planes.normal[0]
     rays = pooled(clouds, lidars).ray
     weight = 1.0 / (0.02 * (rays @ found)) ** 2
@@ -208,7 +206,7 @@ def test_one_stored_scan_is_the_same_as_one_scan():
             NO_POSE,
         )
         stored, good = fit_both(clouds[:1], lidars[:1], config)
-        assert good.all()
+        assert good
         np.testing.assert_allclose(stored.planes.normal, alone.planes.normal, atol=1e-12)
         np.testing.assert_allclose(stored.z, alone.z, atol=1e-12)
         np.testing.assert_allclose(stored.planes.range_part, alone.planes.range_part, rtol=1e-9)
@@ -337,7 +335,7 @@ def test_degenerate_sets_are_not_fittable(cloud, fit):
     config = MappingConfig(fit=fit)
     assert not fittable(one(cloud), SIZE, no_prior(1), config, 0.05)[0]
     _, good = fit_both([cloud], LIDAR[None], config, noise=0.05)
-    assert not good[0]
+    assert not good
 
 
 @pytest.mark.parametrize("fit", ["height", "ml"])

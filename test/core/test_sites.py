@@ -18,7 +18,8 @@ from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector, dist
 from quadtree_lss.core.terrain_raster import rasterise
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
-RADIUS = 1.0
+#: Such that no zone of these tests touches a lattice of half metres exactly.
+RADIUS = 0.95
 
 
 def with_lss(config: Config, **values: object) -> Config:
@@ -26,7 +27,7 @@ def with_lss(config: Config, **values: object) -> Config:
 
 
 def small(**lss: object) -> Config:
-    """A lander of 2 m on a domain of 16 m with leaves down to 0.5 m."""
+    """A lander of 1.9 m on a domain of 16 m with leaves down to 0.5 m."""
     values = {"vehicle_diameter": 2.0 * RADIUS, "min_separation": 2.0, "grid_spacing": 0.5, **lss}
     return configured(domain=SMALL, lidar={"range_noise": 0.02}, lss=values)
 
@@ -66,6 +67,11 @@ def marked(raster: np.ndarray) -> list[tuple[int, int]]:
     return [(int(r), int(c)) for r, c in np.argwhere(raster)]
 
 
+def nearest_bad(x: float, y: float, bad: list[tuple[int, int]]) -> float:
+    """Distance to a hazardous cell or to the domain's edge, beyond which nothing is seen."""
+    return min(rectangle_distance(x, y, bad, 0.5), x, y, 16.0 - x, 16.0 - y)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.2, 1.0])
 def test_distance_is_to_the_cells_edge(share):
     mask = np.random.default_rng(1).random((12, 12)) < share
@@ -96,7 +102,7 @@ def test_the_papers_rule_keeps_the_zone_off_every_hazardous_cell(cells, margin):
     zone = RADIUS + margin
     for row, y in enumerate(found.y):
         for column, x in enumerate(found.x):
-            inside = min(x, y, 16.0 - x, 16.0 - y) >= zone - 1e-9
+            inside = min(x, y, 16.0 - x, 16.0 - y) > zone
             clear = rectangle_distance(x, y, bad, 0.5) > zone
             assert found.safe[row, column] == (inside and clear), (x, y)
     np.testing.assert_array_equal(np.isfinite(found.score), found.safe)
@@ -144,7 +150,7 @@ def test_the_distance_to_the_nearest_hazard_counts_up_to_its_cap(cells):
     for row, column in np.argwhere(found.safe)[::7]:
         over = zone_cells(found.x[column], found.y[row], RADIUS)
         distance = [
-            min(rectangle_distance(0.5 * (c + 0.5), 0.5 * (r + 0.5), bad, 0.5), cap)
+            min(nearest_bad(0.5 * (c + 0.5), 0.5 * (r + 0.5), bad), cap)
             for r, c in zip(*over, strict=True)
         ]
         assert found.score[row, column] == pytest.approx(-weight * np.mean(distance), abs=0.1)
@@ -184,7 +190,7 @@ def test_sites_are_described_by_the_ground_in_their_zone(cells):
         over = zone_cells(x, y, RADIUS)
         assert sites.roughness[k] == pytest.approx(rough[over].max(), abs=1e-12)
         assert sites.subscale_height[k] == pytest.approx(subscale[over].max(), abs=1e-12)
-        clear = rectangle_distance(x, y, bad, 0.5) - RADIUS
+        clear = nearest_bad(x, y, bad) - RADIUS
         assert sites.hazard_distance[k] == pytest.approx(max(clear, 0.0), abs=1e-9)
         assert abs(z - obstacles(x, y)) < 0.1
         angle = np.degrees(np.arccos(min(sites.normal[k, 2], 1.0)))
@@ -201,19 +207,22 @@ def test_the_same_map_gives_the_same_sites(cells):
 @pytest.mark.parametrize("assessment", ["paper", "touchdown"])
 def test_level_ground_is_safe_wherever_the_zone_fits(level_ground, assessment):
     found = assess(level_ground, small(assessment=assessment, margin=0.5))
-    inside = np.minimum(found.x, 16.0 - found.x) >= RADIUS + 0.5
+    inside = np.minimum(found.x, 16.0 - found.x) > RADIUS + 0.5
     np.testing.assert_array_equal(found.safe, inside[:, None] & inside)
     assert len(found.sites.score) == 5
     assert (found.sites.slope_deg < 1.0).all()
     np.testing.assert_allclose(found.sites.position[:, 2], 3.0, atol=0.02)
-    assert np.isinf(found.sites.hazard_distance).all()
+    x, y = found.sites.position[:, 0], found.sites.position[:, 1]
+    edge = np.minimum(np.minimum(x, 16.0 - x), np.minimum(y, 16.0 - y))
+    assert (found.sites.hazard_distance <= edge).all()
+    assert (found.sites.hazard_distance > 1.0).all()  # the middle of 16 m is best
     assert not found.hazard.any()
 
 
 @pytest.mark.parametrize("assessment", ["paper", "touchdown"])
 def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
     """A block of 1 m, 0.5 m high: its cells reach a finest cell beyond it at most."""
-    config = small(assessment=assessment, vehicle_diameter=3.0)
+    config = small(assessment=assessment, vehicle_diameter=2.9)
 
     def ground(x, y):
         return 0.5 * ((np.abs(x - 8.25) < 0.5) & (np.abs(y - 8.25) < 0.5))
@@ -224,9 +233,9 @@ def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
         np.maximum(np.abs(x - 8.25) - 0.5, 0.0), np.maximum(np.abs(y - 8.25) - 0.5, 0.0)
     )
     # Wholly under the lander, or under a pad at some heading.
-    assert not found.safe[edge <= 1.5 - 0.5].any()
-    inside = np.minimum(np.minimum(x, 16.0 - x), np.minimum(y, 16.0 - y)) >= 1.5
-    assert found.safe[inside & (edge > 1.5 + 1.5)].all()
+    assert not found.safe[edge <= 1.45 - 0.5].any()
+    inside = np.minimum(np.minimum(x, 16.0 - x), np.minimum(y, 16.0 - y)) > 1.45
+    assert found.safe[inside & (edge > 1.45 + 1.5)].all()
     assert found.safe.any()
 
 
@@ -259,7 +268,7 @@ def test_unseen_ground_is_never_landable(assessment):
     """A strip of five cells of 0.25 m leaves its middle unseen, one of four is bridged."""
     config = configured(
         domain={"min_level": 6, "max_level": 6},
-        lss={"vehicle_diameter": 2.0, "assessment": assessment, "grid_spacing": 0.25},
+        lss={"vehicle_diameter": 1.9, "assessment": assessment, "grid_spacing": 0.25},
     )
     bridged, broken = (assess(strip(columns), config) for columns in (4, 5))
     assert not (bridged.hazard & hazards.UNSEEN).any()
@@ -267,8 +276,8 @@ def test_unseen_ground_is_never_landable(assessment):
     assert seam[:, [32, 33]].all()
     assert not np.delete(seam, [32, 33], axis=1).any()
     assert np.isnan(broken.elevation[seam]).all()
-    # Column 32 spans 8.00 ... 8.25 m; the zone of 1 m must not touch it.
-    near = (broken.x >= 7.0) & (broken.x <= 9.25)
+    # Column 32 spans 8.00 ... 8.25 m; the zone of 0.95 m must not touch it.
+    near = (broken.x >= 7.05) & (broken.x <= 9.2)
     assert not broken.safe[:, near].any()
 
 
@@ -310,7 +319,7 @@ def test_near_the_target_is_better(level_ground):
     config = small(weight_target=100.0, sites=1)
     for target in ((4.0, 11.0), (4.0, 11.0, 250.0), (100.0, 8.0)):
         first = assess(level_ground, config, target=target).sites.position[0]
-        nearest = np.clip(target[:2], RADIUS, 16.0 - RADIUS)
+        nearest = np.clip(target[:2], 1.0, 15.0)  # first grid node beyond the radius
         np.testing.assert_allclose(first[:2], nearest, atol=1e-9)
     plain = assess(level_ground, config)
     aimed = assess(level_ground, config, target=(4.0, 11.0))

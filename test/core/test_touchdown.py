@@ -102,7 +102,7 @@ def test_rough_ground_against_the_slow_check(seed, yaws):
     config = configured(
         domain=SMALL,
         lidar={"range_noise": 0.02},
-        lss={"touchdown_yaws": yaws, "vehicle_diameter": 2.9},
+        lss={"touchdown_yaws": yaws, "vehicle_diameter": 2.9, "hazard_growth": 0.0},
     )
     rng = np.random.default_rng(seed)
     place, size = rng.uniform(0.0, 8.0, (12, 2)), rng.uniform(0.05, 0.4, 12)
@@ -130,6 +130,25 @@ def test_rough_ground_against_the_slow_check(seed, yaws):
     assert outcome == {True, False}
 
 
+@pytest.mark.parametrize("growth", [0.5, 0.8, 1.3])
+def test_unsafe_ground_grows_by_the_set_length(growth):
+    """A node is unsafe if one that fails lies within ``hazard_growth`` of it."""
+    lander = {"vehicle_diameter": 2.9, "hazard_growth": 0.0}
+    config = configured(domain=SMALL, lidar={"range_noise": 0.02}, lss=lander)
+
+    def ground(x, y):
+        return 0.5 * ((np.abs(x - 3.3) < 0.5) & (np.abs(y - 4.8) < 0.5))
+
+    cells = mapped(config, ground, density=150.0, scans=1).snapshot()
+    bare = touchdown_bits(cells, config)
+    lss = dataclasses.replace(config.lss, hazard_growth=growth)
+    grown = touchdown_bits(cells, dataclasses.replace(config, lss=lss))
+    unsafe = np.argwhere(bare)
+    for row, column in landable(cells, config):
+        distance = cells.domain.finest_size * np.hypot(*(unsafe - (row, column)).T).min()
+        assert grown[row, column] == (distance <= growth)
+
+
 @pytest.mark.parametrize(("degrees", "unsafe"), [(0.0, False), (8.0, False), (10.0, True)])
 def test_even_slopes_fail_by_their_angle(degrees, unsafe):
     config = configured(domain=SMALL, lidar={"range_noise": 0.01})
@@ -144,7 +163,7 @@ def test_even_slopes_fail_by_their_angle(degrees, unsafe):
 @pytest.mark.parametrize(("rise", "unsafe"), [(0.18, False), (0.35, True)])
 def test_a_rock_under_the_belly_fails_by_its_height(rise, unsafe):
     """A block of half a metre in the middle of the circle, out of reach of the pads."""
-    config = configured(domain=SMALL, lidar={"range_noise": 0.01})
+    config = configured(domain=SMALL, lidar={"range_noise": 0.01}, lss={"hazard_growth": 0.0})
 
     def ground(x, y):
         return rise * ((np.abs(x - 4.0) < 0.5) & (np.abs(y - 4.0) < 0.5))
