@@ -19,6 +19,9 @@ Mask = NDArray[np.bool_]
 #: E[chi_1] = sqrt(2 / pi) and E[chi_3] = sqrt(2) Gamma(2) / Gamma(3/2) of Eq. 47.
 MEAN_CHI_1 = float(np.sqrt(2.0 / np.pi))
 MEAN_CHI_3 = float(2.0 * np.sqrt(2.0 / np.pi))
+#: Mean and standard deviation of chi_1 and of chi_3.
+CHI_1 = (MEAN_CHI_1, float(np.sqrt(1.0 - MEAN_CHI_1**2)))
+CHI_3 = (MEAN_CHI_3, float(np.sqrt(3.0 - MEAN_CHI_3**2)))
 
 
 def mean_absolute(group: Index, count: Array, values: Array) -> Array:
@@ -143,7 +146,9 @@ def asks(
 
     The mean is over all processed measurements (Eq. 47). A scan counts by the residuals that its
     fit left free, N - 3: near the edge of a scan cells get four or five points at a time, and the
-    single free residual of many such scans would outvote one full view.
+    single free residual of many such scans would outvote one full view. A mean of n residuals
+    scatters by its chi distribution's deviation over sqrt(n); it must exceed the threshold by
+    ``division_confidence`` of these, or cells with few points would divide by chance.
 
     Args:
         rows: (M,) leaves.
@@ -155,7 +160,9 @@ def asks(
     leaves.division_weight[rows] += weight
     leaves.misfit[rows] = mean_square
     total = leaves.division_weight[rows]
-    expected = MEAN_CHI_1 if config.division == "lack_of_fit" else MEAN_CHI_3
+    expected, spread = CHI_1 if config.division == "lack_of_fit" else CHI_3
     mean = leaves.division_sum[rows] / np.maximum(total, 1.0)
-    poor = (mean > config.division_factor * expected) & (total >= config.division_min_residuals)
+    doubt = config.division_confidence * spread / np.sqrt(np.maximum(total, 1.0))
+    poor = mean > config.division_factor * (expected + doubt)
+    poor &= total >= config.division_min_residuals
     return poor & (leaves.level[rows] < leaves.domain.max_level)

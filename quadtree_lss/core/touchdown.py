@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.signal import oaconvolve
 
 from quadtree_lss.core.config import LssConfig
+from quadtree_lss.core.features import SHAPE
 from quadtree_lss.core.terrain_raster import TerrainRaster
 
 Array = NDArray[np.float64]
@@ -161,7 +162,8 @@ class _Ground:
         pad: Height of a pad at each cell's centre: it stands on the highest ground within its
             radius.
         slope_x, slope_y: dz/dx, dz/dy of each cell.
-        top: Highest ground of each cell: plane, its rise to the corner, subscale feature.
+        top: Highest ground of each cell: plane, its rise to the corner, subscale feature (a bell
+            fitted to part of a rock is low, so its own peak counts and not the boulder's).
     """
 
     def __init__(self, raster: TerrainRaster, config: LssConfig) -> None:
@@ -176,7 +178,7 @@ class _Ground:
         self.pad = self._bordered(height + config.pad_radius * tilt)
         self.slope_x = self._bordered(raster.slope_x)
         self.slope_y = self._bordered(raster.slope_y)
-        self.top = self._bordered(height + rise + raster.subscale)
+        self.top = self._bordered(height + rise + SHAPE * raster.subscale)
 
     def _bordered(self, values: Array) -> Single:
         return np.pad(values, self.border, mode="edge").astype(np.float32)
