@@ -72,7 +72,9 @@ def run_live(
     """
     domain = free_domain_id()
     env = local_environment(domain, folder)
+    # No scan may be lost, however busy the computer is: this is compared with a replay.
     args = ["--params-file", str(params), "-p", "qos.scan_reliability:=reliable"]
+    args += ["-p", "qos.scan_depth:=500", "-p", "pose.max_wait:=10.0"]
     with ExitStack() as stack:
         listener = stack.enter_context(Listener(domain))
         nodes = [

@@ -42,6 +42,7 @@ class MappingNode(Node):
             pose_topic=self.resolve_topic_name(POSES),
         )
         self._scans = 0
+        self._sequence = 0
         self._problems = Problems(self.get_logger())
         self._diagnostics = Diagnostics(self, config.publish.diagnostics_rate, self._problems)
         self._cells = advertise(self, PointCloud2, "map/cells", latched())
@@ -57,8 +58,9 @@ class MappingNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(EXPIRY_PERIOD_S, self._work, clock=steady)
 
-    def _on_scan(self, message: Any) -> None:
+    def _on_scan(self, message: Any, info: dict[str, int]) -> None:
         arrival_ns = time.monotonic_ns()
+        self._look_for_gap(info["publication_sequence_number"])
         self._take_poses()
         self._intake.on_cloud(message, arrival_ns)
         self._work()
@@ -67,6 +69,17 @@ class MappingNode(Node):
         self._intake.on_pose(message)
         self._take_poses()
         self._work()
+
+    def _look_for_gap(self, number: int) -> None:
+        """Scans that were sent but lost on the way, which nothing else would tell."""
+        last, self._sequence = self._sequence, number
+        missing = number - last - 1
+        if last > 0 and missing > 0:
+            text = (
+                f"{missing} scans on '{self.resolve_topic_name(SCANS)}' were lost before number"
+                f" {number}: best effort, or more than qos.scan_depth were waiting"
+            )
+            self._problems.report("scan_lost", text, missing)
 
     def _take_poses(self) -> None:
         """All poses that have arrived, at once.

@@ -8,14 +8,19 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from types import FrameType
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from quadtree_lss.core.config import parameters
 from quadtree_lss.errors import QuadtreeLssError
+
+STOP_PERIOD_S = 0.2
+"""How often an idle node looks whether it was asked to end."""
 
 
 def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | None = None) -> int:
@@ -45,26 +50,41 @@ def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | N
 def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
     executor: SingleThreadedExecutor | None = None
     node: Node | None = None
+    stop = _StopOnSignal()
     try:
-        rclpy.init(args=argv)
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=1.0)
-    except (KeyboardInterrupt, ExternalShutdownException):
+        while rclpy.ok() and not stop.asked:
+            executor.spin_once(timeout_sec=STOP_PERIOD_S)
+    except ExternalShutdownException:
         return 0
     except QuadtreeLssError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if executor is not None:
             executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+class _StopOnSignal:
+    """Remembers SIGINT and SIGTERM, so that a callback in progress ends before the node does.
+
+    ROS's own handlers invalidate the context at once, and whatever is being published fails.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._ask)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
 
 
 def _help(program: str, description: str) -> str:

@@ -31,14 +31,14 @@ class Problems:
         self._interval = interval
         self._told: dict[str, tuple[float, int]] = {}
 
-    def report(self, reason: str, text: str) -> None:
-        """Count one, and say so if this reason was not heard of lately."""
-        self.counts[reason] += 1
+    def report(self, reason: str, text: str, number: int = 1) -> None:
+        """Count ``number``, and say so if this reason was not heard of lately."""
+        self.counts[reason] += number
         now = time.monotonic()
         told_at, told_count = self._told.get(reason, (-self._interval, 0))
         if now - told_at < self._interval:
             return
-        more = self.counts[reason] - told_count - 1
+        more = self.counts[reason] - told_count - number
         suffix = f" ({more} more of this kind since the last such line)" if more else ""
         self._logger.warning(text + suffix)
         self._told[reason] = (now, self.counts[reason])

@@ -246,3 +246,29 @@ def test_wrong_usage_and_missing_home(ros):
     with listener:
         assert listener.wait_for(lambda: "lss_node" in listener.diagnostics), node.output()
     assert node.stop() == 0
+
+
+def test_scans_lost_on_the_way_are_counted(ros):
+    mapping = ros.start("mapping_node", "-p", "qos.scan_depth:=1")
+    listener = ros.listen()
+    with listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        mapping.process.send_signal(signal.SIGSTOP)
+        scans = [cloud(e.stamp_ns, e.points_lidar) for e in events(8) if e.points_lidar is not None]
+        sensors.scans.publish(scans[0])
+        mapping.process.send_signal(signal.SIGCONT)
+        counts = functools.partial(status_values, listener, "mapping_node")
+        for scan in scans[1:]:
+            sensors.scans.publish(scan)
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        arrived = len(scans) + SCANS
+
+        def accounted():
+            values = counts()
+            names = ("scans", "problems.scan_lost", "problems.no_pose", "problems.duplicate")
+            names += ("problems.time_jump", "problems.queue_full", "problems.before_poses")
+            return sum(int(values.get(name, 0)) for name in names) == arrived
+
+        assert listener.wait_for(accounted), counts()
