@@ -139,10 +139,14 @@ def two_scans(rng: np.random.Generator) -> tuple[list[np.ndarray], np.ndarray]:
     return clouds, lidars
 
 
+def joined(parts: list[Moments]) -> Moments:
+    """Groups of several moments one after the other."""
+    names = [field.name for field in dataclasses.fields(Moments)]
+    return Moments(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
 def pooled(clouds: list[np.ndarray], lidars: np.ndarray) -> Moments:
-    parts = [one(c, at) for c, at in zip(clouds, lidars, strict=True)]
-    return Moments(*(np.concatenate([getattr(p, f.name) for p in parts])
-                     for f in dataclasses.fields(Moments)))
+    return joined([one(c, at) for c, at in zip(clouds, lidars, strict=True)])
 
 
 def fit_both(clouds, lidars, config=ML, noise=0.02) -> tuple[Fit | None, bool]:
@@ -179,6 +183,43 @@ def test_several_scans_minimise_the_weighted_cost():
     sigma = np.sqrt(fit.planes.range_part[0, [0, 1], [0, 1]])
     # Optimal to well under the fit's own uncertainty.
     assert (np.abs(best.x[:2]) < 1e-3 * sigma).all()
+
+
+@pytest.mark.parametrize("config", [HEIGHT, ML], ids=["height", "ml"])
+def test_covariance_of_several_scans_against_monte_carlo(config):
+    """Two scans of 12 and 8 points in each of TRIALS cells, each scan with its own pose error."""
+    rng = np.random.default_rng(11)
+    lidars = np.array([[30.0, -20.0, 80.0], [-60.0, 30.0, 90.0]])
+    covariances = np.array([pose_covariance(0.05, 3e-4), pose_covariance(0.02, 6e-4)])
+    parts = []
+    for lidar, covariance, count in zip(lidars, covariances, (12, 8), strict=True):
+        group = np.repeat(np.arange(TRIALS), count)
+        x, y = rng.uniform(-1.0, 1.0, (2, len(group)))
+        truth = np.column_stack([x, y, GRADIENT[0] * x + GRADIENT[1] * y])
+        arm = truth - lidar
+        arm *= (1.0 + 0.02 * rng.standard_normal(len(x)) / np.linalg.norm(arm, axis=1))[:, None]
+        error = rng.multivariate_normal(np.zeros(6), covariance, TRIALS)
+        seen = (rotations.exp(error[:, 3:])[group] @ arm[:, :, None])[:, :, 0]
+        parts.append(moments_of(group, TRIALS, seen + lidar + error[group, :3], lidar))
+    fit = fit_scans(
+        joined(parts),
+        np.tile(np.arange(TRIALS), 2),
+        np.repeat([0, 1], TRIALS),
+        np.zeros((TRIALS, 2)),
+        no_prior(TRIALS),
+        config,
+        0.02,
+        lidars,
+        planes.covariance_root(covariances),
+    )
+    error = error_of(fit, np.zeros(2))
+    # d, whose variance is that of the mean of two scans. The slope's pose part is an average
+    # over the scans, while the points weigh them by their number: within a third is as told.
+    offset = fit.planes.range_part[:, 2, 2] + fit.planes.pose_part[:, 2, 2]
+    ratio = np.mean(error[:, 2] ** 2) / offset.mean()
+    assert ratio == pytest.approx(1.0, abs=0.15)
+    tilt = np.einsum("mii->mi", fit.planes.range_part + fit.planes.pose_part)[:, :2].mean(axis=0)
+    np.testing.assert_allclose(np.mean(error[:, :2] ** 2, axis=0) / tilt, 1.0, atol=0.33)
 
 
 @pytest.mark.parametrize("config", [HEIGHT, ML], ids=["height", "ml"])

@@ -108,6 +108,19 @@ def test_the_papers_rule_keeps_the_zone_off_every_hazardous_cell(cells, margin):
     np.testing.assert_array_equal(np.isfinite(found.score), found.safe)
 
 
+@pytest.mark.parametrize("margin", [0.0, 0.7, 1.3])
+def test_the_margin_keeps_off_nodes_that_fail_the_touchdown_check(cells, margin):
+    config = small(margin=margin)
+    found = assess(cells, config)
+    failed = np.argwhere(found.hazard & hazards.TOUCHDOWN > 0)
+    assert len(failed)
+    for row, y in enumerate(found.y):
+        for column, x in enumerate(found.x):
+            inside = min(x, y, 16.0 - x, 16.0 - y) > RADIUS + margin
+            away = 0.5 * np.hypot(*(failed - (row, column)).T).min()
+            assert found.safe[row, column] == (inside and away > max(margin, 1e-9)), (x, y)
+
+
 def densities(cells: CellMap, config: Config) -> np.ndarray:
     """Eq. 58 without the distance term on the finest cells, by the paper's leaf slopes."""
     leaf, lss = cells.leaf_raster(), config.lss
