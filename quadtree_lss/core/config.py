@@ -157,7 +157,10 @@ class MappingConfig:
         high=100.0,
     )
     division_confidence: float = _p(
-        0.5, "by how many standard deviations the mean must exceed the threshold", low=0.0, high=10.0
+        0.5,
+        "by how many standard deviations the mean must exceed the threshold",
+        low=0.0,
+        high=10.0,
     )
     division_min_residuals: int = _p(
         8,

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-ITERATIONS = 10
+ITERATIONS = 5
 #: Points this many standard deviations above the plane make a cell a candidate.
 HIGH = 3.0
 #: Fraction of points that noise alone raises so high, P(N(0, 1) > 3).
@@ -32,7 +32,7 @@ WINDOW = 5.0
 #: Points of one scan that a cell's feature is estimated from, at most.
 MAX_SAMPLES = 512
 #: Relative change of the cost at which an estimate has converged.
-SETTLED = 1e-3
+SETTLED = 1e-2
 #: Peak of the bell that fits a hemisphere best over the hemisphere's height.
 SHAPE = 1.25
 #: A first estimate must lower the cost (a chi-square) by this much against flat ground.

@@ -174,7 +174,8 @@ class LandingSiteSelector:
         while len(chosen) < lss.sites and open_.any():
             best = first if not chosen and first is not None else int(np.argmax(open_))
             chosen.append(best)
-            open_ &= np.hypot(*(place - place[best]).T) >= lss.min_separation
+            apart = place - place[best]
+            open_ &= apart[:, 0] ** 2 + apart[:, 1] ** 2 >= lss.min_separation**2
             open_[best] = False
         self._last_first = place[chosen[0]].copy() if chosen else None
         where = (row[chosen], column[chosen])

@@ -26,7 +26,7 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 #: Nodes compared with the ground at once, so that the working set stays small.
-NODES = 4096
+NODES = 1024
 #: Side of the blocks of nodes that share a bound.
 BLOCK = 4
 
@@ -132,12 +132,16 @@ def unsafe_nodes(
     limit = np.float32(config.touchdown_roughness)
     failed = ~candidates[rows, columns]
     doubts: list[tuple[Index, Single]] = []
-    for centre, slope_x, slope_y in ground.resting_planes(rows, columns):
+    for number, (centre, slope_x, slope_y) in enumerate(ground.resting_planes(rows, columns)):
         failed |= slope_x * slope_x + slope_y * slope_y > steep
         doubt = np.flatnonzero((roof.above(centre, slope_x, slope_y) > limit) & ~failed)
         if len(doubt):
             plane = (centre.ravel()[doubt], slope_x.ravel()[doubt], slope_y.ravel()[doubt])
             doubts.append((doubt, np.stack(plane)))
+        if number == 1:
+            # The first heading settles most of the hazardous nodes for all others.
+            _compare(ground, over, rows, columns, failed, doubts, limit)
+            doubts = []
     _compare(ground, over, rows, columns, failed, doubts, limit)
     unsafe = np.zeros(candidates.shape, dtype=np.bool_)
     unsafe[rows, columns] = failed & candidates[rows, columns]
@@ -171,7 +175,7 @@ class _Ground:
         self.yaws = config.touchdown_yaws
         self.side = raster.domain.finest_size
         self.level = float(np.mean(raster.elevation))
-        self.border = int(np.ceil(self.radius / self.side)) + 1
+        self.border = int(np.ceil(self.radius / self.side)) + 2 * BLOCK
         height = raster.elevation - self.level
         rise = 0.5 * self.side * (np.abs(raster.slope_x) + np.abs(raster.slope_y))
         tilt = np.hypot(raster.slope_x, raster.slope_y)
@@ -242,13 +246,17 @@ class _Roof:
         at = np.ix_(np.minimum(row + middle, last), np.minimum(column + middle, last))
         gx, gy = planes.slope_x[at].astype(np.float32), planes.slope_y[at].astype(np.float32)
         over = disc(ground.radius + ground.side * np.hypot(middle, middle), ground.side)
-        limit = len(ground.top) - 1
         highest = np.full(gx.shape, -np.inf, dtype=np.float32)
-        for up, right, x, y in zip(over.row, over.column, over.x, over.y, strict=True):
-            r = np.clip(row + middle + up + ground.border, 0, limit)
-            c = np.clip(column + middle + right + ground.border, 0, limit)
-            top = ground.top[np.ix_(r, c)]
-            np.maximum(highest, top - gx * np.float32(x) - gy * np.float32(y), out=highest)
+        work = np.empty_like(highest)
+        for up, right, x, y in zip(
+            over.row.tolist(), over.column.tolist(), over.x.tolist(), over.y.tolist(), strict=True
+        ):
+            r, c = rows.start + middle + up, columns.start + middle + right
+            top = ground.top[r + ground.border :: BLOCK, c + ground.border :: BLOCK]
+            np.multiply(gx, np.float32(-x), out=work)
+            work -= gy * np.float32(y)
+            work += top[: gx.shape[0], : gx.shape[1]]
+            np.maximum(highest, work, out=highest)
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         self.slope_x, self.slope_y = _spread(gx, shape), _spread(gy, shape)
         x = ((np.arange(shape[1]) % BLOCK - middle) * ground.side).astype(np.float32)
@@ -296,7 +304,7 @@ def _compare(
     of_pair, plane = of_pair[open_], plane[:, open_]
     nodes, first = np.unique(of_pair, return_index=True)
     first = np.append(first, len(of_pair))
-    basis = np.stack([np.ones_like(over.x), over.x, over.y]).astype(np.float32)
+    x_of, y_of = over.x.astype(np.float32), over.y.astype(np.float32)
     stride = ground.top.shape[1]
     offset = over.row * stride + over.column
     for begin in range(0, len(nodes), NODES):
@@ -309,16 +317,25 @@ def _compare(
         tops = ground.top.ravel()[corner[:, None] + offset]
         count = np.bincount(local, minlength=len(chunk))
         mean = np.stack([np.bincount(local, part) / count for part in planes]).astype(np.float32)
-        over_mean = tops - mean.T @ basis
+        over_mean = _above(tops, mean, x_of, y_of)
         best = np.argmax(over_mean, axis=1)
         each = np.arange(len(chunk))
         worst, high = over_mean[each, best], tops[each, best][local]
-        x, y = basis[1][best][local], basis[2][best][local]
+        x, y = x_of[best][local], y_of[best][local]
         flat[place[high - planes[0] - planes[1] * x - planes[2] * y > limit]] = True
         apart = mean[:, local] - planes
         bound = worst[local] + apart[0] + np.float32(ground.radius) * np.hypot(apart[1], apart[2])
         left = np.flatnonzero((bound > limit) & ~flat[place])
         for part in range(0, len(left), NODES):
             pick = left[part : part + NODES]
-            above = tops[local[pick]] - planes[:, pick].T @ basis
+            above = _above(tops[local[pick]], planes[:, pick], x_of, y_of)
             flat[place[pick[above.max(axis=1) > limit]]] = True
+
+
+def _above(tops: Single, plane: Single, x: Single, y: Single) -> Single:
+    """Heights (K, C) of cells over planes (3, K); x, y (C,) of the cells from the node, m."""
+    out = plane[1][:, None] * x
+    out += plane[2][:, None] * y
+    np.subtract(tops, out, out=out)
+    out -= plane[0][:, None]
+    return out
