@@ -185,12 +185,14 @@ def test_several_scans_minimise_the_weighted_cost():
     assert (np.abs(best.x[:2]) < 1e-3 * sigma).all()
 
 
+@pytest.mark.parametrize("pose_scale", [1e-6, 1.0], ids=["range only", "pose and range"])
 @pytest.mark.parametrize("config", [HEIGHT, ML], ids=["height", "ml"])
-def test_covariance_of_several_scans_against_monte_carlo(config):
+def test_covariance_of_several_scans_against_monte_carlo(config, pose_scale):
     """Two scans of 12 and 8 points in each of TRIALS cells, each scan with its own pose error."""
     rng = np.random.default_rng(11)
     lidars = np.array([[30.0, -20.0, 80.0], [-60.0, 30.0, 90.0]])
     covariances = np.array([pose_covariance(0.05, 3e-4), pose_covariance(0.02, 6e-4)])
+    covariances *= pose_scale**2
     parts = []
     for lidar, covariance, count in zip(lidars, covariances, (12, 8), strict=True):
         group = np.repeat(np.arange(TRIALS), count)
@@ -213,13 +215,11 @@ def test_covariance_of_several_scans_against_monte_carlo(config):
         planes.covariance_root(covariances),
     )
     error = error_of(fit, np.zeros(2))
-    # d, whose variance is that of the mean of two scans. The slope's pose part is an average
-    # over the scans, while the points weigh them by their number: within a third is as told.
-    offset = fit.planes.range_part[:, 2, 2] + fit.planes.pose_part[:, 2, 2]
-    ratio = np.mean(error[:, 2] ** 2) / offset.mean()
-    assert ratio == pytest.approx(1.0, abs=0.15)
-    tilt = np.einsum("mii->mi", fit.planes.range_part + fit.planes.pose_part)[:, :2].mean(axis=0)
-    np.testing.assert_allclose(np.mean(error[:, :2] ** 2, axis=0) / tilt, 1.0, atol=0.33)
+    told = np.einsum("mii->mi", fit.planes.range_part + fit.planes.pose_part).mean(axis=0)
+    # The points weigh the scans' pose errors of the slope by their number, the covariance
+    # evenly: a matter of hundredths here, where range noise decides the slope.
+    slack = 5.0 * np.sqrt(2.0 / TRIALS) + 0.03
+    np.testing.assert_allclose(np.mean(error**2, axis=0) / told, 1.0, atol=slack)
 
 
 @pytest.mark.parametrize("config", [HEIGHT, ML], ids=["height", "ml"])

@@ -410,6 +410,25 @@ def test_stored_points_are_bounded_refused_and_counted():
     assert report.refused_points > 0
 
 
+def test_points_that_made_a_fit_leave_room_for_others():
+    """A pool of two: full after the first scan, free again once their cell has a plane."""
+    config = configured(domain={"min_level": 2, "max_level": 2}, mapping={"max_stored_points": 2})
+    mapper, pose = Mapper(config), make_pose((8.0, 8.0, 500.0))
+
+    def refused(x: list[float], y: list[float]) -> int:
+        points = scan(flat(), np.array(x), np.array(y), pose, 0.0)
+        return mapper.update(points, pose).refused_points
+
+    assert refused([1.0, 3.0], [1.0, 3.0]) == 0
+    assert refused([9.0], [9.0]) == 1
+    assert refused([0.5, 3.5, 0.5, 3.5, 2.0], [0.5, 0.5, 3.5, 3.5, 2.0]) == 0
+    cells = mapper.snapshot()
+    first = (cells.ix == 0) & (cells.iy == 0)
+    assert cells.measured.tolist() == first.tolist()
+    assert cells.count[first] == 7
+    assert refused([9.0, 11.0], [9.0, 11.0]) == 0
+
+
 def test_two_points_of_a_cell_are_stored_and_no_estimate():
     mapper = Mapper(configured(domain={"min_level": 2, "max_level": 3}))
     pose = make_pose((8.0, 8.0, 500.0))
