@@ -321,6 +321,19 @@ def test_a_scan_without_sound_points_changes_nothing(points):
     assert_equal(before, mapper.snapshot())
 
 
+def test_returns_of_no_range_at_all_do_not_spoil_a_cell():
+    """(0, 0, 0) is what many drivers send for no return; also without a minimum range."""
+    config = configured(lidar={"min_range": 0.0}, domain={"max_level": 2})
+    mapper = mapped(config, GROUND, density=20.0, scans=1)
+    x, y = scattered(np.random.default_rng(16), 0.0, 0.0, 4.0, 500)
+    pose = make_pose((8.1, 8.1, 80.0))
+    points = scan(GROUND, x, y, pose, 0.0)
+    points[:2] = 0.0
+    mapper.update(points, pose)
+    assert_sound(mapper.snapshot())
+    assert mapper.snapshot().measured.all()
+
+
 def test_the_same_scans_give_the_same_bits():
     config = configured()
 

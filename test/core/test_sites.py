@@ -427,3 +427,9 @@ def test_a_vehicle_smaller_than_a_cell_is_assessed(level_ground):
     for assessment in ("paper", "touchdown"):
         config = small(vehicle_diameter=0.1, assessment=assessment)
         assert len(assess(level_ground, config).sites.score) > 0
+
+
+@pytest.mark.parametrize("target", [(np.nan, 1.0), (1.0, np.inf)])
+def test_a_target_that_is_not_finite_is_refused(level_ground, target):
+    with pytest.raises(ValueError, match="target"):
+        assess(level_ground, small(), target=target)
