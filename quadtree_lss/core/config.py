@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import numbers
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -400,9 +401,15 @@ def checked_value(row: Parameter, value: object) -> Value:
         ConfigError: wrong type, out of range, not finite or not among the choices.
     """
     kind = row.type
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if type(value) is not kind:
+    fits = {
+        bool: isinstance(value, bool),
+        str: isinstance(value, str),
+        int: isinstance(value, numbers.Integral) and not isinstance(value, bool),
+        float: isinstance(value, numbers.Real) and not isinstance(value, bool),
+    }
+    if fits[kind]:
+        value = kind(value)
+    else:
         msg = f"{row.name} must be {kind.__name__}, got {value!r}"
         raise ConfigError(msg)
     if isinstance(value, (int, float)) and not isinstance(value, bool):

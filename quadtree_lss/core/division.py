@@ -163,6 +163,6 @@ def asks(
     expected, spread = CHI_1 if config.division == "lack_of_fit" else CHI_3
     mean = leaves.division_sum[rows] / np.maximum(total, 1.0)
     doubt = config.division_confidence * spread / np.sqrt(np.maximum(total, 1.0))
-    poor = mean > config.division_factor * (expected + doubt)
+    poor = mean > config.division_factor * expected + doubt
     poor &= total >= config.division_min_residuals
     return poor & (leaves.level[rows] < leaves.domain.max_level)

@@ -289,7 +289,8 @@ class FeatureEstimator:
     def update(self, leaves: Leaves, residuals: Residuals, range_noise: float) -> None:
         """Update the features of the leaves that a scan shows one in, or that had one.
 
-        A leaf is a candidate if clearly more points stand out than noise raises on flat ground.
+        A leaf is a candidate if clearly more points stand out than noise raises on flat ground; a
+        feature that later scans do not show fades away.
         """
         rows = residuals.rows
         if not self.config.enabled or not len(rows):
@@ -303,7 +304,7 @@ class FeatureEstimator:
         chance = CHANCE * count
         known = np.isfinite(leaves.feature[rows, 1])
         candidate = (raised >= np.maximum(2.0, chance + 2.0 * np.sqrt(chance))) | known
-        chosen = np.flatnonzero(candidate & (raised > 0) & (count >= self.config.min_points))
+        chosen = np.flatnonzero(candidate & (count >= self.config.min_points))
         if not len(chosen):
             return
         if len(chosen) > MAX_CANDIDATES:

@@ -51,7 +51,7 @@ def register(
     with np.errstate(invalid="ignore", over="ignore"):
         ranges = np.sqrt(np.einsum("ij,ij->i", flat, flat))
         finite = np.isfinite(ranges)
-        valid = finite & (ranges >= lidar.min_range) & (ranges <= lidar.max_range)
+        valid = finite & (ranges > 0.0) & (ranges >= lidar.min_range) & (ranges <= lidar.max_range)
     returns = int(np.count_nonzero(finite))
     in_range = int(np.count_nonzero(valid))
     if in_range:

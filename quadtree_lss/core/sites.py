@@ -35,7 +35,8 @@ class Sites:
         score: (K,) mean score density over the zone (Eq. 59), lower is better.
         slope_deg: (K,) at the lander's scale.
         roughness: (K,) greatest roughness density in the zone, m^3.
-        hazard_distance: (K,) least distance of the zone's ground from a hazard, m.
+        hazard_distance: (K,) least distance of the zone's ground from a hazard or from unseen
+            ground, which is never landable, m.
         subscale_height: (K,) greatest height of a subscale feature in the zone, m.
         reasons: A sentence for each.
     """
@@ -120,7 +121,7 @@ class LandingSiteSelector:
             target: (2,) or (3,) place to be near to.
 
         Raises:
-            ValueError: a polygon with fewer than three finite vertices.
+            ValueError: a polygon with fewer than three finite vertices, a target not finite.
         """
         lss, domain = self.config.lss, cells.domain
         x, y = (_grid(low, domain.size, lss.grid_spacing) for low in (domain.xmin, domain.ymin))
@@ -142,6 +143,9 @@ class LandingSiteSelector:
             score[signed_distance(keep_out, grid_x, grid_y) > -zone] = np.nan
         if target is not None:
             goal = np.asarray(target, dtype=np.float64)
+            if goal.shape not in ((2,), (3,)) or not np.isfinite(goal).all():
+                msg = f"a landing target needs two or three finite coordinates, got {target!r}"
+                raise ValueError(msg)
             score += lss.weight_target * np.hypot(grid_x - goal[0], grid_y - goal[1])
         if safe.any() and not np.isfinite(score).any():
             explanation = "no safe ground within the landing area and outside the keep-out"
@@ -311,8 +315,9 @@ def _assess_nodes(cells: CellMap, raster: TerrainRaster, lss: LssConfig) -> _Nod
         clearance = np.minimum(away + radius, known)
         density_slope = 0.25 * sum_of_corners(np.radians(_slope_deg(planes)))
     else:
-        clearance = np.minimum(distance_to(bits > 0, side), known)
-        safe = clearance > zone
+        clearance = distance_to(bits > 0, side)
+        safe = (clearance > zone) & (known >= zone - 1e-9)
+        clearance = np.minimum(clearance, known)
         density_slope = hazards.slope(cells.normal)[raster.leaf]
     hazard[touching((~raster.seen).astype(np.uint8)) > 0] |= hazards.UNSEEN
     over = disc(zone, side)
@@ -378,7 +383,7 @@ def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
     lines = []
     for k in range(len(sites.score)):
         clear = sites.hazard_distance[k]
-        nearest = f"{clear:.1f} m clear of hazards" if np.isfinite(clear) else "no hazard in sight"
+        nearest = f"{clear:.1f} m clear of hazards and unseen ground"
         bump = sites.subscale_height[k]
         lines.append(
             f"slope {sites.slope_deg[k]:.1f} deg of {lss.max_slope_deg:g}, {nearest}, "

@@ -44,8 +44,8 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
 
     Args:
         cells: The map.
-        max_gap: Ground farther than this from any finest cell in which a point fell (centre to
-            that cell's edge) is unseen, m.
+        max_gap: Ground farther than this from any finest cell in which a point fell (distance of
+            the centres less half a cell) is unseen, m.
     """
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size

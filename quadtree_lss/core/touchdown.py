@@ -334,7 +334,7 @@ def _compare(
 
 def _above(tops: Single, plane: Single, x: Single, y: Single) -> Single:
     """Heights (K, C) of cells over planes (3, K); x, y (C,) of the cells from the node, m."""
-    out = plane[1][:, None] * x
+    out: Single = plane[1][:, None] * x
     out += plane[2][:, None] * y
     np.subtract(tops, out, out=out)
     out -= plane[0][:, None]

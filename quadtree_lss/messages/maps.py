@@ -132,9 +132,7 @@ def decode_cells(
     if not (np.isfinite([xmin, ymin, size]).all() and 0.0 < size < 1e9):
         msg = f"map/cells lies at ({xmin}, {ymin}) with size {size} m"
         raise MapMessageError("domain", msg)
-    if domain.min_level > max_level or not np.array_equal(
-        records["size"], domain.cell_size(level)
-    ):
+    if domain.min_level > max_level or not np.array_equal(records["size"], domain.cell_size(level)):
         msg = "map/cells has leaves whose size does not follow from their level"
         raise MapMessageError("domain", msg)
     cells = CellMap(
