@@ -115,7 +115,7 @@ class PoseConfig:
     max_gap: float = _p(
         1.5, "no interpolation between poses farther apart", unit="s", low=0.001, high=60.0
     )
-    queue: int = _p(10, "scans that may wait for their pose or their turn", low=1, high=1000)
+    queue: int = _p(20, "scans that may wait for their pose or their turn", low=1, high=1000)
     unknown_position_sigma: float = _p(
         0.1,
         "position standard deviation where the message says unknown",
@@ -318,7 +318,7 @@ class QosConfig:
         "best effort matches any publisher; reliable loses no scan",
         choices=("best_effort", "reliable"),
     )
-    scan_depth: int = _p(10, "scans the middleware may queue", low=1, high=1000)
+    scan_depth: int = _p(50, "scans the middleware may queue", low=1, high=1000)
     pose_depth: int = _p(200, "poses the middleware may queue", low=100, high=100000)
 
 
@@ -327,6 +327,9 @@ class PublishConfig:
     """What the nodes send, and how often."""
 
     rate: float = _p(10.0, "map publications per second at most", unit="Hz", low=0.01, high=1000.0)
+    lss_rate: float = _p(
+        4.0, "landing site passes per second at most", unit="Hz", low=0.01, high=1000.0
+    )
     diagnostics_rate: float = _p(1.0, "diagnostics per second", unit="Hz", low=0.01, high=100.0)
 
 

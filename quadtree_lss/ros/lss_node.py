@@ -48,7 +48,7 @@ class LssNode(Node):
         self._table = advertise(self, PointCloud2, "landing/site_table", latched())
         self._hazards = advertise(self, OccupancyGrid, "landing/hazards", latched())
         self._score = advertise(self, OccupancyGrid, "landing/score", latched())
-        self._output = ChangePublisher(self, config.publish.rate, self._assess)
+        self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
         subscribe(self, PointCloud2, "map/cells", self._on_cells, latched())
         subscribe(self, OccupancyGrid, "map/observed", self._on_observed, latched())
 

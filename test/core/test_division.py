@@ -32,9 +32,7 @@ def test_lack_of_fit_is_one_whatever_the_number_of_points(count):
     xy = rng.uniform(-1.0, 1.0, (DRAWS, count, 2))
     rows = np.concatenate([np.ones((DRAWS, count, 1)), xy], axis=2)
     z = 0.1 * rng.standard_normal((DRAWS, count))
-    fit = np.linalg.solve(
-        rows.transpose(0, 2, 1) @ rows, (rows.transpose(0, 2, 1) @ z[:, :, None])
-    )
+    fit = np.linalg.solve(rows.transpose(0, 2, 1) @ rows, (rows.transpose(0, 2, 1) @ z[:, :, None]))
     residual = np.abs(z - (rows @ fit)[:, :, 0]).mean(axis=1)
     noise, number = np.full(DRAWS, 0.1), np.full(DRAWS, float(count))
     mean = division.lack_of_fit(residual, noise, number).mean()

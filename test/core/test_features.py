@@ -126,9 +126,7 @@ def test_a_feature_stays_with_more_scans_and_is_one():
 
 
 def test_off_is_off():
-    config = configured(
-        domain=CELLS_2M, lidar={"range_noise": 0.04}, features={"enabled": False}
-    )
+    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04}, features={"enabled": False})
     radius, x0, y0 = hemispheres(3)
     cells = mapped(config, rocky(radius, x0, y0), density=50.0, scans=1).snapshot()
     assert np.isnan(cells.feature).all()

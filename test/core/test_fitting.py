@@ -260,9 +260,7 @@ def test_order_of_points_and_place_of_the_origin_do_not_matter(config):
     root = planes.covariance_root(pose_covariance(0.1, 1e-3))
 
     def fitted(points, centre, lidar):
-        return fit_scan(
-            one(points, lidar), centre, no_prior(1), config, 0.02, lidar, root
-        )
+        return fit_scan(one(points, lidar), centre, no_prior(1), config, 0.02, lidar, root)
 
     base = fitted(cloud, np.zeros((1, 2)), LIDAR)
     shuffled = fitted(cloud[rng.permutation(len(cloud))], np.zeros((1, 2)), LIDAR)
@@ -390,9 +388,7 @@ def test_three_spread_points_are_fittable_and_exact():
     cloud = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.3], [0.0, 2.0, -0.2]])
     for config in (HEIGHT, ML):
         assert fittable(one(cloud), SIZE, no_prior(1), config, 0.05)[0]
-        fit = fit_scan(
-            one(cloud), np.zeros((1, 2)), no_prior(1), config, 0.05, LIDAR, NO_POSE
-        )
+        fit = fit_scan(one(cloud), np.zeros((1, 2)), no_prior(1), config, 0.05, LIDAR, NO_POSE)
         offset = (cloud - (0.0, 0.0, fit.z[0])) @ fit.planes.normal[0]
         np.testing.assert_allclose(offset, 0.0, atol=1e-12)
 

@@ -18,9 +18,7 @@ def total(of: Planes) -> np.ndarray:
     return of.range_part + of.pose_part
 
 
-def estimates(
-    rng: np.random.Generator, truth: np.ndarray, d: np.ndarray, scale: float
-) -> Planes:
+def estimates(rng: np.random.Generator, truth: np.ndarray, d: np.ndarray, scale: float) -> Planes:
     """One estimate of each true plane, drawn from random covariances of two parts."""
     count = len(d)
     range_part = random_covariances(rng, count, 3, scale)

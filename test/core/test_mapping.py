@@ -34,9 +34,7 @@ GRADIENT = (0.12, -0.07)
 NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
 GROUND = slope(*GRADIENT, 30.0)
 METHODS = list(
-    itertools.product(
-        ("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis")
-    )
+    itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))
 )
 
 
@@ -174,9 +172,7 @@ def test_every_method_divides_at_a_step_and_not_on_a_slope(fit, covariance, divi
     assert (cells.level[far] == config.domain.min_level).all()
 
 
-@pytest.mark.parametrize(
-    ("division", "threshold"), [("lack_of_fit", 1.2), ("mahalanobis", 2.4)]
-)
+@pytest.mark.parametrize(("division", "threshold"), [("lack_of_fit", 1.2), ("mahalanobis", 2.4)])
 def test_division_starts_at_its_threshold(division, threshold):
     """Noise f times the configured one has a mean distance of f E[chi_1] with an exact pose.
 
@@ -346,8 +342,11 @@ def test_the_same_scans_give_the_same_bits():
 def test_a_snapshot_does_not_change_with_later_scans():
     mapper = mapped(configured(), GROUND, density=20.0, scans=1)
     kept = mapper.snapshot()
-    copy = {f.name: np.copy(getattr(kept, f.name)) for f in dataclasses.fields(CellMap)
-            if isinstance(getattr(kept, f.name), np.ndarray)}
+    copy = {
+        f.name: np.copy(getattr(kept, f.name))
+        for f in dataclasses.fields(CellMap)
+        if isinstance(getattr(kept, f.name), np.ndarray)
+    }
     x, y = scattered(np.random.default_rng(10), 0.0, 0.0, 16.0, 8000)
     pose = make_pose((8.0, 8.0, 500.0))
     mapper.update(scan(lambda x, y: np.sin(3.0 * x), x, y, pose, 0.0), pose)

@@ -41,7 +41,8 @@ def test_moments_of_groups_are_the_plain_ones():
 def test_inverse_symmetric():
     matrices = random_covariances(np.random.default_rng(2), 50, 3, 0.3)
     np.testing.assert_allclose(
-        planes.inverse_symmetric(matrices) @ matrices, np.broadcast_to(np.eye(3), (50, 3, 3)),
+        planes.inverse_symmetric(matrices) @ matrices,
+        np.broadcast_to(np.eye(3), (50, 3, 3)),
         atol=1e-8,
     )
 
@@ -158,9 +159,7 @@ def test_there_and_back_changes_nothing():
     d, back = planes.shift_origin(normal, d, -delta)
     np.testing.assert_allclose(d, 0.0, atol=1e-12)
     both = back @ there
-    np.testing.assert_allclose(
-        both @ covariance @ both.transpose(0, 2, 1), covariance, atol=1e-10
-    )
+    np.testing.assert_allclose(both @ covariance @ both.transpose(0, 2, 1), covariance, atol=1e-10)
 
 
 def test_moving_up_is_a_vertical_shift():

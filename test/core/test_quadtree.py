@@ -171,8 +171,9 @@ def test_inherited_planes_are_the_parents():
     assert leaves.count == 4
     assert not leaves.measured[:4].any()
     for k in range(4):
-        expected = 2.0 - (normal[0, 0] * (leaves.x[k] - 4) + normal[0, 1] * (leaves.y[k] - 4)) / (
-            normal[0, 2]
+        expected = (
+            2.0
+            - (normal[0, 0] * (leaves.x[k] - 4) + normal[0, 1] * (leaves.y[k] - 4)) / (normal[0, 2])
         )
         assert leaves.z[k] == pytest.approx(expected, abs=1e-12)
         np.testing.assert_array_equal(leaves.normal[k], normal[0])

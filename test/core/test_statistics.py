@@ -21,8 +21,10 @@ def fixed(level: int, noise: float, **mapping: object):
 
 def seen_on_lattice(config, surface, per_side: int, covariance=None) -> CellMap:
     """Noise-free look at points on a grid."""
-    pose = make_pose((8.0, 8.0, 4000.0)) if covariance is None else make_pose(
-        (8.0, 8.0, 4000.0), covariance
+    pose = (
+        make_pose((8.0, 8.0, 4000.0))
+        if covariance is None
+        else make_pose((8.0, 8.0, 4000.0), covariance)
     )
     mapper = Mapper(config)
     x, y = lattice(0.0, 0.0, 16.0, per_side)
@@ -65,6 +67,7 @@ def test_roughness_of_a_rock_is_independent_of_cell_size_and_density(level, per_
 
 def test_exceptions_are_the_share_of_points_beyond_the_tolerance():
     """A block of half a metre covers 1/64 of a 4 m cell."""
+
     def ground(x, y):
         return 1.0 * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
 
