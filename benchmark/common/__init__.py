@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the benchmark scripts share: simulated flights, scores and tables."""
+
+from common.flights import Recording, configuration, recording
+from common.scores import MapScore, score
+from common.tables import machine, table
+
+__all__ = ["MapScore", "Recording", "configuration", "machine", "recording", "score", "table"]

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated flights, each made once in a run and kept in memory."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.core.config import Config
+from quadtree_lss.evaluation.consistency import scans_of
+from quadtree_lss.evaluation.results import Truth, load_truth
+from quadtree_lss.messages.intake import ReadyScan
+from quadtree_lss.simulation.simulate import simulate
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A flight as a mapper gets it, and the truth."""
+
+    scans: list[ReadyScan]
+    truth: Truth
+
+
+def configuration(*names: str, **changes: object) -> Config:
+    """Shipped configurations ``names``, later over earlier, with ``section__key`` changes."""
+    return load_config(names, {k.replace("__", "."): v for k, v in changes.items()})
+
+
+@functools.lru_cache(maxsize=12)
+def recording(scenario: str, seed: int) -> Recording:
+    """Simulate ``scenario`` into a temporary bag and read it back."""
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        simulate(scenario, bag, seed=seed)
+        scans = list(scans_of(bag, configuration(scenario)))
+        return Recording(scans, load_truth(bag.parent / "truth.npz"))

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Map a flight once; time, accuracy and consistency of what comes out."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from common.flights import Recording
+from quadtree_lss.core.config import Config
+from quadtree_lss.core.consistency import Counts, prefit_statistics
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.scan import register
+from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.evaluation.metrics import (
+    Detection,
+    ElevationError,
+    detection,
+    elevation_error,
+    elevation_field,
+    safety_field,
+)
+from quadtree_lss.evaluation.results import Grid, Leaves, load_grid, load_leaves
+from quadtree_lss.evaluation.safety import Lander, contact_safe
+from quadtree_lss.replay.results import write_cells, write_grid
+
+
+@dataclass(frozen=True)
+class MapScore:
+    """One flight through one configuration; ``scan_ms`` is CPU time of each map update."""
+
+    leaves: int
+    elevation: ElevationError
+    detection: Detection
+    unsafe_in_top_five: int
+    scan_ms: np.ndarray
+    counts: Counts
+
+
+def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapScore:
+    """Map ``flight`` and compare the map with the truth, and each scan with the map before it."""
+    mapper, counts, times = Mapper(config), Counts(), []
+    for scan in flight.scans:
+        if consistent:
+            registered, _ = register(scan.points_lidar, scan.pose, config.lidar, mapper.domain)
+            counts += prefit_statistics(
+                mapper.leaves, registered, config.lidar.range_noise
+            ).counts()
+        began = time.process_time()
+        mapper.update(scan.points_lidar, scan.pose)
+        times.append(1e3 * (time.process_time() - began))
+    cells = mapper.snapshot()
+    found = LandingSiteSelector(config).assess(cells)
+    leaves, grid = as_evaluated(cells, found)
+    truth = flight.truth
+    sites = found.sites.position[:5, :2]
+    stands = contact_safe(truth.x, truth.y, truth.elevation, sites, Lander())
+    return MapScore(
+        leaves=int(cells.estimated.sum()),
+        elevation=elevation_error(elevation_field(leaves, grid, truth)),
+        detection=detection(safety_field(grid, truth)),
+        unsafe_in_top_five=int(np.count_nonzero(~stands)),
+        scan_ms=np.array(times),
+        counts=counts,
+    )
+
+
+def as_evaluated(cells: CellMap, found: LandingAssessment) -> tuple[Leaves, Grid]:
+    """Map and assessment as ``evaluate`` reads them from a results folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        leaves, grid = Path(folder) / "cells.npz", Path(folder) / "grid.npz"
+        write_cells(leaves, cells)
+        write_grid(grid, found)
+        return load_leaves(leaves), load_grid(grid)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Section VI of the paper: quadtree against fixed resolution, flight by flight on the same scans.
+
+Seeds are ones that no tuning saw (docs/mapping.md lists those it did).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import MapScore, configuration, machine, recording, score, table
+
+from quadtree_lss.core.consistency import Counts
+
+
+def main() -> None:
+    """Print every flight, the means, and the paper's figures beside them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 111)))
+    seeds = parser.parse_args().seeds
+    quadtree, fixed = configuration("parabola"), configuration("parabola", "parabola_fixed")
+    print(machine())
+    tree: list[MapScore] = []
+    grid: list[MapScore] = []
+    for seed in seeds:
+        flight = recording("parabola", seed)
+        tree.append(score(flight, quadtree))
+        grid.append(score(flight, fixed))
+        recording.cache_clear()
+    rows = [
+        [seed, *flight_row(a), *flight_row(b)] for seed, a, b in zip(seeds, tree, grid, strict=True)
+    ]
+    head = ["leaves", "mean m", "max m", "empty %", "time s"]
+    table(
+        "Flights: quadtree, then fixed (elevation error over seen terrain, CPU time of all scans)",
+        ["seed", *head, *head],
+        rows,
+    )
+    summary(tree, grid)
+
+
+def flight_row(of: MapScore) -> list[str]:
+    """Figures of one flight."""
+    e = of.elevation
+    return [
+        f"{of.leaves}",
+        f"{e.mean_absolute:.3f}",
+        f"{e.maximum:.2f}",
+        f"{100.0 * e.without_estimate:.2f}",
+        f"{1e-3 * of.scan_ms.sum():.3f}",
+    ]
+
+
+def summary(tree: list[MapScore], grid: list[MapScore]) -> None:
+    """Means over the flights, beside the paper's."""
+
+    def both(measure, form: str, paper: tuple[str, str], pick=np.mean) -> list[str]:
+        values = [pick([measure(s) for s in scores]) for scores in (tree, grid)]
+        return [*(format(v, form) for v in values), *paper]
+
+    fractions = [sum((s.counts for s in scores), Counts()) for scores in (tree, grid)]
+    none = ("-", "-")
+    rows = [
+        ["leaves with an estimate, mean", *both(lambda s: s.leaves, ".0f", ("232", "2852"))],
+        ["  most", *both(lambda s: s.leaves, ".0f", none, max)],
+        ["elevation error, mean, m", *both(lambda s: s.elevation.mean_absolute, ".3f", none)],
+        [
+            "  its share from within flights, m",
+            *both(lambda s: s.elevation.mean_absolute_mean_removed, ".3f", none),
+        ],
+        [
+            "  greatest of all flights, m",
+            *both(lambda s: s.elevation.maximum, ".2f", ("< 3", "> 3"), max),
+        ],
+        [
+            "seen terrain without estimate, worst, %",
+            *both(lambda s: 100.0 * s.elevation.without_estimate, ".3f", none, max),
+        ],
+        [
+            "time of all scans, mean, s",
+            *both(lambda s: 1e-3 * s.scan_ms.sum(), ".3f", ("187", "220")),
+        ],
+        ["  slowest scan, ms", *both(lambda s: s.scan_ms.max(), ".1f", none, max)],
+        ["prefit below 95 %, one degree, %", *percent(c.one_degree.below for c in fractions)],
+        ["prefit above 95 %, one degree, %", *percent(c.one_degree.above for c in fractions)],
+        [
+            "prefit below 95 %, three degrees, %",
+            *percent(c.three_degrees.below for c in fractions),
+        ],
+        [
+            "prefit above 95 %, three degrees, %",
+            *percent(c.three_degrees.above for c in fractions),
+        ],
+    ]
+    ratio = np.mean([a.elevation.mean_absolute for a in tree]) / np.mean(
+        [b.elevation.mean_absolute for b in grid]
+    )
+    table(
+        f"{len(tree)} flights (the paper: one)",
+        ["", "quadtree", "fixed", "paper quadtree", "paper fixed"],
+        rows,
+    )
+    faster = np.mean([a.scan_ms.sum() < b.scan_ms.sum() for a, b in zip(tree, grid, strict=True)])
+    print(
+        f"\nquadtree over fixed: elevation error {ratio:.2f}, faster in {faster:.0%} of the flights"
+    )
+
+
+def percent(fractions) -> list[str]:
+    """Two fractions in per cent, none of the paper's (it gives none for Section VI)."""
+    return [*(f"{100.0 * f:.2f}" for f in fractions), "-", "-"]
+
+
+if __name__ == "__main__":
+    main()

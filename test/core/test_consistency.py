@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prefit residuals: their distribution by Monte Carlo, their formula by its definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from core.builders import (
+    EXACT,
+    configured,
+    disturbed,
+    flat,
+    make_pose,
+    pose_covariance,
+    random_covariances,
+    scan,
+    scattered,
+    slope,
+)
+from scipy.stats import chi
+
+from quadtree_lss.core import lidar, sphere
+from quadtree_lss.core.consistency import (
+    Counts,
+    acceptance_interval,
+    prefit_statistics,
+)
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.scan import RegisteredScan, register
+
+GROUND = slope(0.12, -0.07, 30.0)
+NOISE = 0.05
+
+
+def registered(mapper: Mapper, points: np.ndarray, pose: lidar.Pose) -> RegisteredScan:
+    return register(points, pose, mapper.config.lidar, mapper.domain)[0]
+
+
+def one_more_scan(
+    true: np.ndarray, claimed: np.ndarray, trials: int, treatment: str = "common"
+) -> Counts:
+    """Maps of two scans of planar ground, each compared with a third scan of it."""
+    config = configured(
+        domain={"min_level": 1, "max_level": 1},
+        lidar={"range_noise": NOISE},
+        mapping={"covariance": treatment},
+    )
+    rng = np.random.default_rng(1)
+    counts = Counts()
+    for _ in range(trials):
+        mapper = Mapper(config)
+        for k in range(3):
+            pose = make_pose((60.0, -40.0 + 30.0 * k, 300.0), true, k)
+            x, y = scattered(rng, -1.0, -1.0, 18.0, 500)
+            points = scan(GROUND, x, y, disturbed(pose, rng), NOISE, rng)
+            pose = make_pose((60.0, -40.0 + 30.0 * k, 300.0), claimed, k)
+            if k == 2:
+                counts += prefit_statistics(
+                    mapper.leaves, registered(mapper, points, pose), NOISE
+                ).counts()
+            mapper.update(points, pose)
+    return counts
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3])
+def test_interval_holds_95_per_cent(degrees):
+    assert acceptance_interval(degrees) == pytest.approx(chi(degrees).interval(0.95))
+
+
+@pytest.mark.parametrize(
+    ("covariance", "trials"),
+    [(EXACT, 40), (pose_covariance(0.2, 3e-4), 250)],
+    ids=["range noise", "pose and range noise"],
+)
+def test_residuals_of_a_sound_map_are_consistent(covariance, trials):
+    """Pose error is common to a scan, so a trial is hardly more than one draw of it."""
+    counts = one_more_scan(covariance, covariance, trials)
+    draws = trials if covariance[0, 0] > 1e-6 else counts.points
+    tolerance = 5.0 * np.sqrt(0.025 * 0.975 / draws)
+    assert counts.points > 300 * trials
+    assert abs(counts.one_degree.below - 0.025) < tolerance
+    assert abs(counts.one_degree.above - 0.025) < tolerance
+
+
+def test_the_three_degree_test_calls_most_residuals_small():
+    """The residual has one degree of freedom: the interval of three is not its own."""
+    counts = one_more_scan(EXACT, EXACT, 20)
+    assert counts.three_degrees.below > 0.3
+    assert counts.three_degrees.above < 0.01
+
+
+def test_too_small_a_pose_covariance_shows_above_and_too_large_a_one_below():
+    true, small, large = (pose_covariance(s, 1e-5) for s in (0.5, 0.1, 2.5))
+    assert one_more_scan(true, small, 60).one_degree.above > 0.3
+    assert one_more_scan(true, large, 60).one_degree.below > 0.06
+
+
+def test_treating_pose_error_as_independent_is_inconsistent():
+    """The leaf then believes that a thousand points average its pose error out."""
+    pose = pose_covariance(0.3, 1e-5)
+    common = one_more_scan(pose, pose, 150)
+    independent = one_more_scan(pose, pose, 150, "independent")
+    assert independent.one_degree.above > 1.5 * common.one_degree.above
+
+
+def test_statistics_are_those_of_equations_17_46_and_61():
+    """Point by point, with a full pose covariance, Mahalanobis distance in three dimensions."""
+    rng = np.random.default_rng(3)
+    covariance = random_covariances(rng, 1, 6, 0.02)[0]
+    mapper = Mapper(configured(domain={"min_level": 2, "max_level": 2}))
+    pose = make_pose((20.0, -10.0, 150.0), covariance)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 800)
+    mapper.update(scan(GROUND, x, y, pose, NOISE, rng), pose)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 50)
+    seen = registered(mapper, scan(GROUND, x, y, pose, NOISE, rng), pose)
+    found = prefit_statistics(mapper.leaves, seen, NOISE)
+    leaves = mapper.leaves
+    sigma = lidar.point_covariances(seen.points.T, pose, NOISE)
+    for k, (i, row) in enumerate(zip(found.point, found.row, strict=True)):
+        n = leaves.normal[row]
+        arm = seen.points[:, i] - (leaves.x[row], leaves.y[row], leaves.z[row])
+        ray = seen.points[:, i] - pose.position
+        ray /= np.linalg.norm(ray)
+        residual = n @ arm
+        # The predicted point moves along its ray: d r / d(dphi, dd) = u / (n.u) a.
+        a = np.r_[sphere.tangent_basis(n).T @ arm, -1.0]
+        jacobian = np.outer(ray, a) / (n @ ray)
+        plane = leaves.range_part[row] + leaves.pose_part[row]
+        total = sigma[i] + jacobian @ plane @ jacobian.T
+        vector = residual / (n @ ray) * ray
+        assert found.residual[k] == pytest.approx(residual)
+        assert found.deviation[k] ** 2 == pytest.approx(n @ sigma[i] @ n + a @ plane @ a)
+        assert found.mahalanobis[k] ** 2 == pytest.approx(
+            vector @ np.linalg.solve(total, vector), rel=1e-5
+        )
+
+
+def test_only_points_of_measured_leaves_are_compared():
+    """The map is not changed, and empty or inherited leaves say nothing."""
+    mapper = Mapper(configured(domain={"min_level": 2, "max_level": 2}))
+    pose = make_pose()
+    rng = np.random.default_rng(4)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 600)
+    everywhere = registered(mapper, scan(flat(), x, y, pose, NOISE, rng), pose)
+    nothing = prefit_statistics(mapper.leaves, everywhere, NOISE)
+    assert len(nothing.residual) == 0
+    assert nothing.counts() == Counts()
+    assert np.isnan(nothing.counts().one_degree).all()
+    half = x < 8.0
+    mapper.update(scan(flat(), x[half], y[half], pose, NOISE, rng), pose)
+    before = mapper.leaves.z.copy()
+    found = prefit_statistics(mapper.leaves, everywhere, NOISE)
+    assert mapper.leaves.measured[found.row].all()
+    assert (everywhere.points[0, found.point] < 8.0).all()
+    assert len(found.residual) == np.count_nonzero(half)
+    np.testing.assert_array_equal(mapper.leaves.z, before)
+
+
+def test_counts_add_up():
+    one, other = Counts(10, 1, 2, 3, 4), Counts(30, 0, 1, 2, 3)
+    assert one + other == Counts(40, 1, 3, 5, 7)
+    assert (one + other).one_degree == (1 / 40, 3 / 40)
+    assert (one + other).three_degrees == (5 / 40, 7 / 40)
