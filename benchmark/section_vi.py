@@ -22,13 +22,15 @@ def main() -> None:
     """Print every flight, the means, and the paper's figures beside them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 111)))
-    seeds = parser.parse_args().seeds
+    parser.add_argument("--duration", type=float, help="s of each flight, by default all")
+    options = parser.parse_args()
+    seeds = options.seeds
     quadtree, fixed = configuration("parabola"), configuration("parabola", "parabola_fixed")
     print(machine())
     tree: list[MapScore] = []
     grid: list[MapScore] = []
     for seed in seeds:
-        flight = recording("parabola", seed)
+        flight = recording("parabola", seed, options.duration)
         tree.append(score(flight, quadtree))
         grid.append(score(flight, fixed))
         recording.cache_clear()

@@ -30,10 +30,10 @@ def configuration(*names: str, **changes: object) -> Config:
 
 
 @functools.lru_cache(maxsize=12)
-def recording(scenario: str, seed: int) -> Recording:
-    """Simulate ``scenario`` into a temporary bag and read it back."""
+def recording(scenario: str, seed: int, duration: float | None = None) -> Recording:
+    """Simulate ``scenario`` into a temporary bag and read it back; ``duration`` (s) cuts it."""
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
-        simulate(scenario, bag, seed=seed)
+        simulate(scenario, bag, seed=seed, duration=duration)
         scans = list(scans_of(bag, configuration(scenario)))
         return Recording(scans, load_truth(bag.parent / "truth.npz"))

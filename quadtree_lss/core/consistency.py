@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from quadtree_lss.core import division, planes, sphere
+from quadtree_lss.core import planes, sphere
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.lidar import point_covariances
 from quadtree_lss.core.scan import RegisteredScan
@@ -20,8 +20,10 @@ Index = NDArray[np.intp]
 
 #: Share of residuals outside the acceptance interval (alpha), half of them on either side.
 OUTSIDE = 0.05
-#: Keeps the inverse of a point's covariance finite where pose and range leave it flat, m^2.
+#: Least variance, m^2.
 _FLOOR = 1e-12
+#: What is added to a pose part's axes, over their sum: some poses are certain in some direction.
+_ROUND = 1e-6
 
 
 def acceptance_interval(degrees: int) -> tuple[float, float]:
@@ -139,11 +141,30 @@ def prefit_statistics(leaves: Leaves, scan: RegisteredScan, range_noise: float) 
     a[:, :2] = np.einsum("nij,ni->nj", sphere.tangent_basis(normal), arm)
     total = leaves.range_part[row] + leaves.pose_part[row]
     plane = np.einsum("ni,nij,nj->n", a, total, a)
-    sigma = point_covariances(points, scan.pose, range_noise)
-    variance = np.einsum("ni,nij,nj->n", normal, sigma, normal) + plane
-    sigma += _FLOOR * np.eye(3)
+    pose = point_covariances(points, scan.pose, 0.0)
     ray = planes.unit(points - scan.pose.position)
-    factor = division.mahalanobis_factor(normal, ray, sigma, plane)
+    cosine = np.einsum("ni,ni->n", normal, ray)
+    variance = np.einsum("ni,nij,nj->n", normal, pose, normal) + plane
+    variance += (range_noise * cosine) ** 2
+    cosine = np.maximum(np.abs(cosine), planes.MIN_COSINE)
+    along = _variance_along(ray, pose) + range_noise**2 + plane / cosine**2
     return PrefitStatistics(
-        point, row, residual, np.sqrt(np.maximum(variance, _FLOOR)), np.abs(residual) * factor
+        point,
+        row,
+        residual,
+        np.sqrt(np.maximum(variance, _FLOOR)),
+        np.abs(residual) / (cosine * np.sqrt(along)),
     )
+
+
+def _variance_along(ray: Array, covariance: Array) -> Array:
+    """1 / (u^T C^-1 u), m^2: (N,) of unit ``ray`` (N, 3) and ``covariance`` (N, 3, 3).
+
+    What a covariance along the ray itself, C + s u u^T, makes larger by just s: so that range and
+    plane can be added afterwards, however much they and the pose differ in size.
+    """
+    trace = np.einsum("nii->n", covariance)
+    regular = covariance + (_ROUND * np.abs(trace) + _FLOOR)[:, None, None] * np.eye(3)
+    weight = np.einsum("ni,nij,nj->n", ray, planes.inverse_symmetric(regular), ray)
+    out: Array = 1.0 / np.maximum(weight, 1e-300)
+    return out

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one landing-site assessment costs, by map size, grid and method."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import Recording, configuration, machine, recording, table
+
+from quadtree_lss.core.config import Config
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.sites import LandingSiteSelector
+from quadtree_lss.messages.maps import decode_cells, encode_cells
+
+
+def main() -> None:
+    """Print one table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=101)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--duration", type=float, help="s of the flight, by default all")
+    options = parser.parse_args()
+    print(machine())
+    flight = recording("morpheus", options.seed, options.duration)
+    rows, mapped, cells = [], None, None
+    for name, changes in CASES:
+        config = configuration("morpheus", **changes)
+        if config.domain != mapped:
+            mapped, cells = config.domain, map_of(flight, config)
+        rows.append([name, *measure(cells, config, options.repeats)])
+    table(
+        "One assessment, CPU ms (must: 64 x 64 m at 0.25 m in 150 ms)",
+        ["map", "leaves", "nodes", "safe", "decode", "first", "median", "worst"],
+        rows,
+    )
+
+
+CASES: tuple[tuple[str, dict[str, object]], ...] = (
+    ("64 m, leaves 4 to 0.25 m, grid 0.25 m", {}),
+    ("  grid 0.5 m", {"lss__grid_spacing": 0.5}),
+    ("  grid 1 m", {"lss__grid_spacing": 1.0}),
+    ("  the paper's rules", {"lss__assessment": "paper"}),
+    ("  margin 2 m", {"lss__margin": 2.0}),
+    ("  24 yaws", {"lss__touchdown_yaws": 24}),
+    ("64 m, all leaves 0.25 m", {"domain__min_level": 8}),
+    ("64 m, leaves to 0.5 m", {"domain__max_level": 7}),
+    (
+        "128 m, leaves 4 to 0.25 m, a quarter of it seen",
+        {
+            "domain__xmin": -64.0,
+            "domain__ymin": -64.0,
+            "domain__size": 128.0,
+            "domain__min_level": 5,
+            "domain__max_level": 9,
+        },
+    ),
+)
+
+
+def map_of(flight: Recording, config: Config) -> CellMap:
+    """The map of the whole flight."""
+    mapper = Mapper(config)
+    for scan in flight.scans:
+        mapper.update(scan.points_lidar, scan.pose)
+    return mapper.snapshot()
+
+
+def measure(cells: CellMap, config: Config, repeats: int) -> list[str]:
+    """Decoding the message and assessing it, several times."""
+    domain = cells.domain
+    records = encode_cells(cells)
+    decoding, spent, found = [], [], None
+    for _ in range(repeats):
+        began = time.process_time()
+        decoded = decode_cells(records, cells.observed, domain.xmin, domain.ymin, cells.stamp_ns)
+        done = time.process_time()
+        found = LandingSiteSelector(config).assess(decoded)
+        spent.append(1e3 * (time.process_time() - done))
+        decoding.append(1e3 * (done - began))
+    assert found is not None
+    return [
+        f"{len(cells.level):,}",
+        f"{found.safe.size:,}",
+        f"{found.safe.mean():.0%}",
+        *(f"{ms:.1f}" for ms in (np.median(decoding), spent[0], np.median(spent), max(spent))),
+    ]
+
+
+if __name__ == "__main__":
+    main()

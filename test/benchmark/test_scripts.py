@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Benchmark scripts run to their end and print their tables; what they print is not judged."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmark"
+SMALL = {
+    "scan_update": (["--duration", "1", "--largest", "64"], ["subscale features", "us a leaf"]),
+    "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
+    "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "binned_statistic_2d"]),
+    "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
+}
+
+
+def test_every_script_is_tried():
+    assert {path.stem for path in FOLDER.glob("*.py")} == set(SMALL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", SMALL)
+def test_script_prints_its_tables(script, tmp_path):
+    arguments, expected = SMALL[script]
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / f"{script}.py"), *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "cores" in done.stdout and "NumPy" in done.stdout
+    for text in expected:
+        assert text in done.stdout
+    assert "nan" not in done.stdout

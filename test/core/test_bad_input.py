@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Degenerate geometry and degenerate pose covariances, many cells at a time.
+
+Every scan fills each cell of the map with points of a kind of its own, so that each example tries
+two to four dozen sets, under one pose covariance, which the messages' checks did not mend.
+"""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+
+import numpy as np
+import pytest
+from core.builders import configured, random_covariances
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadtree_lss.core.ancestors import fuse_to_level
+from quadtree_lss.core.consistency import prefit_statistics
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.rotations import exp
+from quadtree_lss.core.scan import register
+
+METHODS = list(
+    itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))
+)
+SIDE = 4.0
+KINDS = (
+    "spread",
+    "none",
+    "one",
+    "two",
+    "duplicates",
+    "one place and one other",
+    "line",
+    "nearly a line",
+    "wall",
+    "leaning wall",
+    "vertical line",
+    "corner",
+    "edge",
+    "huge relief",
+    "tiny patch",
+    "lattice",
+    "repeated lattice",
+)
+LIDARS = {
+    "above": (8.0, 8.0, 300.0),
+    "close": (8.0, 8.0, 2.0),
+    "oblique": (-200.0, 60.0, 120.0),
+    "grazing": (-400.0, 8.0, 0.5),
+    "below": (8.0, -50.0, -80.0),
+    "far": (9e3, -9e3, 1.2e4),
+}
+COVARIANCES = (
+    "zero",
+    "tiny",
+    "usual",
+    "huge",
+    "one axis",
+    "one direction of all six",
+    "rank three",
+    "asymmetric",
+    "slightly negative",
+)
+
+
+def points_of(kind: str, rng: np.random.Generator) -> np.ndarray:
+    """(N, 3) about a cell's south-western corner."""
+    n = int(rng.integers(3, 40))
+    x, y = SIDE * rng.random((2, n))
+    z = 0.05 * rng.standard_normal(n) + 0.2 * x
+    if kind == "none":
+        return np.zeros((0, 3))
+    if kind in ("one", "two"):
+        n = ("one", "two").index(kind) + 1
+        return np.column_stack([x, y, z])[:n]
+    if kind == "duplicates":
+        x, y, z = np.full(n, x[0]), np.full(n, y[0]), np.full(n, z[0])
+    elif kind == "one place and one other":
+        x[1:], y[1:], z[1:] = x[1], y[1], z[1]
+    elif kind in ("line", "nearly a line"):
+        direction = rng.random(2)
+        x, y = SIDE * np.outer(direction, rng.random(n))
+        if kind == "nearly a line":
+            y = np.clip(y + 10.0 ** rng.uniform(-14, -2) * rng.standard_normal(n), 0.0, SIDE)
+    elif kind == "wall":
+        x, z = np.full(n, x[0]), 30.0 * rng.random(n)
+    elif kind == "leaning wall":
+        z = 1e3 * x
+    elif kind == "vertical line":
+        x, y, z = np.full(n, x[0]), np.full(n, y[0]), 5.0 * rng.standard_normal(n)
+    elif kind == "corner":
+        x, y = x * 1e-9, y * 1e-9
+    elif kind == "edge":
+        x = x * 0.0
+    elif kind == "huge relief":
+        z = 1e4 * rng.standard_normal(n)
+    elif kind == "tiny patch":
+        x, y = 1.0 + 1e-6 * x, 1.0 + 1e-6 * y
+    elif "lattice" in kind:
+        x, y = np.floor(x) + 0.5, np.floor(y) + 0.5
+        z = z * 0.0
+    points = np.column_stack([x, y, z])
+    return np.repeat(points, 3, axis=0) if kind == "repeated lattice" else points
+
+
+def covariance_of(kind: str, rng: np.random.Generator) -> np.ndarray:
+    """(6, 6) pose covariance."""
+    usual = random_covariances(rng, 1, 6, 0.05)[0]
+    usual[3:] *= 1e-2
+    usual[:, 3:] *= 1e-2
+    direction = rng.standard_normal(6)
+    if kind == "zero":
+        return np.zeros((6, 6))
+    if kind == "tiny":
+        return 1e-24 * np.eye(6)
+    if kind == "huge":
+        return np.diag([1e6] * 3 + [1.0] * 3)
+    if kind == "one axis":
+        return np.diag(np.eye(6)[rng.integers(6)])
+    if kind == "one direction of all six":
+        return 0.01 * np.outer(direction, direction)
+    if kind == "rank three":
+        root = 0.1 * rng.standard_normal((6, 3))
+        return root @ root.T
+    if kind == "asymmetric":
+        return usual * (1.0 + 1e-6 * rng.standard_normal((6, 6)))
+    if kind == "slightly negative":
+        return usual - 1.0001 * np.linalg.eigvalsh(usual)[0] * np.eye(6)
+    return usual
+
+
+def scan_of(kinds: list[str], rng: np.random.Generator) -> np.ndarray:
+    """(N, 3) points in the map frame: one kind for each of the 16 cells."""
+    parts = []
+    for k, kind in enumerate(kinds):
+        corner = np.array([SIDE * (k % 4), SIDE * (k // 4), 0.0])
+        parts.append(points_of(kind, rng) + corner)
+    return np.concatenate(parts)
+
+
+def assert_sound(cells: CellMap) -> None:
+    """No hole, no NaN, no downward normal, no negative covariance where there is a plane."""
+    known = cells.estimated
+    assert (cells.measured <= known).all()
+    assert np.isfinite(cells.normal[known]).all()
+    assert (cells.normal[known, 2] > 0.0).all()
+    np.testing.assert_allclose(np.linalg.norm(cells.normal[known], axis=1), 1.0, atol=1e-9)
+    assert np.isfinite(cells.covariance[known]).all()
+    total = np.einsum("mii->mi", cells.covariance[known])
+    assert (total > 0.0).all()
+    # Round-off leaves each part with errors of the whole's size. Of walls that is all there is.
+    ground = cells.normal[known, 2] > 0.01
+    scale = np.sqrt(total[ground, :, None] * total[ground, None, :])
+    for part in (cells.covariance_range[known], cells.covariance_pose[known]):
+        assert np.linalg.eigvalsh(part[ground] / scale).min(initial=0.0) > -1e-4
+    for value in (cells.roughness, cells.exception_fraction):
+        assert np.isfinite(value[cells.measured]).all()
+        assert (value[cells.measured] >= 0.0).all()
+    present = np.isfinite(cells.feature[:, 0])
+    assert np.isfinite(cells.feature[present]).all()
+
+
+def try_scans(seed: int, method: tuple[str, str, str], lidar: str, poses: list[str]) -> None:
+    """Scans of random kinds of cells, each with the next of the pose covariances."""
+    rng = np.random.default_rng(seed)
+    fit, covariance, division = method
+    config = configured(
+        domain={"min_level": 2, "max_level": 4},
+        lidar={"min_range": 0.0, "max_range": 1e5},
+        mapping={"fit": fit, "covariance": covariance, "division": division, "max_cells": 120},
+    )
+    mapper = Mapper(config)
+    for k, pose_kind in enumerate(poses):
+        turn = exp(rng.normal(0.0, 1.0, 3))
+        position = np.array(LIDARS[lidar]) + rng.standard_normal(3)
+        pose = Pose(k, position, turn, covariance_of(pose_kind, rng))
+        points = (scan_of(list(rng.choice(KINDS, 16)), rng) - position) @ turn
+        registered, _ = register(points, pose, config.lidar, mapper.domain)
+        statistics = prefit_statistics(mapper.leaves, registered, config.lidar.range_noise)
+        for value in (statistics.residual, statistics.normalised, statistics.mahalanobis):
+            assert np.isfinite(value).all()
+        report = mapper.update(points, pose)
+        assert report.points_used + sum(report.dropped.values()) == len(points)
+        cells = mapper.snapshot()
+        assert_sound(cells)
+        for name in ("division_sum", "misfit", "distance_sum", "exception_sum"):
+            assert np.isfinite(getattr(mapper.leaves, name)[: mapper.leaves.count]).all(), name
+    parents = fuse_to_level(cells, 1)
+    for value in (parents.z, parents.normal, parents.range_part, parents.pose_part):
+        assert np.isfinite(value).all()
+    assert (parents.normal[:, 2] > 0.0).all()
+
+
+EXAMPLES = given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(METHODS),
+    st.sampled_from(sorted(LIDARS)),
+    st.lists(st.sampled_from(COVARIANCES), min_size=2, max_size=3),
+)
+
+
+@settings(deadline=None, max_examples=250)
+@EXAMPLES
+def test_no_geometry_and_no_covariance_breaks_the_map(seed, method, lidar, poses):
+    """8,000 cells and more."""
+    try_scans(seed, method, lidar, poses)
+
+
+@pytest.mark.slow
+@settings(deadline=None, max_examples=5000)
+@EXAMPLES
+def test_still_none_among_many(seed, method, lidar, poses):
+    try_scans(seed, method, lidar, poses)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("lidar", LIDARS)
+@pytest.mark.parametrize("pose", COVARIANCES)
+def test_every_kind_by_itself_and_silently(kind, lidar, pose):
+    """All cells of one kind, twice; NumPy has nothing to complain about."""
+    rng = np.random.default_rng(5)
+    mapper = Mapper(configured(domain={"min_level": 2, "max_level": 4}))
+    position = np.array(LIDARS[lidar])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for k in range(2):
+            at = Pose(k, position, np.eye(3), covariance_of(pose, rng))
+            mapper.update(scan_of([kind] * 16, rng) - position, at)
+    assert_sound(mapper.snapshot())
