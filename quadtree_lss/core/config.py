@@ -133,6 +133,39 @@ class PoseConfig:
 
 
 @dataclass(frozen=True)
+class MountConfig:
+    """Where the lidar sits on the body, when poses are those of the body."""
+
+    x: float = _p(0.0, "lidar's origin in body axes", unit="m", low=-1e3, high=1e3)
+    y: float = _p(0.0, "lidar's origin in body axes", unit="m", low=-1e3, high=1e3)
+    z: float = _p(0.0, "lidar's origin in body axes", unit="m", low=-1e3, high=1e3)
+    roll_deg: float = _p(
+        0.0,
+        "from lidar to body axes, first: about the body's x (ROS's roll, pitch, yaw)",
+        unit="deg",
+        low=-360.0,
+        high=360.0,
+    )
+    pitch_deg: float = _p(
+        0.0,
+        "from lidar to body axes, second: about the body's y",
+        unit="deg",
+        low=-360.0,
+        high=360.0,
+    )
+    yaw_deg: float = _p(
+        0.0,
+        "from lidar to body axes, third: about the body's z",
+        unit="deg",
+        low=-360.0,
+        high=360.0,
+    )
+    gimbal: bool = _p(
+        False, "the mount comes from the topic lidar/gimbal, interpolated to each scan"
+    )
+
+
+@dataclass(frozen=True)
 class MappingConfig:
     """Plane fit, fusion, division (paper IV)."""
 
@@ -330,7 +363,53 @@ class PublishConfig:
     lss_rate: float = _p(
         4.0, "landing site passes per second at most", unit="Hz", low=0.01, high=1000.0
     )
+    marker_rate: float = _p(
+        1.0,
+        "markers for viewers per second at most, while somebody subscribes",
+        unit="Hz",
+        low=0.01,
+        high=100.0,
+    )
     diagnostics_rate: float = _p(1.0, "diagnostics per second", unit="Hz", low=0.01, high=100.0)
+
+
+@dataclass(frozen=True)
+class DiagnosticsConfig:
+    """From which age on data are too old."""
+
+    warn_age: float = _p(
+        1.0,
+        "the status warns when scans, poses or (lss_node) maps stay away for longer",
+        unit="s",
+        low=0.01,
+        high=1e5,
+        live=True,
+    )
+    error_age: float = _p(
+        5.0,
+        "the status is an error when they stay away for longer",
+        unit="s",
+        low=0.01,
+        high=1e5,
+        live=True,
+    )
+
+
+@dataclass(frozen=True)
+class MapFileConfig:
+    """Where the services ``~/save_map`` and ``~/load_map`` keep a map."""
+
+    path: str = _p("", "file of the services save_map and load_map; empty = none", live=True)
+
+
+@dataclass(frozen=True)
+class CheckpointConfig:
+    """The map on disk, taken up again when mapping_node starts."""
+
+    path: str = _p("", "file of the checkpoints; empty = none are written or taken up")
+    interval: float = _p(
+        2.0, "least time between two checkpoints", unit="s", low=0.05, high=86400.0, live=True
+    )
 
 
 @dataclass(frozen=True)
@@ -341,11 +420,15 @@ class Config:
     lidar: LidarConfig = field(default_factory=LidarConfig)
     frames: FramesConfig = field(default_factory=FramesConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
+    mount: MountConfig = field(default_factory=MountConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     lss: LssConfig = field(default_factory=LssConfig)
     qos: QosConfig = field(default_factory=QosConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
+    diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
+    map_file: MapFileConfig = field(default_factory=MapFileConfig)
+    checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
 
     def __post_init__(self) -> None:
         _check_together(self)
@@ -472,6 +555,16 @@ def _check_together(config: Config) -> None:
     if lidar.min_range >= lidar.max_range:
         msg = (
             f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
+        )
+        raise ConfigError(msg)
+    if config.mount.gimbal and config.mount != MountConfig(gimbal=True):
+        msg = "mount.gimbal takes the mount from lidar/gimbal: leave mount.x ... mount.yaw_deg at 0"
+        raise ConfigError(msg)
+    ages = config.diagnostics
+    if ages.warn_age > ages.error_age:
+        msg = (
+            f"diagnostics.warn_age = {ages.warn_age} exceeds"
+            f" diagnostics.error_age = {ages.error_age}"
         )
         raise ConfigError(msg)
     nodes = domain.size / config.lss.grid_spacing

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,6 +70,21 @@ class Leaves(Quadtree):
     def estimated(self) -> Mask:
         """True for rows with a plane, measured or inherited."""
         return np.isfinite(self.z)
+
+    def export_state(self) -> dict[str, NDArray[Any]]:
+        """Every column of the leaves, in the order of their rows; copies."""
+        return {name: getattr(self, name)[: self.count].copy() for name in self._empty}
+
+    def import_state(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Take up the leaves of `export_state`, which tile this domain (not checked here)."""
+        self.plant()
+        count = len(columns["level"])
+        self._reserve(count)
+        self.count = count
+        for name in self._empty:
+            getattr(self, name)[:count] = columns[name]
+        rows = np.arange(count)
+        self._place(rows, *(columns[name].astype(np.intp) for name in ("level", "ix", "iy")))
 
     def planes(self, rows: Index) -> Planes:
         """Planes of leaves ``rows`` about (x, y, z), so that d is zero."""

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +77,24 @@ class Mapper:
         self._noise = statistics.NoiseCheck()
         self.observed[:] = False
         self.stamp_ns = 0
+
+    def export_state(self) -> dict[str, NDArray[Any]]:
+        """All that a mapper must know to go on, by name; copies (see ``core.checkpoint``)."""
+        leaves, stored = self.leaves.export_state(), self._stored.export_state()
+        return {
+            **{f"leaves.{name}": values for name, values in leaves.items()},
+            **{f"stored.{name}": values for name, values in stored.items()},
+            "observed": self.observed.copy(),
+            "stamp_ns": np.array(self.stamp_ns),
+        }
+
+    def import_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from `export_state` of a mapper of the same domain (not checked here)."""
+        self.reset()
+        for start, part in (("leaves.", self.leaves), ("stored.", self._stored)):
+            part.import_state({k[len(start) :]: v for k, v in state.items() if k.startswith(start)})
+        self.observed[:] = state["observed"]
+        self.stamp_ns = int(state["stamp_ns"])
 
     def update(self, points_lidar: Array, pose: Pose) -> ScanReport:
         """Map one scan.

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from quadtree_lss.core.config import MountConfig
 from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.rotations import skew
+from quadtree_lss.core.rotations import exp, skew
 from quadtree_lss.core.timing import PoseBuffer
 
 
@@ -79,3 +80,12 @@ def mounted(body: Pose, mount: Pose) -> Pose:
         body.rotation_map_lidar @ mount.rotation_map_lidar,
         0.5 * (covariance + covariance.T),
     )
+
+
+def fixed_mount(config: MountConfig) -> Pose | None:
+    """Pose of the lidar in body axes from the parameters; None if poses are the lidar's own."""
+    if config == MountConfig(gimbal=config.gimbal):
+        return None
+    roll, pitch, yaw = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
+    rotation = exp([0.0, 0.0, yaw]) @ exp([0.0, pitch, 0.0]) @ exp([roll, 0.0, 0.0])
+    return Pose(0, np.array([config.x, config.y, config.z]), rotation, np.zeros((6, 6)))

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,17 +11,27 @@ from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.core import hazards
 from quadtree_lss.core.config import Config, LssConfig
+from quadtree_lss.core.nodes import (
+    Disc,
+    NodePlanes,
+    disc,
+    distance_to,
+    node_planes,
+    node_sums,
+    sum_of_corners,
+    touching,
+)
 from quadtree_lss.core.planes import normal_from_slopes
 from quadtree_lss.core.polygons import signed_distance
-from quadtree_lss.core.quadtree import CellMap, Domain
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.sampling import GridSampler, best_nodes
 from quadtree_lss.core.terrain_raster import TerrainRaster, rasterise
-from quadtree_lss.core.touchdown import Disc, NodePlanes, disc, node_planes, node_sums, unsafe_nodes
+from quadtree_lss.core.touchdown import TouchdownCheck
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
-Kind = TypeVar("Kind", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -99,10 +108,18 @@ class _Nodes:
 
 @dataclass
 class LandingSiteSelector:
-    """Assesses maps; keeps only the last first-ranked site, for ``lss.hysteresis``."""
+    """Assesses maps.
+
+    Keeps the last first-ranked site, for ``lss.hysteresis``, and what the touchdown check found on
+    the last map, to repeat only what changed.
+    """
 
     config: Config
     _last_first: Array | None = field(default=None, init=False)
+    _touchdown: TouchdownCheck = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._touchdown = TouchdownCheck(self.config.lss)
 
     def assess(
         self,
@@ -128,8 +145,8 @@ class LandingSiteSelector:
         raster = rasterise(cells, lss.max_gap)
         if not raster.seen.any():
             return _nothing(cells.stamp_ns, x, y, "nothing is mapped yet")
-        nodes = _assess_nodes(cells, raster, lss)
-        at = _Sampler(domain, x, y)
+        nodes = _assess_nodes(cells, raster, lss, self._touchdown)
+        at = GridSampler(domain, x, y)
         safe = at.everywhere(nodes.safe)
         score = np.where(safe, at.nearest(nodes.score), np.nan)
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid nodes are safe"
@@ -164,48 +181,39 @@ class LandingSiteSelector:
             explanation=explanation,
         )
 
-    def _rank(self, nodes: _Nodes, at: _Sampler, score: Array, x: Array, y: Array) -> Sites:
+    def _rank(self, nodes: _Nodes, at: GridSampler, score: Array, x: Array, y: Array) -> Sites:
         """The best nodes, one after the other, each ``min_separation`` from those before."""
         lss = self.config.lss
-        allowed = np.flatnonzero(np.isfinite(score))
-        order = allowed[np.argsort(score.ravel()[allowed], kind="stable")]
-        row, column = np.unravel_index(order, score.shape)
-        place = np.column_stack([x[column], y[row]])
-        ranked = score.ravel()[order]
-        chosen: list[int] = []
-        open_ = np.ones(len(order), dtype=np.bool_)
-        first = self._keep_first(place, ranked)
-        while len(chosen) < lss.sites and open_.any():
-            best = first if not chosen and first is not None else int(np.argmax(open_))
-            chosen.append(best)
-            apart = place - place[best]
-            open_ &= apart[:, 0] ** 2 + apart[:, 1] ** 2 >= lss.min_separation**2
-            open_[best] = False
-        self._last_first = place[chosen[0]].copy() if chosen else None
-        where = (row[chosen], column[chosen])
+        first = self._keep_first(score, x, y)
+        where = best_nodes(score, x, y, lss.sites, lss.min_separation, first)
+        place = np.column_stack([x[where[1]], y[where[0]]])
+        self._last_first = place[0].copy() if len(place) else None
         centre = at.lattice(*where)
-        slopes = [at.nearest(v)[where] for v in (nodes.planes.slope_x, nodes.planes.slope_y)]
+        planes = nodes.planes
         sites = Sites(
-            position=np.column_stack([place[chosen], at.linear(nodes.planes.elevation)[where]]),
-            normal=normal_from_slopes(*slopes),
-            score=ranked[chosen],
-            slope_deg=at.nearest(_slope_deg(nodes.planes))[where],
+            position=np.column_stack([place, at.linear(planes.elevation)[where]]),
+            normal=normal_from_slopes(planes.slope_x[centre], planes.slope_y[centre]),
+            score=score[where],
+            slope_deg=_slope_deg(planes)[centre],
             roughness=_greatest(nodes.roughness, nodes.zone, *centre),
-            hazard_distance=at.nearest(nodes.clearance)[where],
+            hazard_distance=nodes.clearance[centre],
             subscale_height=_greatest(nodes.subscale, nodes.zone, *centre),
             reasons=(),
         )
         return _with_reasons(sites, lss)
 
-    def _keep_first(self, place: Array, ranked: Array) -> int | None:
+    def _keep_first(self, score: Array, x: Array, y: Array) -> tuple[int, int] | None:
         """Hysteresis: the last first site, while it is allowed and not worse by the set score."""
         lss = self.config.lss
-        if lss.hysteresis <= 0.0 or self._last_first is None or not len(place):
+        if lss.hysteresis <= 0.0 or self._last_first is None:
             return None
-        same = np.flatnonzero((place == self._last_first).all(axis=1))
-        if not len(same) or ranked[same[0]] - ranked[0] > lss.hysteresis:
+        column = np.flatnonzero(x == self._last_first[0])
+        row = np.flatnonzero(y == self._last_first[1])
+        if not (len(row) and len(column) and np.isfinite(score[row[0], column[0]])):
             return None
-        return int(same[0])
+        if score[row[0], column[0]] - np.nanmin(score) > lss.hysteresis:
+            return None
+        return int(row[0]), int(column[0])
 
 
 def _grid(low: float, size: float, spacing: float) -> Array:
@@ -214,83 +222,13 @@ def _grid(low: float, size: float, spacing: float) -> Array:
     return np.asarray(low + spacing * np.arange(count), dtype=np.float64)
 
 
-class _Sampler:
-    """Values on the finest lattice seen from the user's grid.
-
-    A grid node that coincides with a lattice node takes its value; one between lattice nodes is
-    judged by all (up to four) around it.
-    """
-
-    def __init__(self, domain: Domain, x: Array, y: Array) -> None:
-        n, side = domain.finest_count, domain.finest_size
-        column, row = (x - domain.xmin) / side, (y - domain.ymin) / side
-        self.column0 = np.clip(np.floor(column + 1e-6).astype(np.intp), 0, n)
-        self.row0 = np.clip(np.floor(row + 1e-6).astype(np.intp), 0, n)
-        self.column1 = np.clip(np.ceil(column - 1e-6).astype(np.intp), 0, n)
-        self.row1 = np.clip(np.ceil(row - 1e-6).astype(np.intp), 0, n)
-        self.u = np.clip(column - self.column0, 0.0, 1.0)
-        self.v = np.clip(row - self.row0, 0.0, 1.0)[:, None]
-
-    def _corners(self, values: NDArray[Kind]) -> tuple[NDArray[Kind], ...]:
-        low, high = values[self.row0], values[self.row1]
-        return (
-            low[:, self.column0],
-            low[:, self.column1],
-            high[:, self.column0],
-            high[:, self.column1],
-        )
-
-    def everywhere(self, values: Mask) -> Mask:
-        """True where all surrounding lattice nodes are."""
-        return np.asarray(np.logical_and.reduce(self._corners(values)), dtype=np.bool_)
-
-    def any(self, values: Bits) -> Bits:
-        """Bits set in any surrounding lattice node."""
-        return np.asarray(np.bitwise_or.reduce(self._corners(values)), dtype=np.uint8)
-
-    def nearest(self, values: Array) -> Array:
-        """Value of the nearest lattice node."""
-        row = np.where(self.v[:, 0] < 0.5, self.row0, self.row1)
-        return values[row][:, np.where(self.u < 0.5, self.column0, self.column1)]
-
-    def lattice(self, rows: Index, columns: Index) -> tuple[Index, Index]:
-        """Row and column of the lattice nodes nearest to grid nodes (K,)."""
-        row = np.where(self.v[:, 0] < 0.5, self.row0, self.row1)
-        return row[rows], np.where(self.u < 0.5, self.column0, self.column1)[columns]
-
-    def linear(self, values: Array) -> Array:
-        """Bilinear interpolation."""
-        a, b, c, d = self._corners(values)
-        u, v = self.u, self.v
-        out: Array = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
-        return out
-
-
 def _slope_deg(planes: NodePlanes) -> Array:
     return np.degrees(np.arctan(np.hypot(planes.slope_x, planes.slope_y)))
 
 
-def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Bits of the up to four cells that meet at each node: (n, n) to (n + 1, n + 1)."""
-    padded = np.pad(cells, 1)
-    out: NDArray[np.uint8] = padded[:-1, :-1] | padded[1:, :-1] | padded[:-1, 1:] | padded[1:, 1:]
-    return out
-
-
-def distance_to(cells: Mask, side: float) -> Array:
-    """Distance in m of each node (n + 1, n + 1) to the edge of the nearest marked cell (n, n).
-
-    The point of a lattice square that is nearest to a lattice node is a lattice node itself, so
-    the distance to the nearest corner of a marked cell is exact. Infinite if none is marked.
-    """
-    corner = touching(cells.astype(np.uint8)) > 0
-    if not corner.any():
-        return np.full(corner.shape, np.inf)
-    out: Array = distance_transform_edt(~corner) * side
-    return out
-
-
-def _assess_nodes(cells: CellMap, raster: TerrainRaster, lss: LssConfig) -> _Nodes:
+def _assess_nodes(
+    cells: CellMap, raster: TerrainRaster, lss: LssConfig, touchdown: TouchdownCheck
+) -> _Nodes:
     """Hazards, safety and score on the finest lattice."""
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
@@ -305,7 +243,7 @@ def _assess_nodes(cells: CellMap, raster: TerrainRaster, lss: LssConfig) -> _Nod
     hazard = touching(bits)
     if lss.assessment == "touchdown":
         landable = known >= radius - 1e-9
-        unsafe = unsafe_nodes(raster, planes, landable, lss)
+        unsafe = touchdown.unsafe_nodes(raster, planes, landable)
         unsafe |= landable & (distance_to((bits & hazards.EXCEPTION) > 0, side) <= radius)
         unsafe |= landable & (_distance_from(unsafe, side) <= lss.hazard_growth)
         hazard[unsafe] |= hazards.TOUCHDOWN
@@ -333,11 +271,6 @@ def _assess_nodes(cells: CellMap, raster: TerrainRaster, lss: LssConfig) -> _Nod
         raster.subscale,
         over,
     )
-
-
-def sum_of_corners(nodes: Array) -> Array:
-    """Sum of the four nodes of each cell: (n + 1, n + 1) to (n, n)."""
-    return nodes[:-1, :-1] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[1:, 1:]
 
 
 def _distance_from(marked: Mask, side: float) -> Array:

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,6 +41,32 @@ class StoredPoints:
         self._next_scan = 0
         self._positions: dict[int, Array] = {}
         self._roots: dict[int, Array] = {}
+
+    def export_state(self) -> dict[str, NDArray[Any]]:
+        """The pool with the poses its points were seen from; copies."""
+        keys = np.unique(self.scan)
+        positions, roots = self.poses(keys)
+        return {
+            "row": self.row.copy(),
+            "scan": self.scan.copy(),
+            "points": self.points.copy(),
+            "keys": keys,
+            "positions": positions,
+            "roots": roots,
+            "next_scan": np.array(self._next_scan),
+        }
+
+    def import_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Take up the pool of `export_state`."""
+        self.clear()
+        self.row, self.scan = state["row"].astype(np.intp), state["scan"].astype(np.intp)
+        self.points = state["points"].astype(np.float64)
+        counted = np.bincount(self.row, minlength=len(self.per_row))
+        self.per_row = counted.astype(np.intp)
+        self._next_scan = int(state["next_scan"])
+        keys = state["keys"].tolist()
+        self._positions = dict(zip(keys, state["positions"], strict=True))
+        self._roots = dict(zip(keys, state["roots"], strict=True))
 
     def counts(self, rows: Index, capacity: int) -> Index:
         """Stored points of leaves ``rows`` in a tree that has ``capacity`` rows."""

@@ -10,14 +10,13 @@ above it by more than the roughness limit.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import oaconvolve
 
 from quadtree_lss.core.config import LssConfig
 from quadtree_lss.core.features import SHAPE
+from quadtree_lss.core.nodes import Disc, NodePlanes, disc, distance_to
 from quadtree_lss.core.terrain_raster import TerrainRaster
 
 Array = NDArray[np.float64]
@@ -27,105 +26,55 @@ Index = NDArray[np.intp]
 
 #: Nodes compared with the ground at once, so that the working set stays small.
 NODES = 1024
+#: Bounds clear a plane only by more than single precision can err, m.
+ROUNDING = np.float32(1e-4)
+LEVEL_STEP = 64.0
 #: Side of the blocks of nodes that share a bound.
 BLOCK = 4
 
 
-@dataclass(frozen=True)
-class Disc:
-    """Finest cells whose centre lies within a radius of a node (a corner of finest cells).
+class TouchdownCheck:
+    """Checks maps of a growing terrain; remembers the last one and repeats only what changed.
 
-    Attributes:
-        reach: Cells from the node to the disc's edge.
-        row, column: (K,) index offset of each cell from the node's (the cell to its north-east).
-        x, y: (K,) offset of each cell's centre from the node, m.
+    A node's verdict depends on the cells under the lander alone, so the verdict of a node none of
+    whose cells changed is the one of before, bit for bit.
     """
 
-    reach: int
-    row: NDArray[np.intp]
-    column: NDArray[np.intp]
-    x: Array
-    y: Array
+    def __init__(self, config: LssConfig) -> None:
+        self.config = config
+        self._ground: _Ground | None = None
+        self._checked: Mask = np.zeros((0, 0), dtype=np.bool_)
+        self._unsafe: Mask = np.zeros((0, 0), dtype=np.bool_)
+
+    def unsafe_nodes(self, raster: TerrainRaster, planes: NodePlanes, candidates: Mask) -> Mask:
+        """Nodes (n + 1, n + 1) at which some heading fails; False where not a candidate.
+
+        Args:
+            raster: The map on its finest cells.
+            planes: Lander-scale planes of the same raster, any radius; they only bound the search.
+            candidates: (n + 1, n + 1) nodes to check; their lander circle lies inside the domain.
+        """
+        ground = _Ground(raster, self.config)
+        unsafe = np.zeros(candidates.shape, dtype=np.bool_)
+        due = candidates
+        if self._ground is not None and self._ground.comparable(ground):
+            stale = distance_to(self._ground.differs(ground), ground.side) <= ground.radius + 1e-6
+            kept = candidates & self._checked & ~stale
+            unsafe[kept] = self._unsafe[kept]
+            due = candidates & ~kept
+        if due.any():
+            unsafe |= _unsafe_nodes(ground, planes, due, self.config)
+        self._ground, self._checked, self._unsafe = ground, candidates, unsafe
+        return unsafe.copy()
 
 
-def disc(radius: float, side: float) -> Disc:
-    """Cells of side ``side`` (m) within ``radius`` (m) of a node, four at the least."""
-    reach = max(int(np.ceil(radius / side)), 1)
-    offset = np.arange(-reach, reach)
-    row, column = (grid.ravel() for grid in np.meshgrid(offset, offset, indexing="ij"))
-    x, y = (column + 0.5) * side, (row + 0.5) * side
-    inside = np.hypot(x, y) <= max(radius, 0.75 * side)
-    return Disc(reach, row[inside], column[inside], x[inside], y[inside])
-
-
-def node_sums(values: Array, weights: Array, over: Disc) -> Array:
-    """Sums over the disc of each node: (n, n) cells to (n + 1, n + 1) nodes.
-
-    Args:
-        values: (n, n), zero is assumed outside.
-        weights: (K,) one for each cell of the disc.
-    """
-    n, reach = len(values), over.reach
-    kernel = np.zeros((2 * reach, 2 * reach))
-    kernel[reach - 1 - over.row, reach - 1 - over.column] = weights
-    full = oaconvolve(values, kernel)
-    return full[reach - 1 : reach + n, reach - 1 : reach + n]
-
-
-@dataclass(frozen=True)
-class NodePlanes:
-    """Least-squares plane of the map over a disc about each node: arrays (n + 1, n + 1).
-
-    Attributes:
-        elevation: Height at the node, m.
-        slope_x, slope_y: dz/dx, dz/dy.
-    """
-
-    elevation: Array
-    slope_x: Array
-    slope_y: Array
-
-
-def node_planes(raster: TerrainRaster, radius: float) -> NodePlanes:
-    """Planes at the lander's scale.
-
-    A disc about a node is symmetric, so the normal equations are diagonal:
-    slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z). Outside the domain the ground
-    at its edge goes on.
-    """
-    over = disc(radius, raster.domain.finest_size)
-    level = float(np.nanmean(raster.elevation))
-    border = over.reach
-    z = np.pad(raster.elevation - level, border, mode="edge")
-    inner = slice(border, -border)
-
-    def sums(weights: Array) -> Array:
-        return node_sums(z, weights, over)[inner, inner]
-
-    return NodePlanes(
-        level + sums(np.full(len(over.x), 1.0 / len(over.x))),
-        sums(over.x / np.sum(over.x**2)),
-        sums(over.y / np.sum(over.y**2)),
-    )
-
-
-def unsafe_nodes(
-    raster: TerrainRaster, planes: NodePlanes, candidates: Mask, config: LssConfig
-) -> Mask:
-    """Nodes (n + 1, n + 1) at which some heading fails; False where not a candidate.
+def _unsafe_nodes(ground: _Ground, planes: NodePlanes, candidates: Mask, config: LssConfig) -> Mask:
+    """Verdict on the candidates, all of them anew.
 
     Every node is tried at every heading for slope; for roughness a bound clears most (node,
     resting plane) pairs, and only the others are compared with the ground cell by cell.
-
-    Args:
-        raster: The map on its finest cells.
-        planes: Lander-scale planes of the same raster, any radius; they only bound the search.
-        candidates: (n + 1, n + 1) nodes to check; their lander circle lies inside the domain.
     """
-    if not candidates.any():
-        return np.zeros(candidates.shape, dtype=np.bool_)
     rows, columns = _extent(candidates)
-    ground = _Ground(raster, config)
     over = disc(ground.radius, ground.side)
     roof = _Roof(ground, planes, rows, columns)
     steep = np.float32(np.tan(np.radians(config.touchdown_slope_deg)) ** 2)
@@ -134,7 +83,8 @@ def unsafe_nodes(
     doubts: list[tuple[Index, Single]] = []
     for number, (centre, slope_x, slope_y) in enumerate(ground.resting_planes(rows, columns)):
         failed |= slope_x * slope_x + slope_y * slope_y > steep
-        doubt = np.flatnonzero((roof.above(centre, slope_x, slope_y) > limit) & ~failed)
+        bound = roof.above(centre, slope_x, slope_y)
+        doubt = np.flatnonzero((bound > limit - ROUNDING) & ~failed)
         if len(doubt):
             plane = (centre.ravel()[doubt], slope_x.ravel()[doubt], slope_y.ravel()[doubt])
             doubts.append((doubt, np.stack(plane)))
@@ -156,12 +106,13 @@ def _extent(candidates: Mask) -> tuple[slice, slice]:
 
 
 class _Ground:
-    """Heights that the lander meets, over their mean; a border of cells is repeated outside.
+    """Heights that the lander meets, over a round level; a border of cells is repeated outside.
 
     Attributes:
         radius: Of the lander's circle, m.
         side: Of a finest cell, m.
-        level: Mean height, that all others are over, m.
+        level: Height that all others are over, in steps of 64 m: small numbers round finely, and
+            the same ground rounds alike while the map grows.
         border: Cells repeated on every side.
         pad: Height of a pad at each cell's centre: it stands on the highest ground within its
             radius.
@@ -174,7 +125,7 @@ class _Ground:
         self.radius = 0.5 * config.vehicle_diameter
         self.yaws = config.touchdown_yaws
         self.side = raster.domain.finest_size
-        self.level = float(np.mean(raster.elevation))
+        self.level = LEVEL_STEP * float(np.rint(np.mean(raster.elevation) / LEVEL_STEP))
         self.border = int(np.ceil(self.radius / self.side)) + 2 * BLOCK
         height = raster.elevation - self.level
         rise = 0.5 * self.side * (np.abs(raster.slope_x) + np.abs(raster.slope_y))
@@ -183,6 +134,18 @@ class _Ground:
         self.slope_x = self._bordered(raster.slope_x)
         self.slope_y = self._bordered(raster.slope_y)
         self.top = self._bordered(height + rise + SHAPE * raster.subscale)
+
+    def comparable(self, other: _Ground) -> bool:
+        """True if both lie on the same cells and level."""
+        return (self.side, self.level, self.top.shape) == (other.side, other.level, other.top.shape)
+
+    def differs(self, other: _Ground) -> Mask:
+        """Cells (n, n) whose heights differ."""
+        out: Mask = self.top != other.top
+        out |= self.pad != other.pad
+        out |= self.slope_x != other.slope_x
+        out |= self.slope_y != other.slope_y
+        return out[self.border : -self.border, self.border : -self.border]
 
     def _bordered(self, values: Array) -> Single:
         return np.pad(values, self.border, mode="edge").astype(np.float32)
@@ -325,7 +288,7 @@ def _compare(
         flat[place[high - planes[0] - planes[1] * x - planes[2] * y > limit]] = True
         apart = mean[:, local] - planes
         bound = worst[local] + apart[0] + np.float32(ground.radius) * np.hypot(apart[1], apart[2])
-        left = np.flatnonzero((bound > limit) & ~flat[place])
+        left = np.flatnonzero((bound > limit - ROUNDING) & ~flat[place])
         for part in range(0, len(left), NODES):
             pick = left[part : part + NODES]
             above = _above(tops[local[pick]], planes[:, pick], x_of, y_of)

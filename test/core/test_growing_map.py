@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A selector that followed the map from scan to scan and a new one say the same, to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+from core.builders import configured, make_pose, scan, scattered
+
+from quadtree_lss.core.config import config_from_values
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.sites import LandingSiteSelector
+from quadtree_lss.messages.maps import round_trip
+
+
+def rocks(x, y):
+    """Gentle waves and a few blocks of half a metre."""
+    wave = 0.15 * np.sin(0.4 * x) * np.cos(0.3 * y)
+    block = np.zeros(np.shape(x))
+    for cx, cy in ((6.0, 9.0), (17.0, 20.0), (24.0, 5.0)):
+        block += np.where((np.abs(x - cx) < 0.4) & (np.abs(y - cy) < 0.4), 0.5, 0.0)
+    return wave + block
+
+
+def test_what_did_not_change_need_not_be_checked_again():
+    base = configured(domain={"size": 32.0, "min_level": 3, "max_level": 7})
+    config = config_from_values({"lss.grid_spacing": 0.25, "lss.vehicle_diameter": 3.0}, base)
+    mapper, rng = Mapper(config), np.random.default_rng(3)
+    follower = LandingSiteSelector(config)
+    strips = [(0.0, 0.0), (16.0, 0.0), (0.0, 16.0), (8.0, 8.0), (0.0, 0.0)]
+    for number, (xmin, ymin) in enumerate(strips):
+        x, y = scattered(rng, xmin, ymin, 16.0, 12000)
+        pose = make_pose((16.0, 16.0, 300.0), stamp_ns=number + 1)
+        mapper.update(scan(rocks, x, y, pose, 0.05, rng), pose)
+        cells = round_trip(mapper.snapshot())
+        followed = follower.assess(cells)
+        anew = LandingSiteSelector(config).assess(cells)
+        np.testing.assert_array_equal(followed.hazard, anew.hazard)
+        np.testing.assert_array_equal(followed.safe, anew.safe)
+        np.testing.assert_array_equal(followed.score, anew.score)
+        np.testing.assert_array_equal(followed.sites.position, anew.sites.position)
+        assert ((anew.hazard & 8) > 0).any()
+
+
+def test_another_domain_is_no_growth_of_the_last():
+    config = configured()
+    follower = LandingSiteSelector(config)
+    for height in (0.0, 100.0):
+        mapper, rng = Mapper(config), np.random.default_rng(4)
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 12000)
+        pose = make_pose((8.0, 8.0, 500.0))
+
+        def ground(x, y, height=height):
+            return rocks(x, y) + height
+
+        mapper.update(scan(ground, x, y, pose, 0.05, rng), pose)
+        cells = round_trip(mapper.snapshot())
+        anew = LandingSiteSelector(config).assess(cells)
+        np.testing.assert_array_equal(follower.assess(cells).hazard, anew.hazard)
