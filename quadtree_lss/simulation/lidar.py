@@ -9,6 +9,22 @@ import numpy as np
 
 from quadtree_lss.simulation.terrain import FloatArray, Surface
 
+OUTLINE = 8
+"""Beams per side of the outline of a field of view."""
+
+
+def _beams(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+    """Unit directions (..., 3) in the lidar frame: Eq. 14 with ρ = 1."""
+    azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
+    return np.stack(
+        [
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(-elevation),
+            np.cos(azimuth) * np.cos(elevation),
+        ],
+        axis=-1,
+    )
+
 
 @dataclass(frozen=True)
 class FlashLidar:
@@ -29,16 +45,19 @@ class FlashLidar:
         """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
         centred = (np.arange(self.pixels) + 0.5) / self.pixels - 0.5
         angle = np.radians(self.field_of_view_deg) * centred
-        azimuth, elevation = angle[None, :], -angle[:, None]
-        shape = (self.pixels, self.pixels)
-        return np.stack(
-            [
-                np.sin(azimuth) * np.cos(elevation),
-                np.broadcast_to(np.sin(-elevation), shape),
-                np.cos(azimuth) * np.cos(elevation),
-            ],
-            axis=-1,
-        )
+        return _beams(angle[None, :], -angle[:, None])
+
+    def outline(
+        self, surface: Surface, position_map: FloatArray, rotation_map_lidar: FloatArray
+    ) -> FloatArray:
+        """Edge of the field of view on the ground, map frame: (4·OUTLINE, 2) m; NaN = no hit."""
+        half = 0.5 * np.radians(self.field_of_view_deg)
+        along = np.linspace(-half, half, OUTLINE, endpoint=False)
+        azimuth = np.concatenate([along, np.full(OUTLINE, half), -along, np.full(OUTLINE, -half)])
+        elevation = np.roll(azimuth, OUTLINE)
+        directions_map = _beams(azimuth, elevation) @ rotation_map_lidar.T
+        ranges = surface.cast(position_map, directions_map)
+        return np.asarray((position_map + ranges[:, None] * directions_map)[:, :2])
 
     def true_ranges(
         self, surface: Surface, position_map: FloatArray, rotation_map_lidar: FloatArray

@@ -30,7 +30,11 @@ _POSE_LATENCY_NS = 3_000_000
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """What was written."""
+    """What was written.
+
+    ``starts`` are the seconds after the bag's first message at which each flight is sure to be
+    still to come (the first: 0), as ``replay --start`` takes them.
+    """
 
     scenario: str
     seed: int
@@ -42,6 +46,29 @@ class SimulationResult:
     duration: float
     box: tuple[float, float, float, float]
     safe_fraction: float | None
+    starts: tuple[float, ...] = (0.0,)
+
+    def table(self) -> str:
+        """A few aligned lines for people."""
+        xmin, xmax, ymin, ymax = self.box
+        rows = [
+            ("Bag", str(self.bag_path)),
+            ("Scans / poses / returns", f"{self.scans} / {self.poses} / {self.points}"),
+            ("Seconds of scanning", f"{self.duration:.1f}"),
+            ("Scanned box", f"x {xmin:g} … {xmax:g} m, y {ymin:g} … {ymax:g} m"),
+        ]
+        if self.truth_path is not None:
+            rows.append(("Truth", str(self.truth_path)))
+        if self.safe_fraction is not None:
+            rows.append(("Safe part of the box", f"{100.0 * self.safe_fraction:.1f} %"))
+        ends = (*self.starts[1:], None)
+        for k, (start, end) in enumerate(zip(self.starts, ends, strict=True), start=1):
+            if len(self.starts) > 1:
+                options = [f"--start {start:.1f}"] if start else []
+                options += [f"--duration {end - start:.1f}"] if end is not None else []
+                rows.append((f"Flight {k} alone", f"replay {' '.join(options)}"))
+        width = max(len(label) for label, _ in rows)
+        return "\n".join(f"{label:<{width}}  {value}" for label, value in rows)
 
 
 def simulate(
@@ -120,6 +147,7 @@ def simulate(
         duration=sum(float(plan.scan_times[-1]) for plan in plans),
         box=plans[0].box,
         safe_fraction=safe_fraction,
+        starts=_starts(flown),
     )
 
 
@@ -128,8 +156,21 @@ class _Flown:
     stamps_ns: np.ndarray
     positions: FloatArray
     quaternions_xyzw: FloatArray
+    outlines: FloatArray
     poses: int
     points: int
+    first_ns: int
+    last_ns: int
+
+
+def _starts(flown: list[_Flown]) -> tuple[float, ...]:
+    """Tenths of seconds in the middle of the gaps before the flights."""
+    first = flown[0].first_ns
+    middles = [
+        (0.5 * (before.last_ns - first) + 0.5 * (leg.first_ns - first)) * 1e-9
+        for before, leg in zip(flown[:-1], flown[1:], strict=True)
+    ]
+    return (0.0, *(round(middle, 1) for middle in middles))
 
 
 def _offset(progress: Callable[[int, int], None], done: int, total: int) -> Callable[[int], None]:
@@ -174,6 +215,7 @@ def _fly(
     pose_quaternions = quaternions(estimate.rotations)
     arrivals = [(int(t) + _POSE_LATENCY_NS, 0, k) for k, t in enumerate(pose_ns)]
     arrivals += [(int(t) + _SCAN_LATENCY_NS, 1, k) for k, t in enumerate(scan_ns)]
+    outlines = []
     points = 0
     for received_ns, kind, k in sorted(arrivals):
         if kind == 0:
@@ -186,11 +228,21 @@ def _fly(
             )
             continue
         scan = plan.lidar.scan(plan.surface, positions[k], rotations[k], noise)
+        outlines.append(plan.lidar.outline(plan.surface, positions[k], rotations[k]))
         points += int(np.isfinite(scan[..., 0]).sum())
         recorder.scan(int(scan_ns[k]), scan, received_ns)
         if report is not None:
             report(k + 1)
-    return _Flown(scan_ns, positions, quaternions(rotations), pose_ns.size, points)
+    return _Flown(
+        stamps_ns=scan_ns,
+        positions=positions,
+        quaternions_xyzw=quaternions(rotations),
+        outlines=np.array(outlines),
+        poses=pose_ns.size,
+        points=points,
+        first_ns=min(arrivals)[0],
+        last_ns=max(arrivals)[0],
+    )
 
 
 def _write_truth(path: Path, plan: Flight, flown: list[_Flown]) -> float:
@@ -212,5 +264,7 @@ def _write_truth(path: Path, plan: Flight, flown: list[_Flown]) -> float:
         scan_stamp_ns=np.concatenate([leg.stamps_ns for leg in flown]),
         scan_position=np.concatenate([leg.positions for leg in flown]),
         scan_quaternion_xyzw=np.concatenate([leg.quaternions_xyzw for leg in flown]),
+        scan_outline=np.concatenate([leg.outlines for leg in flown]),
+        scan_flight=np.repeat(np.arange(len(flown)), [leg.stamps_ns.size for leg in flown]),
     )
     return float(safe.mean())

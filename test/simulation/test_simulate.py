@@ -101,7 +101,7 @@ def test_truth_has_the_agreed_arrays(morpheus):
     _, _, truth = morpheus
     assert set(truth) == {
         "x", "y", "elevation", "safe_x", "safe_y", "safe", "box",
-        "scan_stamp_ns", "scan_position", "scan_quaternion_xyzw",
+        "scan_stamp_ns", "scan_position", "scan_quaternion_xyzw", "scan_outline", "scan_flight",
     }  # fmt: skip
     assert truth["elevation"].shape == (truth["y"].size, truth["x"].size)
     assert truth["safe"].shape == (truth["safe_y"].size, truth["safe_x"].size)
