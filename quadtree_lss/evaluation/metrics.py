@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, distance_transform_edt
+from scipy.ndimage import binary_closing, distance_transform_edt, label
 
 from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Leaves, Truth
-from quadtree_lss.evaluation.safety import Lander, contact_safe
+from quadtree_lss.evaluation.safety import Lander, contact_safe, on_dem
 
 _SAMPLE_STEP = 0.5  # m, at most, between the points where elevations are compared
 _COINCIDE = 1e-3  # m
+
+SiteVerdict = Literal["safe", "unsafe", "unknown"]
+"""Of a site; unknown where the lander would reach over the edge of the true terrain."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,23 @@ class SafetyField:
     called_safe: BoolArray
     seen: BoolArray
     scored: BoolArray
+
+
+@dataclass(frozen=True)
+class MissedPlace:
+    """A patch of hazardous ground called safe: centre (m), nodes, how deep in hazardous ground.
+
+    ``relief`` is how far the highest post that the lander can touch there, at (``peak_x``,
+    ``peak_y``), stands above the median of its surroundings (m).
+    """
+
+    x: float
+    y: float
+    nodes: int
+    depth: float
+    relief: float
+    peak_x: float
+    peak_y: float
 
 
 def bilinear(truth: Truth, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -224,14 +245,55 @@ def detection(field: SafetyField) -> Detection:
     )
 
 
-def sites_safe(sites: FloatArray, truth: Truth) -> BoolArray:
-    """Whether a lander set down at each site (K, 2 or 3) stands safely: (K,).
+def site_verdicts(sites: FloatArray, truth: Truth) -> tuple[SiteVerdict, ...]:
+    """Whether a lander set down at each site (K, 2 or 3) stands safely.
 
-    A site on a node of the true safety map takes its verdict from there; any other is simulated.
+    A site on a node of the true safety map takes its verdict from there; any other, inside or
+    outside the scanned box, is simulated on the DEM. Where the lander would reach over the edge of
+    the DEM nothing is known.
     """
-    safe = contact_safe(truth.x, truth.y, truth.elevation, sites[:, :2], Lander())
+    lander = Lander()
+    known = on_dem(truth.x, truth.y, sites[:, :2], lander)
+    safe = contact_safe(truth.x, truth.y, truth.elevation, sites[:, :2], lander)
+    verdicts = []
     for k, (x, y) in enumerate(sites[:, :2]):
         i, j = int(np.abs(truth.safe_x - x).argmin()), int(np.abs(truth.safe_y - y).argmin())
         if max(abs(truth.safe_x[i] - x), abs(truth.safe_y[j] - y)) < _COINCIDE:
-            safe[k] = truth.safe[j, i]
-    return safe
+            verdict: SiteVerdict = "safe" if truth.safe[j, i] else "unsafe"
+        elif known[k]:
+            verdict = "safe" if safe[k] else "unsafe"
+        else:
+            verdict = "unknown"
+        verdicts.append(verdict)
+    return tuple(verdicts)
+
+
+def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
+    """Connected patches of hazardous ground called safe, the largest first."""
+    missed = field.scored & ~field.truly_safe & field.called_safe & field.seen
+    patch, count = label(missed, np.ones((3, 3), int))
+    if not count:
+        return ()
+    inside = np.pad(~field.truly_safe, 1, mode="edge")
+    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
+    depth = spacing * distance_transform_edt(inside)[1:-1, 1:-1]
+    places = []
+    for k in range(1, count + 1):
+        j, i = np.nonzero(patch == k)
+        x, y = float(field.x[i].mean()), float(field.y[j].mean())
+        reach = 0.5 * Lander().diameter + Lander().pad_radius
+        box = np.ix_(np.abs(truth.y - y) <= reach, np.abs(truth.x - x) <= reach)
+        ground = truth.elevation[box]
+        peak_j, peak_i = np.unravel_index(int(ground.argmax()), ground.shape)
+        places.append(
+            MissedPlace(
+                x=x,
+                y=y,
+                nodes=int(j.size),
+                depth=float(depth[j, i].max()),
+                relief=float(ground.max() - np.median(ground)),
+                peak_x=float(truth.x[np.abs(truth.x - x) <= reach][peak_i]),
+                peak_y=float(truth.y[np.abs(truth.y - y) <= reach][peak_j]),
+            )
+        )
+    return tuple(sorted(places, key=lambda place: -place.nodes))

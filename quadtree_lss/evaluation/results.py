@@ -25,7 +25,8 @@ UNSEEN = 128
 
 _CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measured", "domain")
 _GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
-_TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box")
+_TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
+_TRUTH_EXTRA = ("scan_outline", "scan_flight")
 
 
 class EvaluationError(QuadtreeLssError):
@@ -48,7 +49,13 @@ class Leaves:
     xmin: float
     ymin: float
     domain_size: float
+    min_level: int
     max_level: int
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the map has one level only (Section VI.B)."""
+        return self.min_level == self.max_level
 
     @property
     def finest_count(self) -> int:
@@ -127,6 +134,8 @@ class Results:
     """Positions (K, 3) of the ranked sites, best first."""
     map_ms: FloatArray
     """Time per scan (S,), ms."""
+    stamps_ns: NDArray[np.int64]
+    """Stamps of the mapped scans (S,)."""
     summary: dict[str, Any]
 
 
@@ -141,9 +150,26 @@ class Truth:
     safe_y: FloatArray
     safe: BoolArray
     box: tuple[float, float, float, float]
+    scan_stamp_ns: NDArray[np.int64]
+    scan_outline: FloatArray
+    """Edge of each scan on the ground (S, K, 2); K = 0 where the file does not know."""
+    scan_flight: NDArray[np.int64]
+    """Flight to which each scan belongs (S,)."""
+
+    def outlines_of(self, stamps_ns: NDArray[np.int64], every: int) -> tuple[FloatArray, int]:
+        """Closed outlines (n, K + 1, 2) of every so-manieth of the given scans; their number."""
+        rows = np.flatnonzero(np.isin(self.scan_stamp_ns, stamps_ns))
+        if not self.scan_outline.shape[1]:
+            return np.empty((0, 1, 2)), 0
+        shown = self.scan_outline[rows[::every]]
+        return np.concatenate([shown, shown[:, :1]], axis=1), rows.size
+
+    def flights_of(self, stamps_ns: NDArray[np.int64]) -> int:
+        """How many flights the given scans are from."""
+        return int(np.unique(self.scan_flight[np.isin(self.scan_stamp_ns, stamps_ns)]).size)
 
 
-def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Any]:
     if not path.is_file():
         msg = f"{path} does not exist"
         raise EvaluationError(msg)
@@ -153,7 +179,7 @@ def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
             if missing:
                 msg = f"{path} lacks {', '.join(missing)}"
                 raise EvaluationError(msg)
-            return {name: file[name] for name in names}
+            return {name: file[name] for name in (*names, *optional) if name in file}
     except (OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
         msg = f"{path} is not a readable .npz file: {error}"
         raise EvaluationError(msg) from error
@@ -174,7 +200,7 @@ def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: 
 def load_leaves(path: Path) -> Leaves:
     """Read ``cells.npz``."""
     a = _arrays(path, _CELLS)
-    xmin, ymin, size, _, max_level = np.asarray(a["domain"], float)
+    xmin, ymin, size, min_level, max_level = np.asarray(a["domain"], float)
     return Leaves(
         level=a["level"].astype(np.int64),
         ix=a["ix"].astype(np.int64),
@@ -188,6 +214,7 @@ def load_leaves(path: Path) -> Leaves:
         xmin=float(xmin),
         ymin=float(ymin),
         domain_size=float(size),
+        min_level=int(min_level),
         max_level=int(max_level),
     )
 
@@ -202,25 +229,32 @@ def load_grid(path: Path) -> Grid:
 def load_truth(path: str | Path) -> Truth:
     """Read ``truth.npz``."""
     file = Path(path)
-    a = _arrays(file, _TRUTH)
+    a = _arrays(file, _TRUTH, _TRUTH_EXTRA)
     _check_shape(file, a, "x", "y", "elevation")
     _check_shape(file, a, "safe_x", "safe_y", "safe")
     xmin, xmax, ymin, ymax = (float(value) for value in a.pop("box"))
+    scans = a["scan_stamp_ns"].size
+    a.setdefault("scan_outline", np.empty((scans, 0, 2)))
+    a.setdefault("scan_flight", np.zeros(scans, np.int64))
+    for name in _TRUTH_EXTRA:
+        if len(a[name]) != scans:
+            msg = f"{file}: {name} has {len(a[name])} rows, expected one per scan: {scans}"
+            raise EvaluationError(msg)
     return Truth(**{**a, "safe": a["safe"].astype(bool)}, box=(xmin, xmax, ymin, ymax))
 
 
-def _columns(path: Path, names: tuple[str, ...]) -> FloatArray:
+def _columns(path: Path, names: tuple[str, ...], kind: type[int] | type[float]) -> NDArray[Any]:
     """Columns of a CSV file by name: (rows, len(names))."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
+            rows = [[kind(row[name]) for name in names] for row in csv.DictReader(file)]
     except FileNotFoundError as error:
         msg = f"{path} does not exist"
         raise EvaluationError(msg) from error
     except (OSError, KeyError, ValueError, TypeError) as error:
         msg = f"{path} is not a table with the columns {', '.join(names)}"
         raise EvaluationError(msg) from error
-    return np.array(rows, float).reshape(-1, len(names))
+    return np.array(rows, kind).reshape(-1, len(names))
 
 
 def load_results(directory: str | Path) -> Results:
@@ -235,10 +269,12 @@ def load_results(directory: str | Path) -> Results:
     except (OSError, ValueError) as error:
         msg = f"{summary_path} is missing or not JSON"
         raise EvaluationError(msg) from error
+    timing = folder / "timing.csv"
     return Results(
         leaves=load_leaves(folder / "cells.npz"),
         grid=load_grid(folder / "grid.npz"),
-        sites=_columns(folder / "sites.csv", ("x", "y", "z")),
-        map_ms=_columns(folder / "timing.csv", ("map_ms",))[:, 0],
+        sites=_columns(folder / "sites.csv", ("x", "y", "z"), float),
+        map_ms=_columns(timing, ("map_ms",), float)[:, 0],
+        stamps_ns=_columns(timing, ("stamp_ns",), int)[:, 0],
         summary=summary,
     )

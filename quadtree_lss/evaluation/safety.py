@@ -103,19 +103,25 @@ def contact_safe(
         np.asarray(x, np.float64), np.asarray(y, np.float64), np.asarray(elevation, np.float64)
     )
     centres = np.asarray(points, np.float64).reshape(-1, 2)
-    reach = 0.5 * lander.diameter + lander.pad_radius
-    inside = (
-        (centres[:, 0] - reach >= posts.x[0] - _TOLERANCE)
-        & (centres[:, 0] + reach <= posts.x[-1] + _TOLERANCE)
-        & (centres[:, 1] - reach >= posts.y[0] - _TOLERANCE)
-        & (centres[:, 1] + reach <= posts.y[-1] + _TOLERANCE)
-    )
     safe = np.zeros(len(centres), bool)
-    candidates = np.flatnonzero(inside)
+    candidates = np.flatnonzero(on_dem(posts.x, posts.y, centres, lander))
     for start in range(0, candidates.size, _CHUNK):
         chunk = candidates[start : start + _CHUNK]
         safe[chunk] = _chunk_safe(posts, centres[chunk, 0], centres[chunk, 1], lander)
     return safe
+
+
+def on_dem(x: ArrayLike, y: ArrayLike, points: ArrayLike, lander: Lander) -> BoolArray:
+    """Whether all of a lander centred at ``points`` (K, 2) is over the DEM: (K,)."""
+    posts_x, posts_y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    centres = np.asarray(points, np.float64).reshape(-1, 2)
+    reach = 0.5 * lander.diameter + lander.pad_radius - _TOLERANCE
+    return np.asarray(
+        (centres[:, 0] - reach >= posts_x[0])
+        & (centres[:, 0] + reach <= posts_x[-1])
+        & (centres[:, 1] - reach >= posts_y[0])
+        & (centres[:, 1] + reach <= posts_y[-1])
+    )
 
 
 def safety_map(

@@ -149,7 +149,7 @@ def test_writes_numbers_and_pictures(tmp_path):
     numbers = json.loads((result.out / "evaluation.json").read_text())
     assert numbers["elevation"]["rms"] == result.elevation.rms
     assert numbers["detection"]["hazardous_found"] is None
-    assert len(result.figures) == 8
+    assert len(result.figures) == 10
     for path in result.figures:
         assert path.read_bytes().startswith(b"\x89PNG")
 

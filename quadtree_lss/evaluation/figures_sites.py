@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of safety and landing sites (Figs. 21–25)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from quadtree_lss.evaluation.metrics import ErrorField, SafetyField
+from quadtree_lss.evaluation.plotting import (
+    FALSE_ALARM,
+    HAZARD_FOUND,
+    MISSED,
+    RUNS,
+    SAFE_FOUND,
+    UNSEEN_GROUND,
+    around,
+    contours,
+    image,
+    limits,
+    map_axes,
+    mark,
+    outline,
+)
+from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Truth
+
+
+def true_safety(truth: Truth) -> Figure:
+    """The true safety map (Fig. 21)."""
+    title = f"True safety by lander contact: {100.0 * truth.safe.mean():.1f} % safe"
+    figure, axes = map_axes(title, truth.box)
+    colours = ListedColormap([HAZARD_FOUND, SAFE_FOUND])
+    image(axes, truth.safe_x, truth.safe_y, truth.safe.astype(int), cmap=colours, vmin=0, vmax=1)
+    contours(axes, truth, truth.box)
+    handles = [Patch(color=SAFE_FOUND, label="safe"), Patch(color=HAZARD_FOUND, label="unsafe")]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    return figure
+
+
+def classification(safety: SafetyField, truth: Truth, sites: FloatArray) -> Figure:
+    """Verdict against truth, node by node, with the best sites (Fig. 22)."""
+    figure, axes = map_axes("Classification of terrain and the best sites", around(truth))
+    called = safety.called_safe & safety.seen
+    kind = np.select(
+        [
+            ~safety.scored,
+            safety.truly_safe & called,
+            ~safety.truly_safe & ~called,
+            safety.truly_safe & ~called,
+        ],
+        [4, 0, 1, 2],
+        3,
+    )
+    labels = ["safe, found", "hazard, found", "safe, called hazardous", "hazard, MISSED", "unseen"]
+    colours = [SAFE_FOUND, HAZARD_FOUND, FALSE_ALARM, MISSED, UNSEEN_GROUND]
+    image(axes, safety.x, safety.y, kind, cmap=ListedColormap(colours), vmin=0, vmax=4)
+    shares = np.bincount(kind.ravel(), minlength=5) / max(kind.size, 1)
+    handles = [
+        Patch(facecolor=colour, edgecolor="black", label=f"{label} {100 * share:.2f} %")
+        for colour, label, share in zip(colours, labels, shares, strict=True)
+    ]
+    outline(axes, truth)
+    mark(axes, sites)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
+    return figure
+
+
+def score(grid: Grid, truth: Truth, sites: FloatArray) -> Figure:
+    """Score of the terrain where landing is allowed, lower is better (Figs. 23, 24)."""
+    figure, axes = map_axes("Site score, lower is better; white: excluded", around(truth))
+    allowed: BoolArray = grid.safe & np.isfinite(grid.score)
+    values = np.where(allowed, grid.score, np.nan)
+    low, high = np.percentile(grid.score[allowed], (0.5, 99.5)) if allowed.any() else (0.0, 1.0)
+    shown = image(axes, grid.x, grid.y, values, cmap="viridis", vmin=low, vmax=high)
+    figure.colorbar(shown, ax=axes, label="score [-]", extend="both")
+    contours(axes, truth, around(truth))
+    outline(axes, truth)
+    mark(axes, sites)
+    return figure
+
+
+def selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, FloatArray]) -> Figure:
+    """Sites of one or several runs over the mapped elevation (Fig. 25).
+
+    The paper shows binned measurements below them; results hold no points, so the map does here.
+    """
+    figure, axes = map_axes("Selected landing sites over the mapped terrain", around(truth))
+    estimate = np.where(heights.seen, heights.estimate, np.nan)
+    low, high = limits(estimate)
+    shown = image(axes, heights.x, heights.y, estimate, cmap="cividis", vmin=low, vmax=high)
+    figure.colorbar(shown, ax=axes, label="estimated elevation [m]", extend="both")
+    outline(axes, truth)
+    several = len(runs) > 1
+    for colour, (name, sites) in zip(RUNS * len(runs), runs.items(), strict=False):
+        mark(axes, sites, colour if several else "black", name if several else None)
+    if several:
+        figure.legend(loc="outside lower center", ncols=min(len(runs), 3), fontsize="small")
+    return figure

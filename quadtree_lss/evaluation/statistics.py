@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many runs in a few numbers: mean, worst, 95 % interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import beta
+
+_RESAMPLES = 4000
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """One quantity over many seeds; NaN where it exists for none.
+
+    ``low`` and ``high`` bound the mean with 95 % confidence (bootstrap over seeds, which assumes no
+    shape of the distribution); ``worst`` is that of seed ``worst_seed``.
+    """
+
+    mean: float
+    worst: float
+    worst_seed: int | None
+    low: float
+    high: float
+    count: int
+
+
+def summarise(
+    seeds: list[int], values: ArrayLike, worst: Literal["smallest", "largest"]
+) -> Statistic:
+    """Statistics of one value per seed; values that are NaN (nothing to measure) are left out."""
+    all_values = np.asarray(values, np.float64)
+    kept = np.flatnonzero(np.isfinite(all_values))
+    if not kept.size:
+        nan = float("nan")
+        return Statistic(nan, nan, None, nan, nan, 0)
+    value = all_values[kept]
+    at = int(value.argmin() if worst == "smallest" else value.argmax())
+    draws = np.random.default_rng(0).integers(0, value.size, (_RESAMPLES, value.size))
+    low, high = np.percentile(value[draws].mean(axis=1), (2.5, 97.5))
+    return Statistic(
+        mean=float(value.mean()),
+        worst=float(value[at]),
+        worst_seed=seeds[int(kept[at])],
+        low=float(low),
+        high=float(high),
+        count=int(kept.size),
+    )
+
+
+def upper_bound(events: int, trials: int, confidence: float = 0.95) -> float:
+    """Largest rate that ``events`` in ``trials`` leave open (Clopper and Pearson); NaN if 0."""
+    if trials == 0:
+        return float("nan")
+    if events >= trials:
+        return 1.0
+    return float(beta.ppf(confidence, events + 1, trials - events))
