@@ -12,6 +12,10 @@ import pytest
 FOLDER = Path(__file__).resolve().parents[2] / "benchmark"
 SMALL = {
     "scan_update": (["--duration", "1", "--largest", "64"], ["subscale features", "us a leaf"]),
+    "methods": (
+        ["--parabola", "201", "--morpheus", "202", "--duration", "2"],
+        ["ml, indep., mahalanobis"],
+    ),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "binned_statistic_2d"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
