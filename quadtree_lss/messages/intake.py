@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mount import MountedPoses
+from quadtree_lss.core.mount import MountedPoses, fixed_mount
 from quadtree_lss.core.timing import SECOND_NS, Drop, PoseBuffer, ScanQueue
 from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import (
@@ -47,9 +47,8 @@ class Intake:
     raises on bad input: it is counted in ``rejected`` or ``queue.dropped`` and told by `notices`.
 
     Args:
-        config: Of which ``pose`` and ``frames`` matter.
-        mount: Pose of the lidar in body axes if poses are the body's, else None.
-        gimbal: True if the mount comes by `on_gimbal` instead.
+        config: Of which ``pose``, ``frames`` and ``mount`` matter: with a mount, poses are the
+            body's; with ``mount.gimbal`` the mount comes by `on_gimbal`.
         scan_topic, pose_topic: Names for messages to the user.
 
     Attributes:
@@ -62,16 +61,14 @@ class Intake:
         self,
         config: Config,
         *,
-        mount: Pose | None = None,
-        gimbal: bool = False,
         scan_topic: str = "lidar/points",
         pose_topic: str = "nav/pose",
     ) -> None:
         self._pose_config = config.pose
         self._map_frame = config.frames.map
         self._body = self._buffer()
-        self._gimbal = self._buffer() if gimbal else None
-        held = self._gimbal if self._gimbal is not None else mount
+        self._gimbal = self._buffer() if config.mount.gimbal else None
+        held = self._gimbal if self._gimbal is not None else fixed_mount(config.mount)
         self.queue = ScanQueue(
             self._body if held is None else MountedPoses(self._body, held),
             max_scans=config.pose.queue,

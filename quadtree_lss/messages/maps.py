@@ -7,12 +7,16 @@ that what was rounded on the way to the wire was rounded for both.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core.quadtree import CellMap, Domain, fill_blocks
-from quadtree_lss.core.sites import LandingAssessment
 from quadtree_lss.errors import QuadtreeLssError
+
+if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
+    from quadtree_lss.core.sites import LandingAssessment
 
 Array = NDArray[np.float64]
 

@@ -11,98 +11,164 @@ from geometry_msgs.msg import PoseArray
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingSiteSelector
-from quadtree_lss.messages.clouds import MessageError, stamp_ns
+from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.maps import MapMessageError
-from quadtree_lss.ros.diagnostics import Diagnostics
+from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
+from quadtree_lss.ros.landing_inputs import LandingInputs
+from quadtree_lss.ros.markers import MarkerPublisher, site_markers
 from quadtree_lss.ros.messages import (
     landing_grids,
     map_from_messages,
     site_table_message,
     sites_message,
 )
+from quadtree_lss.ros.monitor import Arrivals, Durations
 from quadtree_lss.ros.node_runner import run
 from quadtree_lss.ros.parameters import NodeParameters
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.qos import advertise, latched, subscribe
 from quadtree_lss.ros.rate_limit import ChangePublisher
 
+CELLS, OBSERVED = "map/cells", "map/observed"
+
 
 class LssNode(Node):
-    """Subscribes to ``map/cells`` and ``map/observed``, publishes the ``landing/`` topics."""
+    """Takes the map and where landing is wanted, publishes ``landing/``; see ``msg_docs``."""
 
     def __init__(self) -> None:
         super().__init__("lss_node", automatically_declare_parameters_from_overrides=True)
-        config = NodeParameters(self, self._reconfigure).config
+        self._settings = NodeParameters(self, self._reconfigure)
+        config = self._settings.config
         self._selector = LandingSiteSelector(config)
         self._problems = Problems(self.get_logger())
-        self._diagnostics = Diagnostics(self, config.publish.diagnostics_rate, self._problems)
-        self._pair: dict[str, Any] = {}
+        self._map_topic = self.resolve_topic_name(CELLS)
+        self._newest: dict[str, Any] = {}
         self._cells: CellMap | None = None
+        self._result: LandingAssessment | None = None
         self._frame = config.frames.map
         self._assessments = 0
+        self._maps = Arrivals()
+        self._lss_ms, self._latency_ms = Durations(), Durations()
+        self._diagnostics = Diagnostics(
+            self, config.publish.diagnostics_rate, self._problems, self._collect
+        )
         self._sites = advertise(self, PoseArray, "landing/sites", latched())
         self._table = advertise(self, PointCloud2, "landing/site_table", latched())
         self._hazards = advertise(self, OccupancyGrid, "landing/hazards", latched())
         self._score = advertise(self, OccupancyGrid, "landing/score", latched())
+        self._markers = MarkerPublisher(
+            self,
+            config.publish.marker_rate,
+            advertise(self, MarkerArray, "landing/markers", latched()),
+            self._site_markers,
+        )
         self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
-        subscribe(self, PointCloud2, "map/cells", self._on_cells, latched())
-        subscribe(self, OccupancyGrid, "map/observed", self._on_observed, latched())
+        self._inputs = LandingInputs(
+            self, lambda: self._frame, self._problems, self._output.changed
+        )
+        subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._on_publishers)
+        subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
 
     def _reconfigure(self, config: Config) -> None:
-        self._selector = LandingSiteSelector(config)
-        if self._cells is not None:
-            self._output.changed()
+        self._selector.config = config
+        self._output.changed()
+
+    def _on_publishers(self, number: int) -> None:
+        if number > 1:
+            text = f"{number} publishers on '{self._map_topic}': maps of either are assessed"
+            self._problems.report("map_publishers", text)
 
     def _on_cells(self, message: Any) -> None:
-        self._pair["cells"] = message
+        self._newest["cells"] = message
         self._join()
 
     def _on_observed(self, message: Any) -> None:
-        self._pair["observed"] = message
+        self._newest["observed"] = message
         self._join()
 
     def _join(self) -> None:
-        """A map is complete when both its messages carry the same stamp."""
-        cells, observed = self._pair.get("cells"), self._pair.get("observed")
-        if cells is None or observed is None:
+        """A map is complete when both its messages carry the same stamp.
+
+        Only the newest is kept and decoded when its turn comes: maps are skipped, not queued.
+        """
+        cells, observed = self._newest.get("cells"), self._newest.get("observed")
+        if cells is None or observed is None or cells.header.stamp != observed.header.stamp:
             return
+        self._newest["map"] = (cells, observed)
+        self._maps.add()
+        self._output.changed()
+
+    def _decode(self) -> None:
+        cells, observed = self._newest.pop("map")
         try:
-            if stamp_ns(cells.header) != stamp_ns(observed.header):
-                return
             self._cells = map_from_messages(cells, observed)
         except (MapMessageError, MessageError) as error:
             self._problems.report(f"map.{error.reason}", f"map not used: {error}")
-            return
-        self._frame = cells.header.frame_id
-        self._output.changed()
+        else:
+            self._frame = cells.header.frame_id
 
     def _assess(self) -> None:
+        if "map" in self._newest:
+            self._decode()
         if self._cells is None:
             return
         start = time.perf_counter()
-        result = self._selector.assess(self._cells)
-        lss_ms = 1e3 * (time.perf_counter() - start)
+        given = self._inputs
+        result = self._selector.assess(
+            self._cells, area=given.area, keep_out=given.keep_out, target=given.target
+        )
+        self._lss_ms.add(1e3 * (time.perf_counter() - start))
         hazards, score = landing_grids(result, self._frame)
         self._hazards.publish(hazards)
         self._score.publish(score)
         self._table.publish(site_table_message(result, self._frame))
         self._sites.publish(sites_message(result, self._frame))
         self._assessments += 1
-        values = {
-            "assessments": self._assessments,
-            "map.stamp_ns": result.stamp_ns,
-            "map.leaves": len(self._cells.level),
-            "lss_ms": f"{lss_ms:.1f}",
-            "sites": len(result.sites.score),
-            "explanation": result.explanation,
-        }
-        none = len(result.sites.score) == 0
-        text = f"no safe site: {result.explanation}" if none else "ranking sites"
-        self._diagnostics.set(text, values, warn=none)
+        self._result = result
+        self._markers.changed()
+        latency = self._diagnostics.latency_ms(result.stamp_ns)
+        if latency is not None:
+            self._latency_ms.add(latency)
+
+    def _site_markers(self) -> MarkerArray | None:
+        if self._result is None:
+            return None
+        lss = self._settings.config.lss
+        return site_markers(self._result, self._frame, 0.5 * lss.vehicle_diameter + lss.margin)
+
+    def _collect(self, status: Status) -> None:
+        status.judge_age("map", self._map_topic, self._maps, self._settings.config.diagnostics)
+        status.add(
+            {
+                "assessments": self._assessments,
+                "lss_ms": self._lss_ms.take(),
+                "latency_ms": self._latency_ms.take(),
+            }
+        )
+        for name in ("area", "keep_out", "target"):
+            status.add({f"landing.{name}": getattr(self._inputs, name) is not None})
+        result = self._result
+        if result is None or self._cells is None:
+            return
+        count = len(result.sites.score)
+        status.add(
+            {
+                "map.stamp_ns": result.stamp_ns,
+                "map.leaves": len(self._cells.level),
+                "sites": count,
+                "explanation": result.explanation,
+            }
+        )
+        if count:
+            status.note(OK, f"{count} sites; {result.explanation}")
+        else:
+            reason = result.explanation.removeprefix("no safe site: ")
+            status.note(WARN, f"no safe site: {reason}")
 
 
 def main(args: Sequence[str] | None = None) -> int:

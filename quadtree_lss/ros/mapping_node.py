@@ -4,93 +4,161 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.messages.intake import Intake, ReadyScan
-from quadtree_lss.ros.diagnostics import Diagnostics
-from quadtree_lss.ros.messages import map_messages
+from quadtree_lss.core.mapping import Mapper, ScanReport
+from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
+from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
+from quadtree_lss.ros.map_files import Checkpoints, MapFileError
+from quadtree_lss.ros.map_services import MapServices
+from quadtree_lss.ros.markers import MarkerPublisher, cell_markers
+from quadtree_lss.ros.messages import header_message, map_messages
+from quadtree_lss.ros.monitor import Arrivals, Durations
 from quadtree_lss.ros.node_runner import run
 from quadtree_lss.ros.parameters import NodeParameters
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.qos import advertise, latched, stream, subscribe
 from quadtree_lss.ros.rate_limit import ChangePublisher
+from quadtree_lss.ros.scan_gaps import ScanGaps
 
-SCANS, POSES = "lidar/points", "nav/pose"
+SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
 EXPIRY_PERIOD_S = 0.1
 """How often scans are looked at that wait while nothing arrives."""
 
 
 class MappingNode(Node):
-    """Takes ``lidar/points`` and ``nav/pose``, publishes ``map/cells`` and ``map/observed``."""
+    """Takes scans, poses and gimbal angles, publishes the map; see ``msg_docs``."""
 
     def __init__(self) -> None:
         super().__init__("mapping_node", automatically_declare_parameters_from_overrides=True)
-        config = NodeParameters(self).config
+        self._settings = NodeParameters(self)
+        config = self._settings.config
         self._frame = config.frames.map
         self._mapper = Mapper(config)
+        self._topics = {name: self.resolve_topic_name(name) for name in (SCANS, POSES, GIMBAL)}
         self._intake = Intake(
-            config,
-            scan_topic=self.resolve_topic_name(SCANS),
-            pose_topic=self.resolve_topic_name(POSES),
+            config, scan_topic=self._topics[SCANS], pose_topic=self._topics[POSES]
         )
-        self._scans = 0
-        self._sequence = 0
         self._problems = Problems(self.get_logger())
-        self._diagnostics = Diagnostics(self, config.publish.diagnostics_rate, self._problems)
+        self._gaps = ScanGaps(self._topics[SCANS], self._problems)
+        self._arrived = {"scan": Arrivals(), "pose": Arrivals()}
+        if config.mount.gimbal:
+            self._arrived["gimbal"] = Arrivals()
+        self._scans = 0
+        self._divisions_refused = self._points_refused = 0
+        self._points_dropped: Counter[str] = Counter()
+        self._report: ScanReport | None = None
+        self._map_ms, self._publish_ms, self._latency_ms = Durations(), Durations(), Durations()
+        self._diagnostics = Diagnostics(
+            self, config.publish.diagnostics_rate, self._problems, self._collect
+        )
         self._cells = advertise(self, PointCloud2, "map/cells", latched())
         self._observed = advertise(self, OccupancyGrid, "map/observed", latched())
-        self._output = ChangePublisher(self, config.publish.rate, self._publish)
-        reliable = config.qos.scan_reliability == "reliable"
-        scan_qos = stream(config.qos.scan_depth, reliable=reliable)
-        pose_qos = stream(config.qos.pose_depth, reliable=True)
-        subscribe(self, PointCloud2, SCANS, self._on_scan, scan_qos)
-        self._pose_input = subscribe(
-            self, PoseWithCovarianceStamped, POSES, self._on_pose, pose_qos
+        self._markers = MarkerPublisher(
+            self,
+            config.publish.marker_rate,
+            advertise(self, MarkerArray, "map/markers", latched()),
+            lambda: cell_markers(self._mapper.snapshot(), self._frame),
         )
+        self._output = ChangePublisher(self, config.publish.rate, self._publish)
+        self._checkpoints = self._take_up_checkpoint(config.checkpoint.path)
+        self._map_services = MapServices(
+            self,
+            self._mapper,
+            path=lambda: self._settings.config.map_file.path,
+            changed=self._after_load,
+            reset=self._after_reset,
+        )
+        self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(EXPIRY_PERIOD_S, self._work, clock=steady)
+        self.create_timer(EXPIRY_PERIOD_S, self._look_around, clock=steady)
+
+    def destroy_node(self) -> None:
+        """Before the node ends, what the checkpoint lacks is written."""
+        if self._checkpoints is not None:
+            error = self._checkpoints.close(self._mapper)
+            if error is not None:
+                self._problems.report("checkpoint", error)
+        super().destroy_node()
+
+    def _subscribe(self) -> None:
+        qos = self._settings.config.qos
+        scan_qos = stream(qos.scan_depth, reliable=qos.scan_reliability == "reliable")
+        pose_qos = stream(qos.pose_depth, reliable=True)
+        subscribe(self, PointCloud2, SCANS, self._on_scan, scan_qos, self._gaps.on_publishers)
+        pose = subscribe(self, PoseWithCovarianceStamped, POSES, self._on_pose, pose_qos)
+        self._ahead = [(pose, self._take_pose)]
+        if self._settings.config.mount.gimbal:
+            gimbal = subscribe(self, TransformStamped, GIMBAL, self._on_gimbal, pose_qos)
+            self._ahead.append((gimbal, self._take_gimbal))
+
+    def _take_up_checkpoint(self, path: str) -> Checkpoints | None:
+        if not path:
+            return None
+        checkpoints = Checkpoints(Path(path))
+        try:
+            self.get_logger().info(checkpoints.take_up(self._mapper))
+        except MapFileError as error:
+            self._problems.report("checkpoint", str(error))
+        if self._mapper.stamp_ns:
+            self._output.changed()
+        return checkpoints
 
     def _on_scan(self, message: Any, info: dict[str, int]) -> None:
         arrival_ns = time.monotonic_ns()
-        self._look_for_gap(info["publication_sequence_number"])
-        self._take_poses()
+        self._arrived["scan"].add()
+        self._gaps.on_scan(info["publication_sequence_number"])
+        self._take_ahead()
         self._intake.on_cloud(message, arrival_ns)
         self._work()
 
     def _on_pose(self, message: Any) -> None:
-        self._intake.on_pose(message)
-        self._take_poses()
+        self._take_pose(message)
+        self._take_ahead()
         self._work()
 
-    def _look_for_gap(self, number: int) -> None:
-        """Scans that were sent but lost on the way, which nothing else would tell."""
-        last, self._sequence = self._sequence, number
-        missing = number - last - 1
-        if last > 0 and missing > 0:
-            text = (
-                f"{missing} scans on '{self.resolve_topic_name(SCANS)}' were lost before number"
-                f" {number}: best effort, or more than qos.scan_depth were waiting"
-            )
-            self._problems.report("scan_lost", text, missing)
+    def _on_gimbal(self, message: Any) -> None:
+        self._take_gimbal(message)
+        self._take_ahead()
+        self._work()
 
-    def _take_poses(self) -> None:
-        """All poses that have arrived, at once.
+    def _take_pose(self, message: Any) -> None:
+        self._arrived["pose"].add()
+        self._intake.on_pose(message)
+
+    def _take_gimbal(self, message: Any) -> None:
+        self._arrived["gimbal"].add()
+        self._intake.on_gimbal(message)
+
+    def _take_ahead(self) -> None:
+        """All poses and gimbal angles that have arrived, at once.
 
         The executor takes one message of each topic in turn; poses come several to a scan, and
         after a pause the scans would run ahead of them and fill their queue.
         """
-        source = self._pose_input
-        with source.handle:
-            while (taken := source.handle.take_message(source.msg_type, source.raw)) is not None:
-                self._intake.on_pose(taken[0])
+        for source, take in self._ahead:
+            with source.handle:
+                while (got := source.handle.take_message(source.msg_type, source.raw)) is not None:
+                    take(got[0])
+
+    def _look_around(self) -> None:
+        """What is due though nothing arrives."""
+        self._work()
+        if self._checkpoints is not None:
+            interval = self._settings.config.checkpoint.interval
+            error = self._checkpoints.work(self._mapper, interval)
+            if error is not None:
+                self._problems.report("checkpoint", error)
 
     def _work(self) -> None:
         """Map every scan whose pose is there; say what could not be used."""
@@ -102,25 +170,82 @@ class MappingNode(Node):
     def _map(self, scan: ReadyScan) -> None:
         start = time.perf_counter()
         report = self._mapper.update(scan.points_lidar, scan.pose)
-        map_ms = 1e3 * (time.perf_counter() - start)
+        self._map_ms.add(1e3 * (time.perf_counter() - start))
         self._scans += 1
-        values = {
-            "scans": self._scans,
-            "scan.stamp_ns": scan.stamp_ns,
-            "scan.points": report.points,
-            "scan.points_used": report.points_used,
-            "scan.map_ms": f"{map_ms:.2f}",
-            "map.leaves": report.leaves,
-            "map.refused_divisions": report.refused_divisions,
-            **{f"scan.dropped.{reason}": number for reason, number in report.dropped.items()},
-        }
-        self._diagnostics.set("mapping", values, warn=report.points_used == 0)
+        self._report = report
+        self._divisions_refused += report.refused_divisions
+        self._points_refused += report.refused_points
+        self._points_dropped.update(report.dropped)
+        self._map_changed()
+
+    def _map_changed(self) -> None:
         self._output.changed()
+        self._markers.changed()
+        if self._checkpoints is not None:
+            self._checkpoints.changed()
+
+    def _after_load(self) -> None:
+        self._report = None
+        self._map_changed()
+
+    def _after_reset(self) -> None:
+        self._report = None
+        self._output.now()
+        self._markers.delete_all(header_message(0, self._frame))
+        if self._checkpoints is not None:
+            self._checkpoints.forget()
 
     def _publish(self) -> None:
+        start = time.perf_counter()
         cells, observed = map_messages(self._mapper.snapshot(), self._frame)
         self._observed.publish(observed)
         self._cells.publish(cells)
+        self._publish_ms.add(1e3 * (time.perf_counter() - start))
+        latency = self._diagnostics.latency_ms(self._mapper.stamp_ns)
+        if latency is not None:
+            self._latency_ms.add(latency)
+
+    def _collect(self, status: Status) -> None:
+        config, report = self._settings.config, self._report
+        for what, name in (("scan", SCANS), ("pose", POSES), ("gimbal", GIMBAL)):
+            if what in self._arrived:
+                status.judge_age(what, self._topics[name], self._arrived[what], config.diagnostics)
+        status.add(
+            {
+                "scans": self._scans,
+                "scans.waiting": len(self._intake.queue),
+                **{f"scans.dropped.{key}": n for key, n in self._intake.dropped.items()},
+                "points.refused": self._points_refused,
+                **{f"points.dropped.{key}": n for key, n in self._points_dropped.items()},
+                "map.stamp_ns": self._mapper.stamp_ns,
+                "map.leaves": self._mapper.leaves.count,
+                "map.refused_divisions": self._divisions_refused,
+                "map_ms": self._map_ms.take(),
+                "publish_ms": self._publish_ms.take(),
+                "latency_ms": self._latency_ms.take(),
+            }
+        )
+        if self._checkpoints is not None:
+            status.add({"checkpoints": self._checkpoints.written})
+        if report is None:
+            status.note(OK, "no scan mapped since the start, a reset or load")
+            return
+        status.note(OK, f"mapping, {self._mapper.leaves.count} leaves")
+        status.add(
+            {
+                "scan.stamp_ns": report.stamp_ns,
+                "scan.points": report.points,
+                "scan.points_used": report.points_used,
+                "scan.noise_ratio": report.noise_ratio,
+            }
+        )
+        if report.points_used == 0:
+            status.note(WARN, "no point of the last scan could be used")
+        if report.refused_divisions or report.refused_points:
+            status.note(WARN, "the map is full (mapping.max_cells, mapping.max_stored_points)")
+        noise = noise_notice(report.noise_ratio, config)
+        if noise is not None:
+            status.note(WARN, noise.text)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from array import array
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -15,7 +15,6 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingAssessment
 from quadtree_lss.messages.clouds import stamp_ns
 from quadtree_lss.messages.maps import (
     CELL_FIELDS,
@@ -31,6 +30,9 @@ from quadtree_lss.messages.maps import (
     record_dtype,
     site_orientations,
 )
+
+if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
+    from quadtree_lss.core.sites import LandingAssessment
 
 Fields = tuple[tuple[str, str], ...]
 

@@ -23,10 +23,12 @@ class Problems:
 
     Attributes:
         counts: Number by reason since the start.
+        latest: Text of the last one.
     """
 
     def __init__(self, logger: Logger, interval: float = 5.0) -> None:
         self.counts: Counter[str] = Counter()
+        self.latest = ""
         self._logger = logger
         self._interval = interval
         self._told: dict[str, tuple[float, int]] = {}
@@ -34,6 +36,7 @@ class Problems:
     def report(self, reason: str, text: str, number: int = 1) -> None:
         """Count ``number``, and say so if this reason was not heard of lately."""
         self.counts[reason] += number
+        self.latest = text
         now = time.monotonic()
         told_at, told_count = self._told.get(reason, (-self._interval, 0))
         if now - told_at < self._interval:

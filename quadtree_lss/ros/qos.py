@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -51,10 +52,23 @@ def _overridable() -> QoSOverridingOptions:
 
 
 def subscribe(
-    node: Node, kind: Any, topic: str, callback: Any, profile: QoSProfile
+    node: Node,
+    kind: Any,
+    topic: str,
+    callback: Any,
+    profile: QoSProfile,
+    matched: Callable[[int], None] | None = None,
 ) -> Subscription:
-    """Subscription that warns by name when a publisher's QoS cannot be matched."""
+    """Subscription that warns by name when a publisher's QoS cannot be matched.
+
+    Args:
+        matched: Called with the number of publishers whenever it changes.
+    """
     name = node.resolve_topic_name(topic)
+
+    def count(event: Any) -> None:
+        if matched is not None:
+            matched(event.current_count)
 
     def incompatible(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
@@ -69,7 +83,7 @@ def subscribe(
         topic,
         callback,
         profile,
-        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
+        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible, matched=count),
         qos_overriding_options=_overridable(),
     )
 

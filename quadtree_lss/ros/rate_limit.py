@@ -39,6 +39,10 @@ class ChangePublisher:
             self._timer.timer_period_ns = wait_ns
             self._timer.reset()
 
+    def now(self) -> None:
+        """The state changed, and must go out whatever the rate."""
+        self._send()
+
     def _send(self) -> None:
         self._timer.cancel()
         self._due_ns = time.monotonic_ns() + self._period_ns

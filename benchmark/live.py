@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Both nodes as processes on a simulated Morpheus flight in real time, over DDS with reliable QoS.
+
+20 Hz scans of 128 x 128, 100 Hz poses; the 20 s flight is flown again and again with stamps that
+go on. Prints latencies from a scan's stamp to the publication of map and sites, processor time,
+memory and losses.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import struct
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+import psutil
+import rclpy
+from common import configuration, machine, table
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from numpy.typing import NDArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.configuration import find_config
+from quadtree_lss.core.rotations import quaternion_from_rotation
+from quadtree_lss.messages.intake import Intake
+from quadtree_lss.replay.bags import POSE_TOPIC, POSE_TYPE, SCAN_TOPIC, Bag
+from quadtree_lss.ros.processes import NodeProcess, free_domain_id, local_environment
+from quadtree_lss.ros.qos import latched, stream
+from quadtree_lss.simulation.simulate import simulate
+
+SECOND_NS = 1_000_000_000
+POSE_NS = 10_000_000
+CELLS, SITES = "map/cells", "landing/sites"
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Script:
+    """Serialised messages of one flight with their offsets from its start, in order."""
+
+    offset_ns: list[int]
+    is_scan: list[bool]
+    content: list[bytearray]
+    period_ns: int
+
+
+@dataclass
+class Observed:
+    """What came out: stamp and time of reception of each message, last diagnostics."""
+
+    received: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
+    diagnostics: dict[str, dict[str, str]] = field(default_factory=dict)
+    levels: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass
+class Usage:
+    """Processor time and memory of one process, sampled about once a second."""
+
+    process: psutil.Process
+    seconds: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    memory_mb: list[float] = field(default_factory=list)
+
+    def sample(self) -> None:
+        """Look at the process now."""
+        spent = self.process.cpu_times()
+        self.seconds.append(time.monotonic())
+        self.cpu.append(spent.user + spent.system)
+        self.memory_mb.append(self.process.memory_info().rss / 2**20)
+
+    def share(self, first: int = 0) -> float:
+        """Per cent of one core from sample ``first`` to the last."""
+        return 100.0 * (self.cpu[-1] - self.cpu[first]) / (self.seconds[-1] - self.seconds[first])
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Outcome of `fly`."""
+
+    sent: Stamps
+    observed: Observed
+    usage: dict[str, Usage]
+    late_ms: float
+
+
+def write_script(seed: int, config_name: str = "morpheus") -> Script:
+    """Simulate a flight and prepare its messages, poses interpolated to 100 Hz."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bag"
+        simulate("morpheus", path, seed=seed)
+        scans: list[tuple[int, bytearray]] = []
+        intake = Intake(configuration(config_name, pose__buffer=3600.0))
+        with Bag(path) as bag:
+            for message in bag.messages([SCAN_TOPIC, POSE_TOPIC], bag.start_ns, bag.end_ns + 1):
+                if message.topic == SCAN_TOPIC:
+                    seconds, nanoseconds = struct.unpack_from("<iI", message.raw, 4)
+                    scans.append((seconds * SECOND_NS + nanoseconds, bytearray(message.raw)))
+                else:
+                    intake.on_pose(bag.decode(message.raw, POSE_TYPE))
+    step = scans[1][0] - scans[0][0]
+    start = scans[0][0] - POSE_NS // 2
+    items = [(stamp - start, True, raw) for stamp, raw in scans]
+    period = len(scans) * step
+    for offset in range(0, period - step + 2 * POSE_NS, POSE_NS):
+        items.append((offset, False, _pose(intake, start + offset)))
+    items.sort(key=lambda item: item[0])
+    offsets, kinds, contents = (list(column) for column in zip(*items, strict=True))
+    return Script(offsets, kinds, contents, period)
+
+
+def _pose(intake: Intake, stamp_ns: int) -> bytearray:
+    pose = intake.queue.poses.at(stamp_ns)
+    if pose is None:
+        msg = "the flight's poses end before its scans"
+        raise ValueError(msg)
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = "map"
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    place.x, place.y, place.z = pose.position.tolist()
+    turn.x, turn.y, turn.z, turn.w = quaternion_from_rotation(pose.rotation_map_lidar).tolist()
+    message.pose.covariance = pose.covariance.ravel()
+    return bytearray(serialize_message(message))
+
+
+def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
+    """Process that notes when map and sites come; puts an `Observed` into ``out`` at the end."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = Node("observer", context=context)
+    seen = Observed({CELLS: [], SITES: []})
+
+    def note(topic: str) -> Any:
+        def take(raw: bytes) -> None:
+            now = time.time_ns()
+            seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
+            seen.received[topic].append((seconds * SECOND_NS + nanoseconds, now))
+
+        return take
+
+    def keep(message: Any) -> None:
+        for status in message.status:
+            seen.diagnostics[status.name] = {item.key: item.value for item in status.values}
+            level = int.from_bytes(status.level, "little")
+            seen.levels[status.name] = max(level, seen.levels.get(status.name, 0))
+
+    node.create_subscription(PointCloud2, CELLS, note(CELLS), latched(), raw=True)
+    node.create_subscription(PoseArray, SITES, note(SITES), latched(), raw=True)
+    node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    ready.set()
+    while not stop.is_set():
+        executor.spin_once(timeout_sec=0.2)
+    out.put(seen)
+    context.try_shutdown()
+
+
+def fly(
+    script: Script, seconds: float, folder: Path, *, extra: Sequence[str] = (), domain: int = 0
+) -> Flight:
+    """Starts the nodes, plays the script for some time, watches.
+
+    Args:
+        extra: ROS arguments for both nodes.
+        domain: ROS domain, 0 for a free one.
+    """
+    domain = domain or free_domain_id()
+    env = local_environment(domain, folder / "log")
+    args = ["--params-file", str(find_config("morpheus"))]
+    args += ["-p", "qos.scan_reliability:=reliable", *extra]
+    spawn = multiprocessing.get_context("spawn")
+    ready, stop, out = spawn.Event(), spawn.Event(), spawn.Queue()
+    with ExitStack() as stack:
+        observer = spawn.Process(target=observe, args=(domain, ready, stop, out), daemon=True)
+        observer.start()
+        nodes = [
+            stack.enter_context(NodeProcess(name, args, env, folder / f"{name}.txt"))
+            for name in ("mapping_node", "lss_node")
+        ]
+        ready.wait(30.0)
+        usage = {node.name: Usage(psutil.Process(node.process.pid)) for node in nodes}
+        sent, late = _play(script, seconds, domain, usage)
+        time.sleep(3.0)
+        for node in nodes:
+            node.check()
+        stop.set()
+        seen = out.get(timeout=30.0)
+        observer.join(10.0)
+        codes = [node.stop() for node in nodes]
+        if any(codes):
+            msg = f"nodes ended with exit codes {codes}"
+            raise RuntimeError(msg)
+    return Flight(np.array(sent, dtype=np.int64), seen, usage, late)
+
+
+def _play(
+    script: Script, seconds: float, domain: int, usage: dict[str, Usage]
+) -> tuple[list[int], float]:
+    """Stamps of the scans sent, and by how much the worst was sent too late, ms."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = Node("lidar", context=context)
+    profile = stream(200, reliable=True)
+    scans = node.create_publisher(PointCloud2, "lidar/points", profile)
+    poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
+    deadline = time.monotonic() + 30.0
+    while not (scans.get_subscription_count() and poses.get_subscription_count()):
+        if time.monotonic() > deadline:
+            msg = "mapping_node does not subscribe"
+            raise RuntimeError(msg)
+        time.sleep(0.05)
+    time.sleep(1.0)
+    start, last = time.time_ns(), time.time_ns() + round(seconds * SECOND_NS)
+    sent: list[int] = []
+    late = sampled = 0
+    while start < last:
+        for offset, is_scan, content in zip(
+            script.offset_ns, script.is_scan, script.content, strict=True
+        ):
+            due = start + offset
+            if due >= last:
+                break
+            while (now := time.time_ns()) < due:
+                time.sleep((due - now) / SECOND_NS)
+            struct.pack_into("<iI", content, 4, *divmod(due, SECOND_NS))
+            (scans if is_scan else poses).publish(bytes(content))
+            if is_scan:
+                sent.append(due)
+                late = max(late, time.time_ns() - due)
+            if now - sampled >= SECOND_NS:
+                sampled = now
+                for each in usage.values():
+                    each.sample()
+        start += script.period_ns
+    context.try_shutdown()
+    return sent, late / 1e6
+
+
+def latencies_ms(sent: Stamps, received: Sequence[tuple[int, int]]) -> tuple[Any, Any]:
+    """Of messages, from their stamp; and of scans, from theirs to the first message not older."""
+    stamps = np.array([stamp for stamp, _ in received], dtype=np.int64)
+    times = np.array([at for _, at in received], dtype=np.int64)
+    of_messages = (times - stamps)[np.isin(stamps, sent)] / 1e6
+    first = np.searchsorted(np.maximum.accumulate(stamps), sent)
+    within = first < len(times)
+    return of_messages, (times[first[within]] - sent[within]) / 1e6
+
+
+def report(flight: Flight) -> None:
+    """Prints everything about a flight."""
+    rows = []
+    for topic, must, aim in ((CELLS, 150, 50), (SITES, 400, 150)):
+        messages, scans = latencies_ms(flight.sent, flight.observed.received[topic])
+        for name, values in (("message", messages), ("every scan", scans)):
+            rows.append([f"{topic}, {name}", len(values), *_spread(values), must, aim])
+    table(
+        "Latency from scan stamp, ms (a message's: from the newest scan in it; every scan's: to"
+        " the first message that has it)",
+        ["", "number", "median", "p95", "worst", "p95 must", "aim"],
+        rows,
+    )
+    rows = []
+    for name, usage in flight.usage.items():
+        memory = usage.memory_mb
+        minute = min(60, len(memory) // 2)
+        rows.append(
+            [
+                name,
+                f"{usage.share():.1f}",
+                f"{memory[minute]:.0f}",
+                f"{memory[-1]:.0f}",
+                f"{max(memory):.0f}",
+            ]
+        )
+    total = sum(usage.share() for usage in flight.usage.values())
+    rows.append(["both (must < 60, aim < 25)", f"{total:.1f}", "", "", ""])
+    table(
+        "Processes (mapping_node must stay flat below 200 MB, aim 150)",
+        ["", "% of a core", "MB early", "MB last", "MB most"],
+        rows,
+    )
+    for name, values in flight.observed.diagnostics.items():
+        shown = {
+            key: value
+            for key, value in values.items()
+            if key.startswith(("problems.", "scans", "assessments", "map.leaves"))
+            or key.endswith("_ms")
+        }
+        print(f"\n{name}: " + ", ".join(f"{key} {value}" for key, value in shown.items()))
+    mapped = int(flight.observed.diagnostics.get("mapping_node", {}).get("scans", 0))
+    print(
+        f"\n{len(flight.sent)} scans sent, {mapped} mapped, {len(flight.sent) - mapped} lost;"
+        f" the player was at most {flight.late_ms:.0f} ms late"
+    )
+
+
+def _spread(values: Any) -> list[str]:
+    if not len(values):
+        return ["-", "-", "-"]
+    return [f"{v:.1f}" for v in (np.median(values), np.percentile(values, 95), values.max())]
+
+
+def main() -> None:
+    """Fly and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of flight")
+    parser.add_argument("--seed", type=int, default=101)
+    parser.add_argument("--domain", type=int, default=0, help="ROS domain; 0: a free one")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="parameter of the nodes"
+    )
+    options = parser.parse_args()
+    print(machine())
+    extra = [word for item in options.set for word in ("-p", item.replace("=", ":=", 1))]
+    with tempfile.TemporaryDirectory() as folder:
+        script = write_script(options.seed)
+        report(fly(script, options.seconds, Path(folder), extra=extra, domain=options.domain))
+
+
+if __name__ == "__main__":
+    main()
