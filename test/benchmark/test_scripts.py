@@ -23,7 +23,8 @@ SMALL = {
 
 
 def test_every_script_is_tried():
-    assert {path.stem for path in FOLDER.glob("*.py")} == set(SMALL)
+    """But the one that needs both nodes, ROS and minutes of real time."""
+    assert {path.stem for path in FOLDER.glob("*.py")} - {"live"} == set(SMALL)
 
 
 @pytest.mark.slow
