@@ -232,6 +232,13 @@ class FeaturesConfig:
 
     enabled: bool = _p(True, "estimate one subscale feature in each leaf that shows one")
     min_height: float = _p(0.1, "lower features are discarded", unit="m", low=0.0, high=100.0)
+    divide_height: float = _p(
+        0.15,
+        "a higher feature divides its leaf, down to the finest level",
+        unit="m",
+        low=0.0,
+        high=1e3,
+    )
     min_volume: float = _p(
         0.002, "features of less volume (k^2) are discarded", unit="m^3", low=0.0, high=1e4
     )

@@ -68,7 +68,9 @@ def mahalanobis_factor(
 
     The predicted point lies on the measured point's ray, so r_hat - r_bar = epsilon u / (n.u) and
     d_M = |epsilon| sqrt(u^T Sigma^-1 u) / |n.u| with Eq. 61's
-    Sigma = Sigma_r + u u^T (a^T Sigma_P a) / (n.u)^2.
+    Sigma = Sigma_r + s u u^T, s = (a^T Sigma_P a) / (n.u)^2. What is added along the ray adds to
+    the variance there, 1 / (u^T Sigma^-1 u) = 1 / (u^T Sigma_r^-1 u) + s, so only Sigma_r is
+    inverted, kept regular by a billionth of its trace.
 
     Args:
         normal, ray: (M, 3).
@@ -76,11 +78,11 @@ def mahalanobis_factor(
         plane_variance: (M,) a^T Sigma_P a, m^2; zero for a fit's own points.
     """
     cosine = np.maximum(np.abs(np.einsum("mi,mi->m", normal, ray)), planes.MIN_COSINE)
-    sigma = point_covariance + (plane_variance / cosine**2)[:, None, None] * (
-        ray[:, :, None] * ray[:, None, :]
-    )
-    weight = np.einsum("mi,mij,mj->m", ray, planes.inverse_symmetric(sigma), ray)
-    out: Array = np.sqrt(np.maximum(weight, 0.0)) / cosine
+    trace = np.einsum("mii->m", point_covariance)
+    regular = point_covariance + (1e-9 * trace + 1e-15)[:, None, None] * np.eye(3)
+    weight = np.einsum("mi,mij,mj->m", ray, planes.inverse_symmetric(regular), ray)
+    along = 1.0 / np.maximum(weight, 1e-300) + plane_variance / cosine**2
+    out: Array = 1.0 / (np.sqrt(along) * cosine)
     return out
 
 
@@ -130,7 +132,6 @@ def mahalanobis_statistic(
     total = leaves.range_part[rows] + leaves.pose_part[rows]
     variance = np.where(known, np.einsum("mi,mij,mj->m", row, total, row), 0.0)
     sigma = lidar.point_covariances(moment.mean + origin, pose, range_noise)
-    sigma += 1e-12 * np.eye(3)
     return distance * mahalanobis_factor(normal, moment.ray, sigma, np.nan_to_num(variance))
 
 

@@ -312,6 +312,13 @@ class FeatureEstimator:
             chosen = np.sort(chosen[strongest])
         self._estimate(leaves, residuals, chosen, high, variance[chosen], known[chosen])
 
+    def too_high(self, leaves: Leaves, rows: Index) -> Index:
+        """Leaves ``rows`` (M,) whose feature is no subscale one: it is as high as
+        ``divide_height``, and smaller cells can show its shape."""
+        with np.errstate(invalid="ignore"):
+            high = peak(leaves.feature[rows]) >= SHAPE * self.config.divide_height
+        return rows[high & (leaves.level[rows] < leaves.domain.max_level)]
+
     def _estimate(
         self,
         leaves: Leaves,

@@ -115,18 +115,68 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
     """
     if gate <= 0.0 or np.count_nonzero(valid) < 2:
         return np.zeros(valid.shape, dtype=np.bool_)
-    if valid.ndim == 2:
-        distance = _nearest_in_range(ranges, valid)
-    else:
-        distance = np.full(valid.shape, np.inf)
-        points = points_lidar[valid]
-        tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-        distance[valid] = np.asarray(tree.query(points, k=2)[0])[:, 1]
+    if valid.ndim == 1:
+        out = np.zeros(valid.shape, dtype=np.bool_)
+        out[valid] = _alone(points_lidar[valid], gate)
+        return out
+    distance = _nearest_in_range(ranges, valid)
     lonely = valid & (distance > gate)
     if not lonely.any():
         return lonely
     usual = float(np.median(distance[valid]))
     return lonely & (distance > 5.0 * usual) if np.isfinite(usual) else lonely
+
+
+def _alone(points: Array, gate: float) -> Mask:
+    """Points (N, 3) farther from any other than the gate, widened as in ``isolated_returns``.
+
+    Most points share a cube of a third of the gate with another (which is then nearer than the
+    gate's 0.58); only the others look for their nearest neighbour.
+    """
+    usual = _usual_spacing(points)
+    limit = max(gate, 5.0 * usual)
+    columns = [np.ascontiguousarray(points[:, axis]) for axis in range(3)]
+    cubes = [((column - column.min()) * (3.0 / limit)).astype(np.int64) for column in columns]
+    span = [int(cube.max()) + 1 for cube in cubes]
+    single = np.arange(len(points))
+    if span[0] * span[1] * span[2] < 1 << 62:
+        key = (cubes[0] * span[1] + cubes[1]) * span[2] + cubes[2]
+        order = np.argsort(key)
+        ordered = key[order]
+        differs = np.concatenate([[True], ordered[1:] != ordered[:-1], [True]])
+        single = np.sort(order[differs[1:] & differs[:-1]])
+    out = np.zeros(len(points), dtype=np.bool_)
+    if len(single):
+        near = _around(points, points[single], limit)
+        tree = cKDTree(points[near], balanced_tree=False, compact_nodes=False)
+        out[single] = np.asarray(tree.query(points[single], k=2)[0])[:, 1] > limit
+    return out
+
+
+def _around(points: Array, places: Array, reach: float) -> NDArray[np.intp]:
+    """Points (N, 3) that may lie within ``reach`` of one of the places (K, 3): columns that do."""
+    x, y = points[:, 0].copy(), points[:, 1].copy()
+    low = np.array([x.min(), y.min()])
+    if max(np.ptp(x), np.ptp(y)) / reach > 8192.0:
+        return np.arange(len(points))
+    column, row = ((x - low[0]) / reach).astype(np.intp), ((y - low[1]) / reach).astype(np.intp)
+    mark = np.zeros((int(column.max()) + 3, int(row.max()) + 3), dtype=np.bool_)
+    at = ((places[:, :2] - low) / reach).astype(np.intp)
+    for dx in (0, 1, 2):
+        for dy in (0, 1, 2):
+            mark[at[:, 0] + dx, at[:, 1] + dy] = True
+    return np.flatnonzero(mark[column + 1, row + 1])
+
+
+def _usual_spacing(points: Array) -> float:
+    """Median distance of nearest neighbours, from every k-th point of a large cloud.
+
+    Ground is a surface, so a sample of one in k lies sqrt(k) times as far apart.
+    """
+    stride = max(len(points) // 4096, 1)
+    sample = points[::stride]
+    near = np.asarray(cKDTree(sample).query(sample, k=2)[0])[:, 1]
+    return float(np.median(near)) / float(np.sqrt(stride))
 
 
 def _nearest_in_range(ranges: Array, valid: Mask) -> Array:

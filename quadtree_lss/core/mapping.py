@@ -111,7 +111,13 @@ class Mapper:
             self.observed[scan.finest] = True
             self.stamp_ns = max(self.stamp_ns, pose.stamp_ns)
             change = ScanUpdate(self.leaves, self._stored, self.config, scan)
-            self._accumulate(change.run())
+            residuals = self._accumulate(change.run())
+            while len(raised := self._features.too_high(self.leaves, residuals.rows)):
+                below = change.divide(raised)
+                if below is None:
+                    break
+                residuals = self._accumulate(below)
+            self._stored.close_scan()
             divisions, refused = change.divisions, change.refused
         return ScanReport(
             stamp_ns=pose.stamp_ns,
@@ -125,12 +131,13 @@ class Mapper:
             noise_ratio=self._noise.ratio,
         )
 
-    def _accumulate(self, residuals: statistics.Residuals) -> None:
+    def _accumulate(self, residuals: statistics.Residuals) -> statistics.Residuals:
         """Roughness, exceptions, noise check and subscale features of the leaves of a scan."""
         noise = self.config.lidar.range_noise
         statistics.accumulate(self.leaves, residuals, self.config.mapping, noise)
         self._noise.add(self.leaves, residuals, noise)
         self._features.update(self.leaves, residuals, noise)
+        return residuals
 
     def snapshot(self) -> CellMap:
         """The map as it stands; copies, so that later scans do not change it."""

@@ -23,6 +23,8 @@ Mask = NDArray[np.bool_]
 MIN_COSINE = 0.05
 #: A fit whose slope is less certain than this (rad, one sigma) is none.
 MAX_SLOPE_SIGMA = 0.5
+#: Pose variances above this (m^2 or rad^2) say no more than this: nothing is known.
+MAX_VARIANCE = 1e6
 #: In-plane scatter thinner than this, relative to its length, is a line.
 MIN_THICKNESS = 1e-4
 
@@ -72,16 +74,24 @@ def moments(group: Index, groups: int, points: Array, lidar: Array) -> Moments:
 
 
 def inverse_symmetric(matrices: Array) -> Array:
-    """Inverse of symmetric positive definite (M, 3, 3) by cofactors."""
-    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 0, 2]
-    d, e, f = matrices[:, 1, 1], matrices[:, 1, 2], matrices[:, 2, 2]
-    df, bf, be = d * f - e * e, c * e - b * f, b * e - c * d
+    """Inverse of symmetric positive definite (M, 3, 3) by cofactors of the scaled matrix.
+
+    Scaled to a unit diagonal, a determinant below 1e-14 is round-off and taken as that: metres and
+    radians of very different size do not spoil the inverse, and a singular matrix gives a large
+    finite one.
+    """
+    diagonal = np.maximum(np.einsum("mii->mi", matrices), 1e-24)
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = matrices * (scale[:, :, None] * scale[:, None, :])
+    b, c, e = (np.clip(scaled[:, i, j], -1.0, 1.0) for i, j in ((0, 1), (0, 2), (1, 2)))
+    df, bf, be = 1.0 - e * e, c * e - b, b * e - c
+    determinant = 1.0 / np.maximum(df + b * bf + c * be, 1e-14)
     out = np.empty_like(matrices)
     out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = df, bf, be
-    out[:, 1, 1], out[:, 1, 2] = a * f - c * c, b * c - a * e
-    out[:, 2, 2] = a * d - b * b
+    out[:, 1, 1], out[:, 1, 2] = 1.0 - c * c, b * c - e
+    out[:, 2, 2] = 1.0 - b * b
     out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = out[:, 0, 1], out[:, 0, 2], out[:, 1, 2]
-    out /= (a * df + b * bf + c * be)[:, None, None]
+    out *= scale[:, :, None] * scale[:, None, :] * determinant[:, None, None]
     return out
 
 
@@ -258,9 +268,9 @@ def pose_part(normal: Array, basis: Array, arm: Array, root: Array) -> Array:
 
 
 def covariance_root(covariance: Array) -> Array:
-    """Matrix root of symmetric (..., K, K), negative eigenvalues taken as zero."""
+    """Matrix root of symmetric (..., K, K), eigenvalues kept to 0 .. ``MAX_VARIANCE``."""
     values, vectors = np.linalg.eigh(covariance)
-    out: Array = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    out: Array = vectors * np.sqrt(np.clip(values, 0.0, MAX_VARIANCE))[..., None, :]
     return out
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ class RegisteredScan:
     """Points of one scan inside the domain.
 
     Attributes:
-        pose: Lidar pose.
+        pose: Lidar pose, its covariance positive semidefinite and bounded.
         pose_root: (6, 6) root of the pose covariance.
         points: (3, N) map frame, m.
         finest: (N,) index iy * n + ix of the finest cell under each point.
@@ -79,7 +79,9 @@ def register(
         "isolated": in_range - kept,
         "outside": kept - len(finest),
     }
-    scan = RegisteredScan(pose, covariance_root(pose.covariance), points, finest)
+    root = covariance_root(pose.covariance)
+    pose = replace(pose, covariance=root @ root.T)
+    scan = RegisteredScan(pose, root, points, finest)
     return scan, dropped
 
 

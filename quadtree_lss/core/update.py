@@ -29,7 +29,7 @@ class Round:
     Attributes:
         rows: (M,) leaves.
         group: (N,) place of each point's leaf among them.
-        index: (N,) which of the scan's points these are.
+        index: (N,) which of the pass's points these are.
         points: (3, N) about the scan's origin, m.
         moment: Of the M groups.
         centre: (M, 2) cell centres about the scan's origin, m.
@@ -74,26 +74,46 @@ class ScanUpdate:
         Returns:
             The residuals about the planes of the leaves in which the points came to rest.
         """
-        final = FinalGroups(self.points.shape[1], self.origin)
-        current = self._round(np.arange(self.points.shape[1]), self.points)
+        return self._settle(self.points, self.scan.finest)
+
+    def divide(self, rows: Index) -> Residuals | None:
+        """Divide leaves ``rows`` that the scan's points came to rest in, and go on below them.
+
+        Returns:
+            The residuals of the points concerned; None if there was no room for any division.
+        """
+        leaf = self.leaves.leaf_of_finest[self.scan.finest]
+        mark = np.zeros(self.leaves.count, dtype=np.bool_)
+        mark[self._divide(rows)] = True
+        index = np.flatnonzero(mark[leaf])
+        if not len(index):
+            return None
+        return self._settle(self.points.take(index, axis=1), self.scan.finest[index])
+
+    def _divide(self, rows: Index) -> Index:
+        divided = self.leaves.divide(rows)
+        self.refused += len(rows) - len(divided)
+        self.divisions += len(divided)
+        return divided
+
+    def _settle(self, points: Array, finest: Index) -> Residuals:
+        final = FinalGroups(points.shape[1], self.origin)
+        current = self._round(np.arange(points.shape[1]), points, finest)
         while True:
             rows = current.rows
-            wanted = rows[self._fit(current)]
-            divided = self.leaves.divide(wanted)
-            self.refused += len(wanted) - len(divided)
-            self.divisions += len(divided)
+            divided = self._divide(rows[self._fit(current)])
             moved = np.zeros(len(rows), dtype=np.bool_)
             moved[np.searchsorted(rows, divided)] = True
             final.add(rows, current.moment, moved, current.group, current.index)
             if not len(divided):
                 break
             again = np.flatnonzero(moved[current.group])
-            current = self._round(current.index[again], current.points.take(again, axis=1))
-        self.stored.close_scan()
-        return final.residuals(self.leaves, self.points)
+            index = current.index[again]
+            current = self._round(index, current.points.take(again, axis=1), finest[index])
+        return final.residuals(self.leaves, points)
 
-    def _round(self, index: Index, points: Array) -> Round:
-        leaf = self.leaves.leaf_of_finest[self.scan.finest[index]]
+    def _round(self, index: Index, points: Array, finest: Index) -> Round:
+        leaf = self.leaves.leaf_of_finest[finest]
         rows, group = compact(leaf.astype(np.intp), self.leaves.count)
         moment = planes.moments(group, len(rows), points, self.lidar)
         centre = np.empty((len(rows), 2))

@@ -193,7 +193,11 @@ def test_the_papers_criterion_hides_misfit_behind_pose_uncertainty():
     """SPEC 4: metre-level poses, and a step of 0.3 m passes for noise; lack_of_fit sees it."""
     counts = {}
     for division in ("lack_of_fit", "mahalanobis"):
-        config = configured(mapping={"division": division}, lidar={"range_noise": 0.03})
+        config = configured(
+            mapping={"division": division},
+            lidar={"range_noise": 0.03},
+            features={"enabled": False},
+        )
         mapper = Mapper(config)
         rng = np.random.default_rng(5)
         pose = make_pose((8.0, 8.0, 500.0), pose_covariance(0.5, 1e-12))
