@@ -130,13 +130,13 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
 def _alone(points: Array, gate: float) -> Mask:
     """Points (N, 3) farther from any other than the gate, widened as in ``isolated_returns``.
 
-    Most points share a cube of a third of the gate with another (which is then nearer than the
-    gate's 0.58); only the others look for their nearest neighbour.
+    Most points share a cube with another whose diagonal is the gate; only the others look for
+    their nearest neighbour.
     """
     usual = _usual_spacing(points)
     limit = max(gate, 5.0 * usual)
     columns = [np.ascontiguousarray(points[:, axis]) for axis in range(3)]
-    cubes = [((column - column.min()) * (3.0 / limit)).astype(np.int64) for column in columns]
+    cubes = [((column - column.min()) * (1.7321 / limit)).astype(np.int64) for column in columns]
     span = [int(cube.max()) + 1 for cube in cubes]
     single = np.arange(len(points))
     if span[0] * span[1] * span[2] < 1 << 62:
