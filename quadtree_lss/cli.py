@@ -12,22 +12,15 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import yaml
-
 import quadtree_lss
-from quadtree_lss.configuration import dump_config, load_config
-from quadtree_lss.console import ProgressBar, first_line, print_result, say, wants_progress
-from quadtree_lss.core.config import Config
+from quadtree_lss.commands import config, info, replay
+from quadtree_lss.commands.common import DONE, ERROR, EXIT_CODES, IN_PART, INTERRUPTED, USAGE
+from quadtree_lss.commands.common import add_command as _command
+from quadtree_lss.commands.common import add_config_options as _add_config_options
+from quadtree_lss.commands.common import chosen_config as _config
+from quadtree_lss.console import ProgressBar, first_line, quiet, say
 from quadtree_lss.errors import QuadtreeLssError
 
-DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
-
-REPLAY_EXAMPLES = """examples:
-  quadtree-lss replay flight_bag --out results --config morpheus
-  quadtree-lss replay flight.mcap --out results --config morpheus --config my_lander.yaml
-  quadtree-lss replay flight_bag --out results --start 5 --duration 10 --no-report
-  quadtree-lss replay flight_bag --publish --rate 0.5     (into running nodes; needs ROS 2)
-"""
 SIMULATE_EXAMPLES = """examples:
   quadtree-lss simulate morpheus --seed 7 --out flight/bag      (flight/truth.npz beside it)
   quadtree-lss simulate parabola --seed 1 --out parabola/bag
@@ -42,10 +35,6 @@ EVALUATE_EXAMPLES = """examples:
   quadtree-lss evaluate --seeds 1,2,7 --config morpheus --set lss.assessment=paper \\
       --bags many/flights --out paper_rules                    (flies nothing again)
 """
-CONFIG_EXAMPLES = """examples:
-  quadtree-lss config > my_lander.yaml                  (every parameter, explained)
-  quadtree-lss config --config morpheus --set lss.margin=1.0
-"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -55,8 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         options = _parser().parse_args(arguments)
         run: Callable[[argparse.Namespace], int] = options.run
-        code = run(options)
-        sys.stdout.flush()
+        with quiet(getattr(options, "quiet", False) and not getattr(options, "json", False)):
+            code = run(options)
+            sys.stdout.flush()
         return code
     except SystemExit as stop:  # argparse: help, version, wrong usage
         return stop.code if isinstance(stop.code, int) else USAGE
@@ -111,120 +101,18 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="quadtree-lss",
         description="Terrain map of planar elements and ranked landing sites from a flash lidar.",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     version = f"quadtree_lss {quadtree_lss.__version__}"
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _add_replay(commands)
+    replay.add(commands)
+    info.add(commands)
+    config.add(commands)
     _add_simulate(commands)
     _add_evaluate(commands)
-    _add_config(commands)
     return parser
-
-
-def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
-    name: str,
-    run: Callable[[argparse.Namespace], int],
-    text: str,
-    examples: str,
-) -> argparse.ArgumentParser:
-    parser = commands.add_parser(
-        name,
-        help=text,
-        description=text,
-        epilog=examples,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.set_defaults(run=run, parser=parser)
-    return parser
-
-
-def _add_config_options(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--config",
-        action="append",
-        default=[],
-        metavar="YAML",
-        help="ROS parameter file or shipped configuration (default, morpheus, parabola, …);"
-        " several overlay each other, the later wins",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="set one parameter, for instance lss.margin=1.0; wins over every file",
-    )
-
-
-def _add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    text = "Map a recorded bag and rank landing sites, offline and deterministically."
-    parser = _command(commands, "replay", _replay, text, REPLAY_EXAMPLES)
-    add = parser.add_argument
-    add("bag", metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
-    add("--out", metavar="DIR", type=Path, help="folder for the results; may exist")
-    _add_config_options(parser)
-    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
-    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    add("--start", metavar="S", type=float, default=0.0, help="begin S seconds into the bag")
-    add("--duration", metavar="D", type=float, help="process D seconds only")
-    add("--no-report", action="store_true", help="no figures and no report.html")
-    add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
-    add("--rate", metavar="R", type=float, default=1.0, help="speed of --publish (default 1)")
-    add("-v", "--verbose", action="store_true", help="progress bar even if this is no terminal")
-
-
-def _replay(options: argparse.Namespace) -> int:
-    if options.publish:
-        return _publish(options)
-    if options.out is None:
-        options.parser.error("the following arguments are required: --out")
-    from quadtree_lss.replay.replay import replay
-
-    config = _config(options)
-    with ProgressBar("replay", "s", options.verbose) as bar:
-        result = replay(
-            options.bag,
-            options.out,
-            config,
-            scan_topic=options.scan_topic,
-            pose_topic=options.pose_topic,
-            start=options.start,
-            duration=options.duration,
-            report=not options.no_report,
-            progress=bar.update,
-        )
-    for line in result.warnings:
-        say(f"warning: {line}")
-    print_result(result)
-    if result.losses:
-        for line in result.losses:
-            say(f"damaged: {line}")
-        say("the bag is damaged: everything readable was processed")
-        return IN_PART
-    return DONE
-
-
-def _publish(options: argparse.Namespace) -> int:
-    try:
-        from quadtree_lss.ros.player import play
-    except ImportError as error:
-        msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
-        raise QuadtreeLssError(msg) from None
-    report = play(
-        options.bag,
-        rate=options.rate,
-        scan_topic=options.scan_topic,
-        pose_topic=options.pose_topic,
-        start=options.start,
-        duration=options.duration,
-        progress=wants_progress(options.verbose),
-    )
-    print(f"{report.scans} scans and {report.poses} poses sent in {report.duration:.1f} s")
-    for line in report.losses:
-        say(f"damaged: {line}")
-    return IN_PART if report.losses else DONE
 
 
 def _add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -348,31 +236,6 @@ def _evaluate_seeds(options: argparse.Namespace) -> int:
     print(result.table())
     print(f"figures and numbers in {result.out}")
     return IN_PART if result.failed else DONE
-
-
-def _add_config(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    text = "Print a configuration as a ROS parameter file, each key explained."
-    parser = _command(commands, "config", _print_config, text, CONFIG_EXAMPLES)
-    _add_config_options(parser)
-    parser.add_argument("--plain", action="store_true", help="without the explanations")
-
-
-def _print_config(options: argparse.Namespace) -> int:
-    print(dump_config(_config(options), comments=not options.plain), end="")
-    return DONE
-
-
-def _config(options: argparse.Namespace) -> Config:
-    overrides: dict[str, object] = {}
-    for item in options.set:
-        key, equals, value = item.partition("=")
-        if not equals:
-            options.parser.error(f"--set {item}: expected KEY=VALUE")
-        try:
-            overrides[key.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            options.parser.error(f"--set {item}: not a value")
-    return load_config(options.config, overrides)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ other, the later wins.
 from __future__ import annotations
 
 import difflib
+import math
 import os
 import re
 import sys
@@ -214,6 +215,65 @@ def dump_config(config: Config, *, comments: bool = False) -> str:
             lines.append(f"      # {_explanation(row)}")
         lines.append(f"      {name}: {_scalar(values[row.name])}")
     return "\n".join(lines) + "\n"
+
+
+def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, str | None]:
+    """Each file by itself over the defaults: None if it is good, else what is wrong with it."""
+    found: dict[str, str | None] = {}
+    for path in paths:
+        try:
+            load_config([path])
+        except ConfigError as error:
+            found[str(path)] = str(error)
+        else:
+            found[str(path)] = None
+    return found
+
+
+def explain(name: str) -> list[Parameter]:
+    """The parameter of that name, or all of the section of that name.
+
+    Raises:
+        ConfigError: there is none; names the nearest.
+    """
+    table = parameters()
+    rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
+    if not rows:
+        sections = sorted({row.name.partition(".")[0] for row in table})
+        msg = (
+            f"unknown parameter '{name}'; did you mean '{nearest_key(name)}'?"
+            f" (sections: {', '.join(sections)})"
+        )
+        raise ConfigError(msg)
+    return rows
+
+
+def explain_text(row: Parameter) -> str:
+    """One parameter for people."""
+    unit = f" {row.unit}" if row.unit else ""
+    lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
+    lines.append(f"  default  {_scalar(row.default)}{unit}")
+    if row.choices:
+        lines.append(f"  choices  {', '.join(row.choices)}")
+    elif row.type in (int, float):
+        lines.append(f"  range    {row.low:g} .. {row.high:g}{unit}")
+    lines.append(f"  running  {'may be set on a running node' if row.live else 'read at start'}")
+    return "\n".join(lines)
+
+
+def parameter_as_dict(row: Parameter) -> dict[str, object]:
+    """One parameter in JSON's types; limits that are infinite are None."""
+    numeric = row.type in (int, float)
+    return {
+        "type": row.type.__name__,
+        "default": row.default,
+        "unit": row.unit,
+        "low": row.low if numeric and math.isfinite(row.low) else None,
+        "high": row.high if numeric and math.isfinite(row.high) else None,
+        "choices": list(row.choices),
+        "live": row.live,
+        "doc": row.doc,
+    }
 
 
 def _scalar(value: object) -> str:

@@ -3,13 +3,37 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import signal
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
 if TYPE_CHECKING:
     from quadtree_lss.replay.replay import ReplayResult
+
+_BAR = "{desc} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} {unit}, {rate_fmt}, {remaining} left"
+
+
+class _Quiet:
+    """Whether ``-q`` was given, for this run of `cli.main`."""
+
+    on = False
+
+
+@contextlib.contextmanager
+def quiet(on: bool) -> Iterator[None]:
+    """Within it, nothing but errors (and JSON, which is asked for) is shown."""
+    before, _Quiet.on = _Quiet.on, on
+    hidden = contextlib.redirect_stdout(io.StringIO()) if on else contextlib.nullcontext()
+    try:
+        with hidden:
+            yield
+    finally:
+        _Quiet.on = before
 
 
 class ProgressBar:
@@ -23,7 +47,7 @@ class ProgressBar:
             file=sys.stderr,
             leave=False,
             disable=not wants_progress(verbose),
-            bar_format="{desc} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} {unit} [{remaining}]",
+            bar_format=_BAR,
         )
 
     def __enter__(self) -> ProgressBar:
@@ -39,24 +63,57 @@ class ProgressBar:
         self._bar.refresh()
 
 
+class Interruption:
+    """Context manager that turns the first Ctrl-C into a wish to stop; the second one stops."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._before: Any = None
+
+    def __enter__(self) -> Interruption:
+        with contextlib.suppress(ValueError):  # not in the main thread: nothing to handle
+            self._before = signal.signal(signal.SIGINT, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def asked(self) -> bool:
+        """Whether there was a Ctrl-C."""
+        return self._asked
+
+    def _note(self, number: int, frame: object) -> None:
+        self._asked = True
+        signal.signal(signal.SIGINT, self._before)
+
+
 def wants_progress(verbose: bool) -> bool:
     """Bars are for people: on a terminal, or when asked for."""
-    return bool(verbose) or sys.stderr.isatty()
+    return not _Quiet.on and (bool(verbose) or sys.stderr.isatty())
 
 
 def print_result(result: ReplayResult) -> None:
     """Key figures of a replay and its ranked sites, on stdout."""
     summary, sites = result.summary, result.assessment.sites
     dropped = sum(summary["scans_dropped"].values())
-    print(
-        f"{summary['scans']} scans mapped, {dropped} dropped; {summary['leaves']} leaves;"
-        f" {summary['duration']:.1f} s of bag at {summary['real_time_factor']:.1f} x real time\n"
-        f"map update {summary['map_ms_median']:.2f} ms median, {summary['map_ms_p99']:.2f} ms 99 %;"
-        f" landing site selection {summary['lss_ms']:.1f} ms;"
-        f" peak memory {summary['peak_memory_mb']:.0f} MB"
-    )
+    speed = f"{summary['duration']:.1f} s of bag at {summary['real_time_factor']:.1f} x real time"
+    if result.timings:
+        print(
+            f"{summary['scans']} scans mapped, {dropped} dropped; {summary['leaves']} leaves;"
+            f" {speed}\n"
+            f"map update {summary['map_ms_median']:.2f} ms median,"
+            f" {summary['map_ms_p99']:.2f} ms 99 %;"
+            f" landing site selection {summary['lss_ms']:.1f} ms;"
+            f" peak memory {summary['peak_memory_mb']:.0f} MB"
+        )
+    else:
+        print(
+            f"{summary['maps']} maps read, the last one assessed; {summary['leaves']} leaves;"
+            f" {speed}\nlanding site selection {summary['lss_ms']:.1f} ms"
+        )
     if not len(sites.score):
-        print(f"no safe site: {result.assessment.explanation}")
+        print(f"no safe site: {result.assessment.explanation.removeprefix('no safe site: ')}")
     else:
         print("rank        x        y        z    score  slope  roughness  to hazard  subscale")
     for k, (x, y, z) in enumerate(sites.position):
@@ -65,12 +122,19 @@ def print_result(result: ReplayResult) -> None:
             f" {sites.slope_deg[k]:5.1f}° {sites.roughness[k]:7.3f} m³"
             f" {sites.hazard_distance[k]:8.2f} m {sites.subscale_height[k]:7.2f} m"
         )
-    print(f"results in {result.out}")
+    if result.out is not None:
+        print(f"results in {result.out}")
 
 
 def say(text: str) -> None:
     """One line on stderr."""
     print(f"quadtree-lss: {text}", file=sys.stderr)
+
+
+def warn(text: str) -> None:
+    """One line on stderr, unless ``-q``."""
+    if not _Quiet.on:
+        say(text)
 
 
 def first_line(error: BaseException) -> str:

@@ -44,6 +44,9 @@ __all__ = [
 
 SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
 
+OUTPUT_CLOUDS = ("/map/cells", "/landing/site_table")
+"""How topics end that are clouds by type, but our own output and no scans."""
+
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -313,6 +316,8 @@ def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option
         BagError: lists the candidates.
     """
     fitting = [t.name for t in bag.topics if t.type == msgtype and t.count]
+    if asked is None:
+        fitting = [name for name in fitting if not name.endswith(OUTPUT_CLOUDS)]
     candidates = ", ".join(fitting) or "none"
     if asked is not None:
         name = asked if asked.startswith("/") else f"/{asked}"

@@ -15,6 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
 
 from quadtree_lss.core.config import Config
@@ -33,7 +34,7 @@ HAZARDS = (
     (4, "exception", "#56b4e9"),
     (8, "touchdown", "#e69f00"),
 )
-SAFE_COLOUR, CLEAR_COLOUR = "#009e73", "#f0e9c8"
+SAFE_COLOUR, CLEAR_COLOUR, SITE_COLOUR = "#009e73", "#f0e9c8", "#d55e00"
 
 
 def elevation_figure(cells: CellMap, assessment: LandingAssessment) -> Figure:
@@ -42,7 +43,7 @@ def elevation_figure(cells: CellMap, assessment: LandingAssessment) -> Figure:
     figure, axes = _map_axes("Elevation of the planes, and the quadtree")
     extent = (domain.xmin, domain.xmin + domain.size, domain.ymin, domain.ymin + domain.size)
     heights = finest_elevation(cells)
-    low, high = _limits(heights)
+    low, high = colour_limits(heights)
     image = axes.imshow(heights, origin="lower", extent=extent, cmap="viridis", vmin=low, vmax=high)
     width = float(np.clip(60.0 / np.sqrt(max(len(cells.level), 1)), 0.08, 0.6))
     axes.add_collection(
@@ -50,6 +51,7 @@ def elevation_figure(cells: CellMap, assessment: LandingAssessment) -> Figure:
     )
     _draw_sites(axes, assessment, radius=0.0)
     figure.colorbar(image, ax=axes, label="elevation, m", shrink=0.85)
+    _scale_bar(axes, domain.size)
     return figure
 
 
@@ -68,6 +70,7 @@ def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
     bar = figure.colorbar(image, ax=axes, label="slope, deg", shrink=0.85, extend="max")
     bar.ax.axhline(config.lss.max_slope_deg, color="white")
     axes.set_facecolor("#dddddd")
+    _scale_bar(axes, float(np.ptp(assessment.x)))
     if np.nanmax(assessment.slope_deg, initial=0.0) > config.lss.max_slope_deg:
         axes.contour(
             assessment.x,
@@ -93,6 +96,7 @@ def hazard_figure(assessment: LandingAssessment) -> Figure:
         kind[(assessment.hazard & bit) > 0] = place
     names = [("none", CLEAR_COLOUR), *((name, colour) for _, name, colour in HAZARDS)]
     kinds = _draw_classes(left, assessment, kind, names)
+    _scale_bar(left, float(np.ptp(assessment.x)))
     unseen = (assessment.hazard & UNSEEN) > 0
     allowed = np.where(assessment.safe, 1, np.where(unseen, 2, 0))
     names = [("excluded", CLEAR_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
@@ -107,7 +111,7 @@ def score_figure(assessment: LandingAssessment, config: Config) -> Figure:
     """Score of the landing zones (lower is better) with the ranked sites and their zones."""
     figure, axes = _map_axes("Landing site score (lower is better)")
     scores = assessment.score
-    low, high = _limits(scores)
+    low, high = colour_limits(scores)
     image = axes.imshow(
         scores,
         origin="lower",
@@ -117,6 +121,7 @@ def score_figure(assessment: LandingAssessment, config: Config) -> Figure:
         vmax=high,
     )
     axes.set_facecolor("#dddddd")
+    _scale_bar(axes, float(np.ptp(assessment.x)))
     _draw_sites(axes, assessment, 0.5 * config.lss.vehicle_diameter + config.lss.margin)
     figure.colorbar(image, ax=axes, label="score", shrink=0.85)
     if not len(assessment.sites.score):
@@ -169,6 +174,12 @@ def leaf_edges(cells: CellMap) -> Array:
     )
 
 
+def colour_table(name: str) -> NDArray[np.uint8]:
+    """(256, 3) colours of a matplotlib colour map."""
+    colours = matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3]
+    return np.ascontiguousarray(colours, dtype=np.uint8)
+
+
 def _map_axes(title: str) -> tuple[Figure, Any]:
     figure = Figure(figsize=(8.0, 6.6), layout="constrained")
     axes = figure.add_subplot()
@@ -190,7 +201,8 @@ def _node_extent(assessment: LandingAssessment) -> tuple[float, float, float, fl
     return (x[0] - step / 2, x[-1] + step / 2, y[0] - step / 2, y[-1] + step / 2)
 
 
-def _limits(values: Array) -> tuple[float, float]:
+def colour_limits(values: Array) -> tuple[float, float]:
+    """Range of a colour map that a few outliers do not stretch: 0.5 and 99.5 %."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 1.0
@@ -198,10 +210,20 @@ def _limits(values: Array) -> tuple[float, float]:
     return float(low), float(high) if high > low else float(low) + 1e-6
 
 
+def _scale_bar(axes: Any, width: float) -> None:
+    """A bar of about a fifth of the map's width (m), 1, 2 or 5 times a power of ten long."""
+    about = 0.2 * width
+    power = 10.0 ** np.floor(np.log10(about))
+    length = power * max(m for m in (1.0, 2.0, 5.0) if m * power <= about)
+    bar = AnchoredSizeBar(axes.transData, length, f"{length:g} m", "lower left", pad=0.4)
+    bar.patch.set_alpha(0.85)
+    axes.add_artist(bar)
+
+
 def _draw_sites(axes: Any, assessment: LandingAssessment, radius: float) -> None:
     for rank, (x, y, _) in enumerate(assessment.sites.position, start=1):
         if radius > 0.0:
-            axes.add_patch(Circle((x, y), radius, fill=False, color="#d55e00", linewidth=1.4))
+            axes.add_patch(Circle((x, y), radius, fill=False, color=SITE_COLOUR, linewidth=1.4))
         axes.annotate(
             str(rank),
             (x, y),
@@ -209,7 +231,7 @@ def _draw_sites(axes: Any, assessment: LandingAssessment, radius: float) -> None
             size=8,
             ha="center",
             va="center",
-            bbox={"boxstyle": "circle,pad=0.2", "facecolor": "#d55e00", "edgecolor": "white"},
+            bbox={"boxstyle": "circle,pad=0.2", "facecolor": SITE_COLOUR, "edgecolor": "white"},
         )
 
 

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import base64
 import io
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -13,37 +13,60 @@ from matplotlib.figure import Figure
 
 from quadtree_lss.core.config import Config, parameters, values_from_config
 from quadtree_lss.replay import figures
-from quadtree_lss.replay.results import FIGURES, REPORT, write_bytes
+from quadtree_lss.replay.page_data import page_data
+from quadtree_lss.replay.page_script import SCRIPT
+from quadtree_lss.replay.page_style import STYLE
+from quadtree_lss.replay.results import REPORT, write_bytes
 
 if TYPE_CHECKING:
     from quadtree_lss.replay.replay import ReplayResult
 
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
-  color: #222; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .15rem .7rem; text-align: right; border-bottom: 1px solid #ddd; }
-th:first-child, td:first-child, td.text { text-align: left; }
-img { max-width: 100%; } .warning { background: #fdf0d5; padding: .4rem .8rem; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(28rem, 1fr)); gap: 1rem; }
-figure { margin: 0; } details { margin-top: 2rem; }
+# Nothing may be loaded from anywhere, whatever stands in a topic's name.
+POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+
+PLAIN = ' class="plain"'
+
+VIEW = """
+<div class="view">
+<div class="frame"><canvas id="map" tabindex="0" aria-label="map"></canvas>
+<div class="buttons"><button id="zoom-in" title="zoom in (+)">+</button>
+<button id="zoom-out" title="zoom out (-)">−</button>
+<button id="zoom-fit" title="whole map (0)">all</button></div>
+<p class="note">Drag to move, wheel or pinch to zoom, click a row of the table to go to a site.
+Keys: arrows, +, −, 0.</p></div>
+<div>
+<fieldset><legend>Layer</legend><div id="layers"></div></fieldset>
+<fieldset><legend id="layer-title"></legend><div id="legend"></div></fieldset>
+<fieldset><legend>Show</legend>
+<label><input type="checkbox" id="show-leaves" checked> leaves of the quadtree</label>
+<label><input type="checkbox" id="show-sites" checked> sites and landing zones</label>
+<label><input type="checkbox" id="show-relief"> relief shading</label></fieldset>
+<fieldset><legend>Under the pointer</legend><table id="values"></table></fieldset>
+</div></div>
+<noscript><p class="warning">This page draws its map with JavaScript, which is off. The same
+pictures are in the folder figures beside it.</p></noscript>
+"""
+CHARTS = """
+<div class="charts"><canvas id="chart-ms"></canvas><canvas id="chart-leaves"></canvas>
+<canvas id="chart-points"></canvas></div>
 """
 
 
 def write_report(result: ReplayResult, config: Config) -> None:
-    """Draws the figures into ``figures/`` and writes the page with copies of them."""
+    """Draws the figures into ``figures/`` and writes the page."""
+    if result.out is None:
+        return
     drawn = {
         "elevation": figures.elevation_figure(result.cells, result.assessment),
         "slope": figures.slope_figure(result.assessment, config),
         "hazards": figures.hazard_figure(result.assessment),
         "score": figures.score_figure(result.assessment, config),
-        "timing": figures.timing_figure(result.timings),
     }
-    images = {name: _png(drawn[name]) for name in FIGURES}
-    for name, image in images.items():
-        write_bytes(result.out / "figures" / f"{name}.png", image)
-    write_bytes(result.out / REPORT, _page(result, config, images).encode())
+    if result.timings:
+        drawn["timing"] = figures.timing_figure(result.timings)
+    for name, figure in drawn.items():
+        write_bytes(result.out / "figures" / f"{name}.png", _png(figure))
+    write_bytes(result.out / REPORT, page(result, config).encode())
 
 
 def _png(figure: Figure) -> bytes:
@@ -52,47 +75,69 @@ def _png(figure: Figure) -> bytes:
     return content.getvalue()
 
 
-def _page(result: ReplayResult, config: Config, images: Mapping[str, bytes]) -> str:
-    summary = result.summary
-    title = f"Landing sites from {escape(str(summary['bag']))}"
-    pictures = "".join(
-        f'<figure><img alt="{name}" src="data:image/png;base64,'
-        f'{base64.b64encode(images[name]).decode()}"></figure>'
-        for name in FIGURES
-    )
+def page(result: ReplayResult, config: Config) -> str:
+    """The page as text."""
+    title = f"Landing sites from {escape(str(result.summary['bag']))}"
     warnings = "".join(
         f'<p class="warning">{escape(line)}</p>' for line in (*result.losses, *result.warnings)
     )
+    embedded = json.dumps(page_data(result, config), allow_nan=False).replace("<", "\\u003c")
+    summary = result.summary
+    timing = f"<h2>Timing</h2>{CHARTS}" if result.timings else ""
     return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         f"<title>{title}</title><style>{STYLE}</style></head><body>\n"
-        f"<h1>{title}</h1>\n{warnings}\n"
-        f"<h2>Ranked sites</h2>\n{_sites(result)}\n"
-        f'<div class="figures">{pictures}</div>\n'
-        f"<h2>Run</h2>\n{_table(('', ''), _figures_of_run(summary))}\n"
-        f"<h2>Input</h2>\n{_table(('', ''), _input(summary))}\n"
-        f"<details><summary>Configuration</summary>{_configuration(config)}</details>\n"
-        "</body></html>\n"
+        f"<h1>{title}</h1>\n{_verdict(result)}\n{_cards(summary)}\n{warnings}\n{VIEW}\n"
+        f"<h2>Ranked sites</h2>\n{_sites(result)}\n{timing}\n"
+        f'<div class="columns"><div><h2>Run</h2>\n{_table((), _run(summary), attributes=PLAIN)}</div>\n'
+        f"<div><h2>Input</h2>\n{_table((), _input(summary), attributes=PLAIN)}{_points(summary)}</div></div>\n"
+        f"<h2>Configuration</h2>\n{_configuration(config)}\n"
+        f'<script id="data" type="application/json">{embedded}</script>\n'
+        f"<script>{SCRIPT}</script>\n</body></html>\n"
     )
+
+
+def _verdict(result: ReplayResult) -> str:
+    sites, text = result.assessment.sites, escape(result.assessment.explanation)
+    if not len(sites.score):
+        return f'<p class="verdict none"><b>No safe site.</b> {text}</p>'
+    x, y, z = sites.position[0]
+    return (
+        f'<p class="verdict"><b>{len(sites.score)} landing sites.</b> Best at'
+        f" x {x:.2f}, y {y:.2f}, z {z:.2f} m: {escape(sites.reasons[0])}. {text}.</p>"
+    )
+
+
+def _cards(summary: Mapping[str, Any]) -> str:
+    dropped = sum(summary["scans_dropped"].values())
+    cards = [
+        (f"{summary['scans']}", "scans mapped"),
+        (f"{dropped}", "scans dropped"),
+        (f"{summary['leaves']}", "leaves"),
+        (_ms(summary["map_ms_median"]), "map update, median"),
+        (_ms(summary["map_ms_p99"]), "map update, 99 %"),
+        (_ms(summary["lss_ms"]), "site selection"),
+        (f"{summary['real_time_factor']:.1f} ×", "real time, reading included"),
+    ]
+    inner = "".join(f"<div><b>{value}</b><span>{name}</span></div>" for value, name in cards)
+    return f'<div class="cards">{inner}</div>'
+
+
+def _ms(value: float | None) -> str:
+    return "–" if value is None or value != value else f"{value:.2f} ms"
 
 
 def _sites(result: ReplayResult) -> str:
     sites = result.assessment.sites
     if not len(sites.score):
-        return f'<p class="warning">No safe site. {escape(result.assessment.explanation)}</p>'
-    header: tuple[str, ...] = (
-        "rank",
-        "x, m",
-        "y, m",
-        "z, m",
-        "score",
-        "slope, deg",
-        "roughness, m³",
-    )
-    header = (*header, "hazard distance, m", "subscale height, m", "why")
+        return f"<p>None. {escape(result.assessment.explanation)}</p>"
+    header = ("rank", "x, m", "y, m", "z, m", "score", "slope, deg", "roughness, m³")
+    header = (*header, "to hazard, m", "subscale height, m", "why")
     rows = [
         (
-            rank,
+            k + 1,
             *(f"{value:.2f}" for value in sites.position[k]),
             f"{sites.score[k]:.4f}",
             f"{sites.slope_deg[k]:.2f}",
@@ -101,36 +146,56 @@ def _sites(result: ReplayResult) -> str:
             f"{sites.subscale_height[k]:.2f}",
             sites.reasons[k],
         )
-        for k, rank in enumerate(range(1, len(sites.score) + 1))
+        for k in range(len(sites.score))
     ]
-    return _table(header, rows) + f"<p>{escape(result.assessment.explanation)}</p>"
+    marks = [f' data-site="{k}"' for k in range(len(rows))]
+    return _table(header, rows, marks)
 
 
-def _figures_of_run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    ratio = summary["range_noise_ratio"]
     return [
-        ("map update, median", f"{summary['map_ms_median']:.2f} ms"),
-        ("map update, 99 %", f"{summary['map_ms_p99']:.2f} ms"),
-        ("landing site selection", f"{summary['lss_ms']:.1f} ms"),
-        ("speed, bag reading included", f"{summary['real_time_factor']:.1f} x real time"),
+        (
+            "map update, median / 99 %",
+            f"{_ms(summary['map_ms_median'])} / {_ms(summary['map_ms_p99'])}",
+        ),
+        ("landing site selection", _ms(summary["lss_ms"])),
+        ("speed, bag reading included", f"{summary['real_time_factor']:.1f} × real time"),
         ("leaves", f"{summary['leaves']}"),
         ("divisions refused", f"{summary['refused_divisions']}"),
-        ("observed / configured range noise", f"{summary['range_noise_ratio']:.2f}"),
+        ("observed / configured range noise", "–" if ratio != ratio else f"{ratio:.2f}"),
         ("peak memory", f"{summary['peak_memory_mb']:.0f} MB"),
         ("versions", ", ".join(f"{k} {v}" for k, v in summary["versions"].items())),
     ]
 
 
 def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    topics = ", ".join(filter(None, (summary["scan_topic"], summary["pose_topic"])))
+    seconds = max(summary["duration"], 1e-9)
     return [
         ("bag", f"{summary['bag']}, {summary['duration']:.2f} s"),
-        ("topics", f"{summary['scan_topic']}, {summary['pose_topic']}"),
-        ("scans mapped", f"{summary['scans']}"),
+        ("topics", topics or "map topics alone"),
+        ("scans mapped", f"{summary['scans']} ({summary['scans'] / seconds:.1f} /s)"),
         ("scans dropped", _counts(summary["scans_dropped"])),
-        ("poses", f"{summary['poses']}"),
+        ("poses", f"{summary['poses']} ({summary['poses'] / seconds:.1f} /s)"),
         ("messages rejected", _counts(summary["messages_rejected"])),
-        ("points", f"{summary['points']}"),
-        ("points dropped", _counts(summary["points_dropped"])),
     ]
+
+
+def _points(summary: Mapping[str, Any]) -> str:
+    """Where the points went, each reason with its share of all."""
+    total = summary["points"]
+    if not total:
+        return ""
+    dropped = {reason: n for reason, n in summary["points_dropped"].items() if n}
+    parts = {"used": total - sum(dropped.values()), **dropped}
+    body = "".join(
+        f"<tr><td>{escape(reason.replace('_', ' '))}</td><td>{n}</td><td>{n / total:.2%}</td>"
+        f'<td class="text"><span class="bar" style="width:{8.0 * n / total:.2f}rem"></span></td>'
+        "</tr>"
+        for reason, n in parts.items()
+    )
+    return f"<table><tr><th>points</th><th>{total}</th><th></th><th></th></tr>{body}</table>"
 
 
 def _counts(counts: Mapping[str, int]) -> str:
@@ -138,15 +203,37 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 
 def _configuration(config: Config) -> str:
+    """Every parameter; those that differ from the default stand out."""
     values = values_from_config(config)
-    rows = [(row.name, values[row.name], row.unit, row.doc) for row in parameters()]
-    return _table(("parameter", "value", "unit", "meaning"), rows)
+    rows, marks = [], []
+    for row in parameters():
+        rows.append((row.name, values[row.name], row.default, row.unit, row.doc))
+        marks.append(' class="changed"' if values[row.name] != row.default else "")
+    header = ("parameter", "value", "default", "unit", "meaning")
+    table = _table(header, rows, marks, ' id="configuration"')
+    changed = sum(map(bool, marks))
+    return (
+        f'<p class="note">{changed} of {len(rows)} parameters differ from their defaults (tinted).'
+        ' <input type="search" id="filter" placeholder="filter parameters"></p>'
+        f"<details open><summary>All parameters</summary>{table}</details>"
+    )
 
 
-def _table(header: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
-    head = "".join(f"<th>{escape(str(cell))}</th>" for cell in header)
-    body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
+def _table(
+    header: Sequence[str],
+    rows: Iterable[Iterable[object]],
+    marks: Iterable[str] | None = None,
+    attributes: str = "",
+) -> str:
+    rows = [tuple(row) for row in rows]
+    marks = [""] * len(rows) if marks is None else list(marks)
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+    body = "".join(
+        f"<tr{mark}>" + "".join(map(_cell, row)) + "</tr>"
+        for mark, row in zip(marks, rows, strict=True)
+    )
+    head = f"<thead><tr>{head}</tr></thead>" if head else ""
+    return f'<div class="scroll"><table{attributes}>{head}<tbody>{body}</tbody></table></div>'
 
 
 def _cell(value: object) -> str:

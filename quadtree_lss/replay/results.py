@@ -12,6 +12,7 @@ import io
 import json
 import os
 import tempfile
+import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -72,6 +73,31 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def new_folder(root: Path) -> Path:
+    """An unused name ``root/<date>_<time>``; the folder is not made."""
+    name = time.strftime("%Y-%m-%d_%H-%M-%S")
+    for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
+        if not (root / f"{name}{suffix}").exists():
+            return root / f"{name}{suffix}"
+    msg = f"{root}: a thousand results of one second"
+    raise OSError(msg)
+
+
+def link_latest(folder: Path) -> Path | None:
+    """Lets ``latest`` beside ``folder`` point at it; None where that cannot be."""
+    link = folder.parent / "latest"
+    if link.exists() and not link.is_symlink():
+        return None
+    fresh = folder.parent / f".latest.{os.getpid()}"
+    try:
+        fresh.symlink_to(folder.name, target_is_directory=True)
+        os.replace(fresh, link)
+    except OSError:  # a file system without links
+        fresh.unlink(missing_ok=True)
+        return None
+    return link
 
 
 def remove_report(out: Path) -> None:
@@ -152,15 +178,16 @@ def write_grid(path: Path, assessment: LandingAssessment) -> None:
 
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
     """``summary.json``; numbers that are not finite become null."""
-    text = json.dumps(_plain(summary), indent=2, allow_nan=False)
+    text = json.dumps(plain(summary), indent=2, allow_nan=False)
     write_bytes(path, (text + "\n").encode())
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """The value with JSON's types alone; numbers that are not finite become None."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

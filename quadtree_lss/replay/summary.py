@@ -18,14 +18,21 @@ from quadtree_lss.replay.results import ScanTiming
 
 
 def run_summary(
-    timings: Sequence[ScanTiming], config: Config, real_time_factor: float, lss_ms: float
+    timings: Sequence[ScanTiming],
+    leaves: int,
+    config: Config,
+    real_time_factor: float,
+    lss_ms: float,
 ) -> dict[str, Any]:
-    """Scans, points, leaves, times in ms, memory, versions and configuration of a run."""
-    map_ms = np.array([row.map_ms for row in timings])
+    """Scans, points, leaves, times in ms, memory, versions and configuration of a run.
+
+    Without a scan, as for a bag of maps, the times of a map update are NaN.
+    """
+    map_ms = np.array([row.map_ms for row in timings] or [np.nan])
     return {
         "scans": len(timings),
         "points": sum(row.points for row in timings),
-        "leaves": timings[-1].leaves,
+        "leaves": leaves,
         "map_ms_median": float(np.median(map_ms)),
         "map_ms_p99": float(np.percentile(map_ms, 99)),
         "lss_ms": lss_ms,

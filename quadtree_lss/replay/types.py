@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The message types that are read from bags.
+"""The message types that are read from and written to bags.
 
 They are declared here, instead of taken from a complete ROS type store, because that one takes
 longer to import than a short bag takes to map; and ROS 1 and 2 differ in the header alone.
@@ -13,6 +13,8 @@ from rosbags.typesys.store import Typestore
 SCAN_TYPE = "sensor_msgs/msg/PointCloud2"
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 GIMBAL_TYPE = "geometry_msgs/msg/TransformStamped"
+GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
+POSES_TYPE = "geometry_msgs/msg/PoseArray"
 
 _HEADER = """
 MSG: std_msgs/Header
@@ -54,6 +56,14 @@ MSG: geometry_msgs/PoseWithCovariance
 geometry_msgs/Pose pose
 float64[36] covariance
 """
+_MAP_META_DATA = """
+MSG: nav_msgs/MapMetaData
+builtin_interfaces/Time map_load_time
+float32 resolution
+uint32 width
+uint32 height
+geometry_msgs/Pose origin
+"""
 _TRANSFORM = """
 MSG: geometry_msgs/Transform
 geometry_msgs/Vector3 translation
@@ -86,6 +96,19 @@ bool is_dense
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n",
         _TRANSFORM,
         _VECTOR,
+        _QUATERNION,
+    ),
+    GRID_TYPE: (
+        "std_msgs/Header header\nnav_msgs/MapMetaData info\nint8[] data\n",
+        _MAP_META_DATA,
+        _POSE,
+        _POINT,
+        _QUATERNION,
+    ),
+    POSES_TYPE: (
+        "std_msgs/Header header\ngeometry_msgs/Pose[] poses\n",
+        _POSE,
+        _POINT,
         _QUATERNION,
     ),
 }

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: exit codes, one-line errors, what stands on stdout and stderr."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -76,7 +77,9 @@ def test_errors_are_one_line_and_exit_code_1(bag, tmp_path, capsys, arguments, w
         [],
         ["nonsense"],
         ["replay"],
-        ["replay", "bag"],
+        ["info"],
+        ["config", "check"],
+        ["config", "print", "lss.margin"],
         ["replay", "bag", "--out", "x", "--start", "soon"],
         ["replay", "bag", "--out", "x", "--set", "lss.margin"],
         ["simulate", "moon", "--out", "x"],
@@ -89,10 +92,11 @@ def test_wrong_usage_is_exit_code_2(capsys, arguments):
     assert code == 2 and "usage:" in err
 
 
-@pytest.mark.parametrize("command", ["replay", "simulate", "evaluate", "config"])
+@pytest.mark.parametrize("command", ["replay", "info", "config", "simulate", "evaluate"])
 def test_help_has_examples(capsys, command):
     code, out, _ = run(capsys, command, "--help")
     assert code == 0 and f"quadtree-lss {command}" in out and "examples:" in out
+    assert "exit codes:" in out
 
 
 def test_config_prints_a_file_that_it_reads_again(tmp_path, capsys):
@@ -146,17 +150,82 @@ def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
     assert "scans mapped" in capsys.readouterr().out
 
 
-def test_interrupting_is_clean(tmp_path):
-    path = write_ros2(tmp_path / "bag", scans=2000)
-    command = [sys.executable, "-m", "quadtree_lss.cli", "replay", str(path)]
-    command += ["--out", str(tmp_path / "out"), *FAST]
+def interrupted(bag, out, *signals_after):
+    """Exit code, stdout, stderr of a replay that gets SIGINT when it maps."""
+    command = [sys.executable, "-m", "quadtree_lss.cli", "replay", str(bag)]
+    command += ["--out", str(out), *FAST]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not (tmp_path / "out").exists():  # until it maps
+    while not out.exists():  # until it maps
         assert process.poll() is None
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    # CPython ends by the signal itself if that came within an exec(); a shell shows 130 for both.
-    assert process.returncode in (130, -signal.SIGINT), err
+    for wait in signals_after:
+        time.sleep(wait)
+        process.send_signal(signal.SIGINT)
+    shown, err = process.communicate(timeout=60)
     assert "interrupted" in err and "Traceback" not in err
-    assert list((tmp_path / "out").iterdir()) == []
+    return process.returncode, shown, err
+
+
+def test_interrupting_keeps_what_was_computed(tmp_path):
+    path = write_ros2(tmp_path / "bag", scans=3000)
+    code, shown, err = interrupted(path, tmp_path / "out", 1.0)
+    assert code == 130
+    assert "scans mapped" in shown and "results are of the first" in err
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["interrupted"] and 0 < summary["scans"] < 3000
+    assert summary["duration"] < 300.0
+    with open(tmp_path / "out" / "timing.csv") as file:
+        assert len(file.readlines()) == summary["scans"] + 1
+
+
+def test_results_without_a_folder_get_one_by_time_and_a_link(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert run(capsys, "replay", bag, *FAST)[0] == 0
+    latest = tmp_path / "results" / "latest"
+    folders = sorted(p for p in latest.parent.iterdir() if not p.is_symlink())
+    assert len(folders) == 2 and latest.is_symlink()
+    assert latest.resolve() in folders
+    assert (latest / "config.yaml").exists() and (latest / "summary.json").exists()
+
+
+def test_an_error_leaves_no_empty_results_folder(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, "replay", bag, *FAST, "--set", "frames.map=moon")[0] == 1
+    assert not list((tmp_path / "results").iterdir())
+
+
+def test_json_for_scripts(bag, tmp_path, capsys):
+    code, out, _ = run(capsys, "replay", bag, "--out", tmp_path, *FAST, "--json", "-q")
+    result = json.loads(out)
+    assert code == 0 and result["scans"] == 6 and result["out"] == str(tmp_path)
+    assert [site["rank"] for site in result["sites"]] == list(range(1, len(result["sites"]) + 1))
+    assert {"position", "normal", "score", "reason"} <= result["sites"][0].keys()
+    info = json.loads(run(capsys, "info", bag, "--json")[1])
+    assert info["works"] and info["scans_with_pose"] == 6
+    values = json.loads(run(capsys, "config", "--config", "morpheus", "--json")[1])
+    assert values["domain.size"] == 64.0
+    explained = json.loads(run(capsys, "config", "explain", "lss.margin", "--json")[1])
+    assert explained["lss.margin"]["unit"] == "m"
+
+
+def test_quiet_shows_errors_alone(bag, tmp_path, capsys):
+    code, out, err = run(capsys, "replay", bag, "--out", tmp_path, *FAST, "-q")
+    assert (code, out, err) == (0, "", "")
+    code, out, err = run(capsys, "replay", tmp_path / "none", "--out", tmp_path, "-q")
+    assert code == 1 and out == "" and err.count("\n") == 1
+
+
+def test_config_checks_files_and_explains_keys(tmp_path, capsys):
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    good.write_text("/**:\n  ros__parameters:\n    lss.margin: 1.0\n")
+    bad.write_text("/**:\n  ros__parameters:\n    lss.margn: 1.0\n")
+    code, out, _ = run(capsys, "config", "check", good, "morpheus")
+    assert code == 0 and out.count("good\n") == 2
+    code, out, _ = run(capsys, "config", "check", good, bad)
+    assert code == 1 and "lss.margin" in out.splitlines()[1]
+    code, out, _ = run(capsys, "config", "explain", "lss.margin")
+    assert code == 0 and "default" in out and "running node" in out
+    assert run(capsys, "config", "explain", "lss")[1].count("default") > 10
+    code, _, err = run(capsys, "config", "explain", "lss.margn")
+    assert code == 1 and "lss.margin" in err

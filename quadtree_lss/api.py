@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to import: a bag to a map to landing sites, from Python. See ``docs/api.md``.
+
+Each command of ``quadtree-lss`` is one of these functions and returns a result object.
+"""
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.core.config import Config, ConfigError
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector, Sites
+from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.messages.intake import ReadyScan
+from quadtree_lss.replay.bags import Bag, BagError
+from quadtree_lss.replay.info import BagInfo, inspect_bag
+from quadtree_lss.replay.replay import ReplayError, ReplayResult, replay
+from quadtree_lss.replay.stream import scans
+
+__all__ = [
+    "Bag",
+    "BagError",
+    "BagInfo",
+    "CellMap",
+    "Config",
+    "ConfigError",
+    "LandingAssessment",
+    "LandingSiteSelector",
+    "Mapper",
+    "QuadtreeLssError",
+    "ReadyScan",
+    "ReplayError",
+    "ReplayResult",
+    "Sites",
+    "inspect_bag",
+    "load_config",
+    "replay",
+    "scans",
+]

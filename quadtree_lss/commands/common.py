@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the subcommands have in common: exit codes, options, configuration."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import yaml
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.core.config import Config
+
+DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
+EXIT_CODES = """exit codes:
+  0 done   1 error   2 wrong usage   3 done in part (damaged input)   130 interrupted
+"""
+
+
+def add_command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    text: str,
+    examples: str,
+) -> argparse.ArgumentParser:
+    """A subcommand with its help and the options that all have."""
+    parser = commands.add_parser(
+        name,
+        help=text,
+        description=text,
+        epilog=f"{examples}\n{EXIT_CODES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run, parser=parser)
+    add = parser.add_argument
+    add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
+    return parser
+
+
+def add_verbose(parser: argparse.ArgumentParser) -> None:
+    """``-v``."""
+    text = "progress bar even if this is no terminal; where internal errors come from"
+    parser.add_argument("-v", "--verbose", action="store_true", help=text)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """``--json``."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, for scripts")
+
+
+def add_config_options(parser: argparse._ActionsContainer) -> None:
+    """``--config`` and ``--set``."""
+    parser.add_argument(
+        "--config",
+        action="append",
+        default=[],
+        metavar="YAML",
+        help="ROS parameter file or shipped configuration (default, morpheus, parabola, …);"
+        " several overlay each other, the later wins",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="set one parameter, for instance lss.margin=1.0; wins over every file",
+    )
+
+
+def chosen_config(options: argparse.Namespace) -> Config:
+    """The configuration that ``--config`` and ``--set`` ask for."""
+    overrides: dict[str, object] = {}
+    for item in options.set:
+        key, equals, value = item.partition("=")
+        if not equals:
+            options.parser.error(f"--set {item}: expected KEY=VALUE")
+        try:
+            overrides[key.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            options.parser.error(f"--set {item}: not a value")
+    return load_config(options.config, overrides)
+
+
+def print_json(content: Mapping[str, Any]) -> None:
+    """A result for scripts."""
+    print(json.dumps(content, indent=2, allow_nan=False))

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss info``."""
+
+from __future__ import annotations
+
+import argparse
+
+from quadtree_lss.commands.common import (
+    DONE,
+    ERROR,
+    IN_PART,
+    add_command,
+    add_config_options,
+    add_json,
+    add_verbose,
+    chosen_config,
+    print_json,
+)
+from quadtree_lss.console import ProgressBar
+
+TEXT = "Tell what is in a bag, and whether a replay would work."
+EXAMPLES = """examples:
+  quadtree-lss info flight_bag
+  quadtree-lss info flight_bag --config vehicle.yaml --json
+
+Exit code 1 if it would not work, for the reasons printed as problems.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "info", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("bag", metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    add_config_options(parser)
+    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
+    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    add_json(parser)
+    add_verbose(parser)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.replay.info import inspect_bag
+
+    config = chosen_config(options)
+    with ProgressBar("info", "s", options.verbose) as bar:
+        info = inspect_bag(
+            options.bag,
+            config,
+            scan_topic=options.scan_topic,
+            pose_topic=options.pose_topic,
+            progress=bar.update,
+        )
+    if options.json:
+        print_json(info.as_dict())
+    else:
+        print(info.table())
+    if not info.works:
+        return ERROR
+    return IN_PART if info.losses else DONE

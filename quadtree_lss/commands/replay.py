@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss replay``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from quadtree_lss.commands.common import (
+    DONE,
+    IN_PART,
+    INTERRUPTED,
+    add_command,
+    add_config_options,
+    add_json,
+    add_verbose,
+    chosen_config,
+    print_json,
+)
+from quadtree_lss.console import (
+    Interruption,
+    ProgressBar,
+    first_line,
+    print_result,
+    say,
+    wants_progress,
+    warn,
+)
+from quadtree_lss.errors import QuadtreeLssError
+
+TEXT = "Map a recorded bag and rank landing sites, offline and deterministically."
+EXAMPLES = """examples:
+  quadtree-lss replay flight_bag --config morpheus      (results in results/<time>, and latest)
+  quadtree-lss replay flight.mcap --out results --config morpheus --config my_lander.yaml
+  quadtree-lss replay flight_bag --out results --start 5 --duration 10 --no-report
+  quadtree-lss replay flight_bag --record products      (map and landing topics, for Foxglove)
+  quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
+  quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes; needs ROS 2)
+
+Ctrl-C ends the replay there: the results are those of what was processed so far. Once more
+stops at once.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "replay", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("bag", metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    add("--out", metavar="DIR", type=Path, help="folder for the results (default results/<time>)")
+    add_config_options(parser)
+    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
+    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    add("--start", metavar="S", type=float, default=0.0, help="begin S seconds into the bag")
+    add("--duration", metavar="D", type=float, help="process D seconds only")
+    add("--no-report", action="store_true", help="no figures and no report.html")
+    add("--record", metavar="BAG", type=Path, help="write what the nodes would publish, as mcap")
+    add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
+    add("--rate", metavar="R", type=float, default=1.0, help="speed of --publish (default 1)")
+    add_json(parser)
+    add_verbose(parser)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.publish:
+        return _publish(options)
+    from quadtree_lss.replay.replay import replay
+    from quadtree_lss.replay.results import link_latest, new_folder
+
+    config = chosen_config(options)
+    out = options.out if options.out is not None else new_folder(Path("results"))
+    with Interruption() as interruption, ProgressBar("replay", "s", options.verbose) as bar:
+        result = replay(
+            options.bag,
+            out,
+            config,
+            scan_topic=options.scan_topic,
+            pose_topic=options.pose_topic,
+            start=options.start,
+            duration=options.duration,
+            report=not options.no_report,
+            record=options.record,
+            progress=bar.update,
+            stop=interruption.asked,
+        )
+    if options.out is None:
+        link_latest(out)
+    for line in result.warnings:
+        warn(f"warning: {line}")
+    for line in result.losses:
+        warn(f"damaged: {line}")
+    if options.json:
+        print_json(result.as_dict())
+    else:
+        print_result(result)
+    if result.interrupted:
+        say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
+        return INTERRUPTED
+    if result.losses:
+        warn("the bag is damaged: everything readable was processed")
+        return IN_PART
+    return DONE
+
+
+def _publish(options: argparse.Namespace) -> int:
+    try:
+        from quadtree_lss.ros.player import play
+    except ImportError as error:
+        msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
+        raise QuadtreeLssError(msg) from None
+    report = play(
+        options.bag,
+        rate=options.rate,
+        scan_topic=options.scan_topic,
+        pose_topic=options.pose_topic,
+        start=options.start,
+        duration=options.duration,
+        progress=wants_progress(options.verbose),
+    )
+    print(f"{report.scans} scans and {report.poses} poses sent in {report.duration:.1f} s")
+    for line in report.losses:
+        warn(f"damaged: {line}")
+    return IN_PART if report.losses else DONE

@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is in a bag, and would it work: answered by the replay's own reading of it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.core.config import Config
+from quadtree_lss.messages.clouds import MessageError, stamp_ns
+from quadtree_lss.replay.bags import POSE_TYPE, SCAN_TYPE, Bag, BagError
+from quadtree_lss.replay.map_messages import MapPairs
+from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.results import plain
+from quadtree_lss.replay.run import Progress
+from quadtree_lss.replay.stream import SECOND_NS, Stream
+
+OLD_STAMP_NS = 365 * 86400 * SECOND_NS
+"""Stamps of 1970 count from the start of a computer, not from an epoch."""
+TYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32"}
+TYPE_NAMES |= {7: "float32", 8: "float64"}
+
+
+@dataclass
+class TopicInfo:
+    """One topic; stamps are known for the topics that would be used.
+
+    Attributes:
+        name, type, count: As recorded.
+        rate: Messages per second between the first and the last one's stamps (else reception).
+        frames: Frame names and how many messages carry each.
+        first_stamp_ns, last_stamp_ns: Least and greatest stamp.
+        backward: Stamps smaller than the one before.
+        delay: Median of time of reception less stamp, s.
+        layout: Fields of a cloud with type and offset, size and organisation.
+        points: Median number of points of a cloud.
+    """
+
+    name: str
+    type: str
+    count: int
+    rate: float = float("nan")
+    frames: dict[str, int] = field(default_factory=dict)
+    first_stamp_ns: int | None = None
+    last_stamp_ns: int | None = None
+    backward: int = 0
+    delay: float = float("nan")
+    layout: str = ""
+    points: float = float("nan")
+
+
+@dataclass
+class BagInfo:
+    """Content of a bag and what a replay would make of it.
+
+    Attributes:
+        path: The bag.
+        kind: ``scans``, ``maps`` or ``nothing``: what a replay would read.
+        start_ns, seconds: First time of reception, and the length.
+        topics: All topics.
+        scan_topic, pose_topic: Those a replay would read, empty if not found.
+        scans_with_pose: Scans that could be mapped.
+        scans_dropped: Scans that could not, by reason.
+        problems: Why it would not work, one line each; empty if it would.
+        notes: What to know, one line each.
+        losses: What cannot be read of the bag.
+    """
+
+    path: str
+    kind: str
+    start_ns: int
+    seconds: float
+    topics: list[TopicInfo]
+    scan_topic: str = ""
+    pose_topic: str = ""
+    scans_with_pose: int = 0
+    scans_dropped: dict[str, int] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)
+
+    @property
+    def works(self) -> bool:
+        """Whether a replay would give landing sites or say that there are none."""
+        return not self.problems
+
+    def as_dict(self) -> dict[str, Any]:
+        """In JSON's types."""
+        content: dict[str, Any] = plain({"works": self.works, **asdict(self)})
+        return content
+
+    def table(self) -> str:
+        """For people."""
+        return "\n".join(_lines(self))
+
+
+def inspect_bag(
+    bag: str | Path,
+    config: Config,
+    *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    progress: Progress | None = None,
+) -> BagInfo:
+    """Reads a bag as a replay would, without mapping.
+
+    Args:
+        bag: A bag as of `bags.Bag`.
+        config: As for the replay: frames, waiting times, mount.
+        scan_topic, pose_topic: Topics; by default found by name, then by type.
+        progress: See `run.Progress`.
+
+    Raises:
+        BagError: there is nothing to read.
+    """
+    with Bag(bag) as opened:
+        info = BagInfo(
+            path=str(bag),
+            kind="nothing",
+            start_ns=opened.start_ns,
+            seconds=(opened.end_ns - opened.start_ns) / SECOND_NS,
+            topics=[TopicInfo(t.name, t.type, t.count) for t in opened.topics],
+        )
+        for topic in info.topics:
+            if topic.count > 1 and info.seconds > 0:
+                topic.rate = (topic.count - 1) / info.seconds
+        stream = Stream(scan_topic, pose_topic)
+        pairs = MapPairs.find(opened)
+        try:
+            stream.resolve(opened, config)
+        except BagError as error:
+            if pairs is None:
+                info.problems.append(str(error))
+            else:
+                info.kind = "maps"
+                info.notes.append(
+                    "maps and no scans: replay ranks landing sites on the last map, `replay"
+                    " --record` on every one"
+                )
+        else:
+            info.kind = "scans"
+            info.scan_topic, info.pose_topic = stream.scans, stream.poses
+            _read(info, opened, stream, config, progress)
+        info.losses = list(opened.losses)
+    return info
+
+
+def _read(
+    info: BagInfo, bag: Bag, stream: Stream, config: Config, progress: Progress | None
+) -> None:
+    intake = stream.intake(config)
+    seen = {topic.name: _Stamps() for topic in info.topics}
+    texts: dict[str, str] = {}
+    shown = time.monotonic()
+    for message in stream.messages(bag):
+        kind = SCAN_TYPE if message.topic == stream.scans else POSE_TYPE
+        if message.topic != stream.gimbal:
+            seen[message.topic].add(bag, message, kind)
+        stream.take(bag, intake, message)
+        info.scans_with_pose += len(intake.ready(message.received_ns))
+        for notice in intake.notices():
+            texts.setdefault(notice.reason, notice.text)
+        if progress is not None and time.monotonic() - shown > 0.2:
+            shown = time.monotonic()
+            progress((message.received_ns - stream.start_ns) / SECOND_NS, stream.seconds)
+    intake.finish()
+    for notice in intake.notices():
+        texts.setdefault(notice.reason, notice.text)
+    info.scans_dropped = dict(intake.dropped)
+    for topic in info.topics:
+        seen[topic.name].tell(topic)
+    _judge(info, texts, config)
+
+
+class _Stamps:
+    """What the messages of a topic have in their headers."""
+
+    def __init__(self) -> None:
+        self.stamps: list[int] = []
+        self.delays: list[float] = []
+        self.points: list[int] = []
+        self.frames: Counter[str] = Counter()
+        self.layouts: Counter[str] = Counter()
+
+    def add(self, bag: Bag, message: RawMessage, kind: str) -> None:
+        try:
+            msg = bag.decode(message.raw, kind)
+            stamp = stamp_ns(msg.header)
+        except MessageError:
+            return  # counted and told by the intake
+        self.stamps.append(stamp)
+        self.delays.append((message.received_ns - stamp) / SECOND_NS)
+        self.frames[msg.header.frame_id] += 1
+        if kind == SCAN_TYPE:
+            self.points.append(msg.width * msg.height)
+            self.layouts[_layout(msg)] += 1
+
+    def tell(self, topic: TopicInfo) -> None:
+        if not self.stamps:
+            return
+        stamps = np.array(self.stamps, dtype=np.int64)
+        topic.frames = dict(self.frames.most_common())
+        topic.first_stamp_ns, topic.last_stamp_ns = int(stamps.min()), int(stamps.max())
+        topic.backward = int(np.count_nonzero(np.diff(stamps) < 0))
+        topic.delay = float(np.median(self.delays))
+        span = (topic.last_stamp_ns - topic.first_stamp_ns) / SECOND_NS
+        if span > 0.0:
+            topic.rate = (len(stamps) - 1) / span
+        if self.points:
+            topic.points = float(np.median(self.points))
+            topic.layout = "; or ".join(name for name, _ in self.layouts.most_common(3))
+
+
+def _layout(msg: Any) -> str:
+    names = [
+        f"{item.name} {TYPE_NAMES.get(item.datatype, '?')} @{item.offset}" for item in msg.fields
+    ]
+    shape = f"{msg.height} x {msg.width} organised" if msg.height > 1 else "unorganised"
+    order = "big" if msg.is_bigendian else "little"
+    return f"{', '.join(names)}; {msg.point_step} bytes a point, {order} endian, {shape}"
+
+
+def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> None:
+    by_name = {topic.name: topic for topic in info.topics}
+    scans, poses = by_name[info.scan_topic], by_name[info.pose_topic]
+    told = [f"{key}: {text}" for key, text in texts.items()]
+    if not info.scans_with_pose:
+        info.problems += told or ["no scan has a pose at its stamp"]
+    else:
+        info.notes += told
+    for topic in (scans, poses):
+        if topic.first_stamp_ns is None:
+            info.problems.append(f"{topic.name}: no message has a usable header")
+            continue
+        if topic.backward:
+            info.notes.append(f"{topic.name}: {topic.backward} stamps go back in time")
+        if topic.first_stamp_ns < OLD_STAMP_NS:
+            info.notes.append(
+                f"{topic.name}: stamps of 1970: they count from a computer's start, which is fine"
+                " as long as scans and poses agree"
+            )
+        if len(topic.frames) > 1:
+            info.notes.append(f"{topic.name}: several frames: {', '.join(topic.frames)}")
+    both = (scans.first_stamp_ns, scans.last_stamp_ns, poses.first_stamp_ns, poses.last_stamp_ns)
+    if None not in both:
+        first, last, begin, end = (value or 0 for value in both)
+        if first > end or last < begin:
+            gap = max(first - end, begin - last) / SECOND_NS
+            info.problems.append(
+                f"stamps of scans and poses do not overlap, {gap:.3f} s lie between them:"
+                " different clocks?"
+            )
+    if poses.rate < scans.rate:
+        info.notes.append(
+            f"poses come at {poses.rate:.1f} Hz, scans at {scans.rate:.1f} Hz: interpolation over"
+            f" up to pose.max_gap = {config.pose.max_gap:g} s"
+        )
+
+
+def _lines(info: BagInfo) -> list[str]:
+    when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(info.start_ns / SECOND_NS))
+    lines = [f"{info.path}: {info.seconds:.2f} s from {when} UTC"]
+    width = max(len(topic.name) for topic in info.topics)
+    for topic in info.topics:
+        rate = "" if topic.rate != topic.rate else f"{topic.rate:.2f} Hz"
+        lines.append(f"  {topic.name:{width}} {topic.count:7d} {rate:>11}  {topic.type}")
+        if topic.first_stamp_ns is None or topic.last_stamp_ns is None:
+            continue
+        frames = ", ".join(f"{name!r}" for name in topic.frames)
+        order = f"{topic.backward} go back" if topic.backward else "in order"
+        lines.append(
+            f"      stamps {topic.first_stamp_ns / SECOND_NS:.3f} … "
+            f"{topic.last_stamp_ns / SECOND_NS:.3f} s, {order}; received {topic.delay:.3f} s"
+            f" later; frame {frames}"
+        )
+        if topic.layout:
+            lines.append(f"      {topic.points:.0f} points: {topic.layout}")
+    if info.kind == "scans":
+        dropped = ", ".join(f"{n} {reason}" for reason, n in info.scans_dropped.items() if n)
+        lines.append(
+            f"scans {info.scan_topic}, poses {info.pose_topic}: {info.scans_with_pose} scans have"
+            f" a pose at their stamp; dropped: {dropped or 'none'}"
+        )
+    lines += [f"note: {line}" for line in info.notes]
+    lines += [f"damaged: {line}" for line in info.losses]
+    lines += [f"problem: {line}" for line in info.problems]
+    lines.append("it would work" if info.works else "it would not work")
+    return lines

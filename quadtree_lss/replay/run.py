@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A map made from the scans of a bag, or read from a bag of maps."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from quadtree_lss.core.config import Config
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
+from quadtree_lss.messages.maps import MapMessageError
+from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.map_messages import MapPairs
+from quadtree_lss.replay.results import ScanTiming
+from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
+
+if TYPE_CHECKING:
+    from quadtree_lss.replay.record import Recorder
+
+Progress = Callable[[float, float], None]
+"""Called with the seconds of the bag that are done and the seconds there are."""
+
+
+@dataclass
+class Run:
+    """What has been done so far.
+
+    Args:
+        config: Everything that can be set.
+        progress: See `Progress`.
+        stop: Asked after each message; True ends the run there.
+        recorder: Gets the maps as they come, or None.
+
+    Attributes:
+        interrupted: True if ``stop`` ended it.
+        done_ns: Time of reception up to which the bag was processed.
+        timings: A row per mapped scan.
+        maps: Maps that were read, for a bag of maps.
+    """
+
+    config: Config
+    progress: Progress | None = None
+    stop: Callable[[], bool] | None = None
+    recorder: Recorder | None = None
+    interrupted: bool = False
+    done_ns: int = 0
+    timings: list[ScanTiming] = field(default_factory=list)
+    points_dropped: Counter[str] = field(default_factory=Counter)
+    refused_divisions: int = 0
+    noise_ratio: float = float("nan")
+    maps: int = 0
+
+    def __post_init__(self) -> None:
+        self.intake = Intake(self.config)
+        self._notices: Counter[str] = Counter()
+        self._texts: dict[str, str] = {}
+        self._decode_ms: dict[int, float] = {}
+        self._shown_ns = 0
+
+    def map_scans(self, bag: Bag, stream: Stream) -> CellMap:
+        """Maps every scan of the stream.
+
+        Raises:
+            ReplayError: there was none that could be mapped.
+            KeyboardInterrupt: stopped before there was one.
+        """
+        self.intake = stream.intake(self.config)
+        mapper = Mapper(self.config)
+        for message in stream.messages(bag):
+            began = time.perf_counter()
+            stamp_ns = stream.take(bag, self.intake, message)
+            if stamp_ns is not None:
+                self._decode_ms[stamp_ns] = 1e3 * (time.perf_counter() - began)
+            for scan in self.intake.ready(message.received_ns):
+                self._map(mapper, scan)
+                if self.recorder is not None:
+                    self.recorder.changed()
+            self._note()
+            if self.recorder is not None:
+                self.recorder.tick(message.received_ns, mapper.snapshot)
+            if self._ends_after(message.received_ns, stream):
+                break
+        self.intake.finish()
+        self._note()
+        self._need(bool(self.timings), bag, "no scan could be mapped", "there is no scan")
+        return mapper.snapshot()
+
+    def read_maps(self, bag: Bag, stream: Stream, pairs: MapPairs) -> CellMap:
+        """The last map of a bag of maps; the recorder gets all of them.
+
+        Raises:
+            ReplayError: there is none that can be read.
+            KeyboardInterrupt: stopped before there was one.
+        """
+        last: CellMap | None = None
+        for message in bag.messages(pairs.topics, stream.start_ns, stream.stop_ns):
+            try:
+                found = pairs.take(bag, message)
+            except MapMessageError as error:
+                self._tell(f"map_{error.reason}", str(error))
+                found = None
+            if found is not None:
+                last, self.maps = found, self.maps + 1
+                if self.recorder is not None:
+                    self.recorder.changed()
+            if self.recorder is not None and last is not None:
+                newest = last
+                self.recorder.tick(message.received_ns, lambda: newest)  # noqa: B023
+            if self._ends_after(message.received_ns, stream):
+                break
+        self._need(last is not None, bag, "no map can be read", "no cells with observed cells")
+        assert last is not None
+        return last
+
+    def warnings(self) -> list[str]:
+        """One line per kind of trouble, most frequent first."""
+        lines = [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
+        if self.refused_divisions:
+            lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
+        noise = noise_notice(self.noise_ratio, self.config)
+        if noise is not None:
+            lines.append(noise.text)
+        return lines
+
+    def _need(self, found: bool, bag: Bag, failure: str, default: str) -> None:
+        if found:
+            return
+        if self.interrupted:
+            raise KeyboardInterrupt
+        causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
+        msg = f"{bag.path}: {failure}: {causes}"
+        raise ReplayError(msg)
+
+    def _ends_after(self, received_ns: int, stream: Stream) -> bool:
+        self.done_ns = received_ns
+        if self.progress is not None and received_ns - self._shown_ns >= SECOND_NS // 5:
+            self._shown_ns = received_ns
+            self.progress((received_ns - stream.start_ns) / SECOND_NS, stream.seconds)
+        self.interrupted = self.stop is not None and self.stop()
+        return self.interrupted
+
+    def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
+        began = time.perf_counter()
+        report = mapper.update(scan.points_lidar, scan.pose)
+        map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
+        if len(self._decode_ms) > 2 * self.config.pose.queue:
+            self._decode_ms.clear()  # those of dropped scans
+        self.points_dropped.update(report.dropped)
+        self.refused_divisions += report.refused_divisions
+        self.noise_ratio = report.noise_ratio
+        self.timings.append(
+            ScanTiming(
+                report.stamp_ns,
+                report.points,
+                report.points_used,
+                report.leaves,
+                report.divisions,
+                map_ms,
+            )
+        )
+
+    def _note(self) -> None:
+        for notice in self.intake.notices():
+            self._tell(notice.reason, notice.text)
+
+    def _tell(self, reason: str, text: str) -> None:
+        self._notices[reason] += 1
+        self._texts.setdefault(reason, text)

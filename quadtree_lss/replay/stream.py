@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which messages of a bag are read: topics, and a part in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from quadtree_lss.core.config import Config
+from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.messages.clouds import MessageError
+from quadtree_lss.messages.intake import Intake, ReadyScan
+from quadtree_lss.replay.bags import GIMBAL_TOPIC, POSE_TOPIC, SCAN_TOPIC, Bag, choose_topic
+from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE
+
+SECOND_NS = 1_000_000_000
+
+
+class ReplayError(QuadtreeLssError):
+    """The bag gave no map, or the results cannot be written."""
+
+
+@dataclass
+class Stream:
+    """Scans and poses of an open bag, or of a part of it.
+
+    Args:
+        scan_topic, pose_topic: Topics asked for, None to find them.
+        start, duration: Part in s after the bag's first message, None for all there is.
+
+    Attributes:
+        bag: Name of the bag, for people.
+        scans, poses, gimbal: Topics that are read; the last is empty without a gimbal.
+        start_ns, stop_ns: Times of reception: start_ns <= t < stop_ns.
+        seconds: Length of the part.
+    """
+
+    scan_topic: str | None = None
+    pose_topic: str | None = None
+    start: float = 0.0
+    duration: float | None = None
+    bag: str = field(default="", init=False)
+    scans: str = field(default="", init=False)
+    poses: str = field(default="", init=False)
+    gimbal: str = field(default="", init=False)
+    start_ns: int = field(default=0, init=False)
+    stop_ns: int = field(default=0, init=False)
+    seconds: float = field(default=0.0, init=False)
+
+    def resolve(self, bag: Bag, config: Config) -> None:
+        """Finds topics and limits in an open bag.
+
+        Raises:
+            BagError: a topic is missing or ambiguous.
+            ReplayError: the part lies outside the bag.
+        """
+        self.limit(bag)
+        self.scans = choose_topic(bag, self.scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic")
+        self.poses = choose_topic(bag, self.pose_topic, POSE_TOPIC, POSE_TYPE, "--pose-topic")
+        if config.mount.gimbal:
+            self.gimbal = choose_topic(bag, None, GIMBAL_TOPIC, GIMBAL_TYPE, "mount.gimbal")
+
+    def limit(self, bag: Bag) -> None:
+        """The limits in time alone."""
+        name = bag.path.name
+        self.bag = f"{bag.path.resolve().parent.name}/{name}" if name == "bag" else name
+        length = (bag.end_ns - bag.start_ns) / SECOND_NS
+        if not 0.0 <= self.start <= length:
+            msg = f"--start {self.start:g} s is outside the bag's {length:.3f} s"
+            raise ReplayError(msg)
+        if self.duration is not None and not self.duration > 0.0:
+            msg = f"--duration {self.duration:g} s is not positive"
+            raise ReplayError(msg)
+        self.start_ns = bag.start_ns + round(self.start * SECOND_NS)
+        self.stop_ns = bag.end_ns + 1
+        if self.duration is not None:
+            self.stop_ns = min(self.stop_ns, self.start_ns + round(self.duration * SECOND_NS))
+        self.seconds = (min(self.stop_ns, bag.end_ns) - self.start_ns) / SECOND_NS
+
+    def messages(self, bag: Bag) -> Iterator[RawMessage]:
+        """The messages, in the order of the bag."""
+        topics = [name for name in (self.scans, self.poses, self.gimbal) if name]
+        return bag.messages(topics, self.start_ns, self.stop_ns)
+
+    def intake(self, config: Config) -> Intake:
+        """What turns the messages into scans with their pose."""
+        return Intake(config, scan_topic=self.scans, pose_topic=self.poses)
+
+    def take(self, bag: Bag, intake: Intake, message: RawMessage) -> int | None:
+        """Gives one message to ``intake``; the stamp if it is a usable scan."""
+        names = {self.scans: ("cloud", SCAN_TYPE), self.poses: ("pose", POSE_TYPE)}
+        what, kind = names.get(message.topic, ("gimbal", GIMBAL_TYPE))
+        try:
+            msg = bag.decode(message.raw, kind)
+        except MessageError as error:
+            intake.reject(what, error)
+            return None
+        if what == "cloud":
+            return intake.on_cloud(msg, message.received_ns)
+        if what == "pose":
+            intake.on_pose(msg)
+        else:
+            intake.on_gimbal(msg)
+        return None
+
+
+def scans(
+    bag: str | Path,
+    config: Config,
+    *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+) -> Iterator[ReadyScan]:
+    """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them.
+
+    Args:
+        bag: A bag as of `bags.Bag`.
+        config: Of which ``pose``, ``frames`` and ``mount`` matter.
+        scan_topic, pose_topic: Topics; by default found by name, then by type.
+        start, duration: Part of the bag in s from its first message.
+
+    Raises:
+        BagError: the bag cannot be read or its topics are ambiguous.
+        ReplayError: the part lies outside the bag.
+    """
+    stream = Stream(scan_topic, pose_topic, start, duration)
+    with Bag(bag) as opened:
+        stream.resolve(opened, config)
+        intake = stream.intake(config)
+        for message in stream.messages(opened):
+            stream.take(opened, intake, message)
+            yield from intake.ready(message.received_ns)
+            intake.notices()

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``info`` finds in a bag agrees with what was recorded and what a replay does with it."""
+
+import pytest
+from replay.recordings import CLOUD, POSE, SECOND, START, Recorder, flight, write_ros1, write_ros2
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from quadtree_lss.core.config import Config, config_from_values
+from quadtree_lss.replay.bags import BagError
+from quadtree_lss.replay.info import inspect_bag
+
+CONFIG = Config()
+
+
+def topic(info, name):
+    (found,) = (t for t in info.topics if t.name == name)
+    return found
+
+
+@pytest.mark.parametrize("write", [write_ros1, write_ros2])
+def test_a_good_bag(tmp_path, write):
+    info = inspect_bag(write(tmp_path / "flight.bag"), CONFIG)
+    assert info.works and info.kind == "scans"
+    assert (info.scan_topic, info.pose_topic) == ("/lidar/points", "/nav/pose")
+    assert info.scans_with_pose == 10 and not any(info.scans_dropped.values())
+    scans, poses = topic(info, "/lidar/points"), topic(info, "/nav/pose")
+    assert (scans.count, poses.count) == (10, 22)
+    assert scans.rate == pytest.approx(10.0) and poses.rate == pytest.approx(20.0)
+    assert scans.delay == pytest.approx(0.005) and poses.delay == pytest.approx(0.002)
+    assert scans.frames == {"lidar": 10} and poses.frames == {"map": 22}
+    assert scans.first_stamp_ns == START + SECOND // 50 and scans.backward == 0
+    assert scans.points == 576
+    assert "x float32 @0" in scans.layout and "24 x 24 organised" in scans.layout
+    assert "it would work" in info.table()
+
+
+def test_a_wrong_frame_is_a_problem_that_is_told(tmp_path):
+    config = config_from_values({"frames.map": "planet"})
+    info = inspect_bag(write_ros2(tmp_path / "bag"), config)
+    assert not info.works and info.scans_with_pose == 0
+    assert any("planet" in line for line in info.problems)
+    assert "it would not work" in info.table()
+
+
+@pytest.mark.parametrize(
+    ("topics", "word"), [({"scan_topics": ()}, "PointCloud2"), ({"pose_topics": ()}, "Pose")]
+)
+def test_one_of_the_two_topics_alone(tmp_path, topics, word):
+    info = inspect_bag(write_ros2(tmp_path / "bag", **topics), CONFIG)
+    assert not info.works and info.kind == "nothing"
+    (problem,) = info.problems
+    assert word in problem and "\n" not in problem
+
+
+def write(path, scans, poses):
+    """A bag of scans and poses at given stamps, received as they are listed."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        recorder = Recorder(writer)
+        points = [[[0.1 * k, 0.1 * j, 50.0] for k in range(4)] for j in range(4)]
+        for k, stamp in enumerate(poses):
+            at = START + k * SECOND // 10
+            recorder.write("/nav/pose", recorder.pose(stamp, (0, 0, 50)), POSE, at)
+        for k, stamp in enumerate(scans):
+            at = START + k * SECOND // 10
+            recorder.write("/lidar/points", recorder.cloud(stamp, points), CLOUD, at)
+    return path
+
+
+def test_clocks_that_differ_are_a_problem(tmp_path):
+    steps = [k * SECOND // 10 for k in range(10)]
+    path = write(tmp_path / "bag", [5 * SECOND + s for s in steps], [START + s for s in steps])
+    info = inspect_bag(path, CONFIG)
+    assert not info.works
+    assert any("do not overlap" in line for line in info.problems)
+    assert any("1970" in line for line in info.notes)
+
+
+def test_stamps_that_go_back_are_counted(tmp_path):
+    steps = [k * SECOND // 10 for k in range(10)]
+    scans = [START + s for s in steps]
+    scans[4], scans[5] = scans[5], scans[4]
+    info = inspect_bag(write(tmp_path / "bag", scans, [START + s for s in steps]), CONFIG)
+    assert topic(info, "/lidar/points").backward == 1
+    assert any("go back" in line for line in info.notes)
+
+
+def test_losses_are_told(tmp_path):
+    path = write_ros2(tmp_path / "bag")
+    (path / "metadata.yaml").unlink()
+    info = inspect_bag(path, CONFIG)
+    assert info.works and "metadata.yaml" in info.losses[0]
+    assert "damaged:" in info.table()
+
+
+def test_an_empty_bag_is_one_line(tmp_path):
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        flight(Recorder(writer), scans=0, scan_topics=(), pose_topics=())
+    with pytest.raises(BagError, match="empty"):
+        inspect_bag(tmp_path / "bag", CONFIG)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded products are what the nodes publish, and a bag of maps gives the same sites."""
+
+import json
+
+import numpy as np
+import pytest
+from replay.recordings import write_ros2
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from quadtree_lss.core.config import config_from_values
+from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS, encode_score, record_dtype
+from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.info import inspect_bag
+from quadtree_lss.replay.replay import ReplayError, replay
+
+CONFIG = config_from_values(
+    {
+        "domain.xmin": -16.0,
+        "domain.ymin": -16.0,
+        "domain.size": 32.0,
+        "domain.min_level": 3,
+        "domain.max_level": 6,
+        "lidar.range_noise": 0.03,
+        "lidar.outlier_gate": 0.0,
+        "lss.max_gap": 3.0,
+        "publish.rate": 5.0,
+        "publish.lss_rate": 2.0,
+    }
+)
+MAPS = {"/map/cells", "/map/observed"}
+LANDING = {"/landing/sites", "/landing/site_table", "/landing/hazards", "/landing/score"}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded")
+    bag = write_ros2(folder / "flight", scans=20)
+    result = replay(bag, folder / "out", CONFIG, report=False, record=folder / "products")
+    return result, folder / "products"
+
+
+def messages(path):
+    """(topic, time, message) by a reader and types that are not ours."""
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        for connection, received, raw in reader.messages():
+            yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
+
+
+def test_all_products_at_their_rates_in_the_time_of_the_bag(recorded):
+    _, path = recorded
+    times = {}
+    for topic, received, message in messages(path):
+        times.setdefault(topic, []).append(received)
+        assert message.header.frame_id == "map"
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec <= received
+    assert times.keys() == MAPS | LANDING
+    for names, rate in ((MAPS, 5.0), (LANDING, 2.0)):
+        for name in names:
+            gaps = np.diff(times[name]) / 1e9
+            assert len(gaps) >= 2 and (gaps[:-1] >= 1.0 / rate - 1e-6).all()  # the last at once
+
+
+def test_late_subscribers_are_served_when_it_is_played(recorded):
+    with Reader(recorded[1]) as reader:
+        for connection in reader.connections:
+            (qos,) = connection.ext.offered_qos_profiles
+            assert qos.durability.name == "TRANSIENT_LOCAL" and qos.reliability.name == "RELIABLE"
+
+
+def test_the_last_products_are_those_of_the_results(recorded):
+    result, path = recorded
+    last = {topic: message for topic, _, message in messages(path)}
+    cells = np.frombuffer(last["/map/cells"].data.tobytes(), record_dtype(CELL_FIELDS))
+    np.testing.assert_array_equal(cells["elevation"], result.cells.z)
+    sites = result.assessment.sites
+    table = np.frombuffer(last["/landing/site_table"].data.tobytes(), record_dtype(SITE_FIELDS))
+    np.testing.assert_allclose(table["score"], sites.score, rtol=1e-6)
+    poses = last["/landing/sites"].poses
+    np.testing.assert_array_equal(
+        [(p.position.x, p.position.y) for p in poses], sites.position[:, :2]
+    )
+    score = last["/landing/score"]
+    assert score.info.width == len(result.assessment.x)
+    np.testing.assert_array_equal(score.data, encode_score(result.assessment).ravel())
+    np.testing.assert_allclose(
+        score.info.origin.position.x + 0.5 * score.info.resolution, result.assessment.x[0]
+    )
+
+
+def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
+    first, path = recorded
+    second = replay(path, tmp_path / "out", CONFIG, record=tmp_path / "again")
+    for name in ("sites.csv", "cells.npz", "grid.npz"):
+        assert (tmp_path / "out" / name).read_bytes() == (first.out / name).read_bytes()
+    assert second.summary["scans"] == 0 and second.summary["maps"] >= 5
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["map_ms_median"] is None
+    assert (tmp_path / "out" / "report.html").exists()
+    with Bag(tmp_path / "again") as bag:
+        assert {topic.name for topic in bag.topics} == LANDING
+    info = inspect_bag(path, CONFIG)
+    assert info.works and info.kind == "maps"
+
+
+def test_an_existing_bag_is_not_overwritten(recorded, tmp_path):
+    bag = write_ros2(tmp_path / "flight", scans=2)
+    before = sorted(p.name for p in bag.iterdir())
+    with pytest.raises(ReplayError, match="exists"):
+        replay(bag, tmp_path / "out", CONFIG, report=False, record=bag)
+    assert sorted(p.name for p in bag.iterdir()) == before
+
+
+def test_products_in_the_same_bag_as_scans_are_not_taken_for_scans(recorded, tmp_path):
+    topics = ("/lidar/points", "/map/cells", "/landing/site_table")
+    bag = write_ros2(tmp_path / "both", scan_topics=topics)
+    assert inspect_bag(bag, CONFIG).scan_topic == "/lidar/points"
+    bag = write_ros2(tmp_path / "other", scan_topics=("/os1/points", *topics[1:]))
+    assert inspect_bag(bag, CONFIG).scan_topic == "/os1/points"
