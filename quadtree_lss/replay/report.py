@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 # Nothing may be loaded from anywhere, whatever stands in a topic's name.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 
-PLAIN = ' class="plain"'
-
 VIEW = """
 <div class="view">
 <div class="frame"><canvas id="map" tabindex="0" aria-label="map"></canvas>
@@ -91,8 +89,8 @@ def page(result: ReplayResult, config: Config) -> str:
         f"<title>{title}</title><style>{STYLE}</style></head><body>\n"
         f"<h1>{title}</h1>\n{_verdict(result)}\n{_cards(summary)}\n{warnings}\n{VIEW}\n"
         f"<h2>Ranked sites</h2>\n{_sites(result)}\n{timing}\n"
-        f'<div class="columns"><div><h2>Run</h2>\n{_table((), _run(summary), attributes=PLAIN)}</div>\n'
-        f"<div><h2>Input</h2>\n{_table((), _input(summary), attributes=PLAIN)}{_points(summary)}</div></div>\n"
+        f'<div class="columns"><div><h2>Run</h2>\n{_plain_table(_run(summary))}</div>\n'
+        f"<div><h2>Input</h2>\n{_plain_table(_input(summary))}{_points(summary)}</div></div>\n"
         f"<h2>Configuration</h2>\n{_configuration(config)}\n"
         f'<script id="data" type="application/json">{embedded}</script>\n'
         f"<script>{SCRIPT}</script>\n</body></html>\n"
@@ -234,6 +232,10 @@ def _table(
     )
     head = f"<thead><tr>{head}</tr></thead>" if head else ""
     return f'<div class="scroll"><table{attributes}>{head}<tbody>{body}</tbody></table></div>'
+
+
+def _plain_table(rows: Iterable[Iterable[object]]) -> str:
+    return _table((), rows, attributes=' class="plain"')
 
 
 def _cell(value: object) -> str:
