@@ -52,7 +52,10 @@ class RescuedSqlite:
 
     def _open(self) -> sqlite3.Connection:
         uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
-        return sqlite3.connect(uri, uri=True)
+        database = sqlite3.connect(uri, uri=True)
+        # Otherwise a file shorter than its header says is refused as a whole.
+        database.execute("PRAGMA writable_schema = ON")
+        return database
 
     def _topics(self) -> dict[int, tuple[str, str]]:
         database = self._open()

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged and odd bags: each is replayed as far as it goes, or one line says what is wrong."""
+
+import shutil
+
+import numpy as np
+import pytest
+import replay.recordings
+import yaml
+from replay.recordings import (
+    CLOUD,
+    POSE,
+    SECOND,
+    Recorder,
+    flight,
+    storage_file,
+    write_ros1,
+    write_ros2,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from quadtree_lss.cli import main
+from quadtree_lss.core.config import config_from_values
+from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.replay import replay as run_replay
+
+VALUES = {
+    "domain.xmin": -16.0,
+    "domain.ymin": -16.0,
+    "domain.size": 32.0,
+    "domain.min_level": 3,
+    "domain.max_level": 5,
+    "lidar.range_noise": 0.03,
+    "lidar.outlier_gate": 0.0,
+    "lss.max_gap": 3.0,
+}
+CONFIG = config_from_values(VALUES)
+
+
+def scans_mapped(path, tmp_path):
+    result = run_replay(path, tmp_path / "out", CONFIG, report=False)
+    return result.summary["scans"], result.losses
+
+
+def refused(path, tmp_path, capsys):
+    """The one line with which a replay refuses a bag."""
+    settings = [f"--set={key}={value}" for key, value in VALUES.items()]
+    code = main(["replay", str(path), "--out", str(tmp_path / "out"), "--no-report", *settings])
+    out, err = capsys.readouterr()
+    assert code == 1 and out == "" and err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    return err
+
+
+@pytest.mark.parametrize("share", [0.4, 0.8])
+def test_a_truncated_sqlite_bag(tmp_path, share):
+    path = write_ros2(tmp_path / "bag", plugin="sqlite3", scans=60)
+    file = storage_file(path)
+    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    scans, losses = scans_mapped(path, tmp_path)
+    assert 0.5 * share * 60 < scans < 60 and losses
+
+
+@pytest.mark.parametrize("plugin", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_bag_split_into_several_files(tmp_path, plugin, listed, monkeypatch):
+    whole = write_ros2(tmp_path / "flight", plugin=plugin, scans=20)
+    parts = [tmp_path / "part0", tmp_path / "part1"]
+    storage = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[plugin]
+    kinds = {"/lidar/points": CLOUD, "/nav/pose": POSE}
+    with Bag(whole) as bag:
+        messages = list(bag.messages(list(kinds)))
+    for path, some in zip(parts, (messages[:31], messages[31:]), strict=True):
+        with Writer(path, version=9, storage_plugin=storage) as writer:
+            recorder = Recorder(writer)
+            connections = {
+                topic: writer.add_connection(topic, kind, typestore=recorder.store)
+                for topic, kind in kinds.items()
+            }
+            for message in some:
+                writer.write(connections[message.topic], message.received_ns, bytes(message.raw))
+    split = tmp_path / "split"
+    split.mkdir()
+    names = []
+    for k, path in enumerate(parts):
+        file = storage_file(path)
+        names.append(f"split_{k}{file.suffix}")
+        shutil.copy(file, split / names[-1])
+    metadata = yaml.safe_load((parts[0] / "metadata.yaml").read_text())
+    metadata["rosbag2_bagfile_information"]["relative_file_paths"] = names
+    if listed:
+        (split / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    result = run_replay(split, tmp_path / "out", CONFIG, report=False)
+    assert result.summary["scans"] == 20 and bool(result.losses) == (not listed)
+    expected = run_replay(whole, tmp_path / "expected", CONFIG, report=False)
+    np.testing.assert_array_equal(result.cells.z, expected.cells.z)
+
+
+def test_one_file_of_a_split_bag_alone_is_a_bag(tmp_path):
+    path = write_ros2(tmp_path / "bag")
+    assert scans_mapped(storage_file(path), tmp_path)[0] == 10
+
+
+@pytest.mark.parametrize("start", [0, 3 * SECOND])
+def test_stamps_of_1970(tmp_path, monkeypatch, start):
+    monkeypatch.setattr(replay.recordings, "START", start)
+    assert scans_mapped(write_ros2(tmp_path / "bag"), tmp_path) == (10, ())
+
+
+def test_a_bag_received_long_after_its_stamps(tmp_path, monkeypatch):
+    """Old data recorded again: stamps and times of reception have nothing to do with each other."""
+    path = tmp_path / "bag"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        recorder = Recorder(writer)
+        plain = recorder.write
+        recorder.write = lambda topic, msg, kind, at: plain(topic, msg, kind, at + 10**17)
+        flight(recorder)
+    assert scans_mapped(path, tmp_path) == (10, ())
+
+
+@pytest.mark.parametrize("write", [write_ros1, write_ros2])
+@pytest.mark.parametrize(
+    ("missing", "word"), [("scan_topics", "PointCloud2"), ("pose_topics", "PoseWithCovariance")]
+)
+def test_only_one_of_the_two_topics(tmp_path, capsys, write, missing, word):
+    line = refused(write(tmp_path / "flight.bag", **{missing: ()}), tmp_path, capsys)
+    assert word in line and ("/nav/pose" in line or "/lidar/points" in line)
+
+
+def test_an_empty_bag(tmp_path, capsys):
+    path = write_ros2(tmp_path / "bag", scan_topics=(), pose_topics=())
+    assert "empty" in refused(path, tmp_path, capsys)
+
+
+def test_a_map_without_its_other_half(tmp_path, capsys):
+    bag = write_ros2(tmp_path / "flight")
+    run_replay(bag, None, CONFIG, record=tmp_path / "products")
+    half = tmp_path / "half"
+    with Bag(tmp_path / "products") as products:
+        cells = list(products.messages(["/map/cells"]))
+        with Writer(half, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            store = Recorder(writer).store
+            connection = writer.add_connection("/map/cells", CLOUD, typestore=store)
+            for message in cells:
+                writer.write(connection, message.received_ns, bytes(message.raw))
+    assert "no messages of type" in refused(half, tmp_path, capsys)
+
+
+def test_a_truncated_bag_of_maps(tmp_path):
+    bag = write_ros2(tmp_path / "flight", scans=60)
+    path = tmp_path / "products"
+    run_replay(bag, None, CONFIG, record=path)
+    file = storage_file(path)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 4 // 5])
+    result = run_replay(path, tmp_path / "out", CONFIG, report=False)
+    assert result.summary["maps"] >= 1 and result.losses
