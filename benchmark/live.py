@@ -156,7 +156,8 @@ def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
 
     def keep(message: Any) -> None:
         for status in message.status:
-            seen.diagnostics[status.name] = {item.key: item.value for item in status.values}
+            values = seen.diagnostics.setdefault(status.name, {})
+            values |= {item.key: item.value for item in status.values}
             level = int.from_bytes(status.level, "little")
             seen.levels[status.name] = max(level, seen.levels.get(status.name, 0))
 
@@ -301,7 +302,7 @@ def report(flight: Flight) -> None:
             key: value
             for key, value in values.items()
             if key.startswith(("problems.", "scans", "assessments", "map.leaves"))
-            or key.endswith("_ms")
+            or "_ms" in key
         }
         print(f"\n{name}: " + ", ".join(f"{key} {value}" for key, value in shown.items()))
     mapped = int(flight.observed.diagnostics.get("mapping_node", {}).get("scans", 0))

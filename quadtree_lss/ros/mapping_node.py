@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -32,8 +33,31 @@ from quadtree_lss.ros.rate_limit import ChangePublisher
 from quadtree_lss.ros.scan_gaps import ScanGaps
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
-EXPIRY_PERIOD_S = 0.1
-"""How often scans are looked at that wait while nothing arrives."""
+LOOK_PERIOD_S = 0.1
+"""How often poses are taken and waiting scans looked at while nothing wakes the node."""
+
+
+class WhenWanted(CallbackGroup):
+    """Subscriptions that wake the node only while their messages are wanted.
+
+    A scan takes along what arrived before it, so only one that waits needs the next pose at once;
+    each wake-up costs as much as taking several messages.
+    """
+
+    def __init__(self, wanted: Callable[[], bool]) -> None:
+        super().__init__()
+        self._wanted = wanted
+
+    def can_execute(self, entity: Any) -> bool:
+        """Asked by the executor before it waits and after it woke."""
+        return self._wanted()
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Nothing to keep account of in a single thread."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing either."""
 
 
 class MappingNode(Node):
@@ -81,7 +105,7 @@ class MappingNode(Node):
         )
         self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(EXPIRY_PERIOD_S, self._look_around, clock=steady)
+        self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
 
     def destroy_node(self) -> None:
         """Before the node ends, what the checkpoint lacks is written."""
@@ -96,10 +120,15 @@ class MappingNode(Node):
         scan_qos = stream(qos.scan_depth, reliable=qos.scan_reliability == "reliable")
         pose_qos = stream(qos.pose_depth, reliable=True)
         subscribe(self, PointCloud2, SCANS, self._on_scan, scan_qos, self._gaps.on_publishers)
-        pose = subscribe(self, PoseWithCovarianceStamped, POSES, self._on_pose, pose_qos)
+        ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
+        pose = subscribe(
+            self, PoseWithCovarianceStamped, POSES, self._on_pose, pose_qos, group=ahead
+        )
         self._ahead = [(pose, self._take_pose)]
         if self._settings.config.mount.gimbal:
-            gimbal = subscribe(self, TransformStamped, GIMBAL, self._on_gimbal, pose_qos)
+            gimbal = subscribe(
+                self, TransformStamped, GIMBAL, self._on_gimbal, pose_qos, group=ahead
+            )
             self._ahead.append((gimbal, self._take_gimbal))
 
     def _take_up_checkpoint(self, path: str) -> Checkpoints | None:
@@ -152,7 +181,8 @@ class MappingNode(Node):
                     take(got[0])
 
     def _look_around(self) -> None:
-        """What is due though nothing arrives."""
+        """What is due though nothing arrives that wakes the node."""
+        self._take_ahead()
         self._work()
         if self._checkpoints is not None:
             interval = self._settings.config.checkpoint.interval

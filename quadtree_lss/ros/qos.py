@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -58,17 +59,15 @@ def subscribe(
     callback: Any,
     profile: QoSProfile,
     matched: Callable[[int], None] | None = None,
+    group: CallbackGroup | None = None,
 ) -> Subscription:
     """Subscription that warns by name when a publisher's QoS cannot be matched.
 
     Args:
         matched: Called with the number of publishers whenever it changes.
+        group: Callback group, the node's default one if None.
     """
     name = node.resolve_topic_name(topic)
-
-    def count(event: Any) -> None:
-        if matched is not None:
-            matched(event.current_count)
 
     def incompatible(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
@@ -83,7 +82,11 @@ def subscribe(
         topic,
         callback,
         profile,
-        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible, matched=count),
+        event_callbacks=SubscriptionEventCallbacks(
+            incompatible_qos=incompatible,
+            matched=None if matched is None else lambda event: matched(event.current_count),
+        ),
+        callback_group=group,
         qos_overriding_options=_overridable(),
     )
 

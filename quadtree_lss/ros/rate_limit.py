@@ -41,9 +41,13 @@ class ChangePublisher:
 
     def now(self) -> None:
         """The state changed, and must go out whatever the rate."""
+        self._due_ns = min(self._due_ns, time.monotonic_ns())
         self._send()
 
     def _send(self) -> None:
         self._timer.cancel()
-        self._due_ns = time.monotonic_ns() + self._period_ns
+        # One that is late does not make all that follow late: their phase stays.
+        now_ns = time.monotonic_ns()
+        in_step = now_ns - self._due_ns < self._period_ns
+        self._due_ns = (self._due_ns if in_step else now_ns) + self._period_ns
         self._publish()
