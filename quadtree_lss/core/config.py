@@ -196,6 +196,12 @@ class MappingConfig:
         low=0.0,
         high=10.0,
     )
+    divide_exceptions: float = _p(
+        1.5,
+        "exceptions, in measurements, that show a rock and divide a leaf; 0 is off",
+        low=0.0,
+        high=1e6,
+    )
     division_min_residuals: int = _p(
         8,
         "free residuals (points less three a scan) before the statistic counts",
@@ -234,10 +240,13 @@ class FeaturesConfig:
     min_height: float = _p(0.1, "lower features are discarded", unit="m", low=0.0, high=100.0)
     divide_height: float = _p(
         0.15,
-        "a higher feature divides its leaf, down to the finest level",
+        "a feature this high (and three range noises) divides its leaf",
         unit="m",
         low=0.0,
         high=1e3,
+    )
+    divide_sigma: float = _p(
+        0.5, "wider features divide nothing: they are no rocks", unit="m", low=0.0, high=1e3
     )
     min_volume: float = _p(
         0.002, "features of less volume (k^2) are discarded", unit="m^3", low=0.0, high=1e4

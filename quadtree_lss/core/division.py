@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core import lidar, planes, sphere
-from quadtree_lss.core.config import MappingConfig
+from quadtree_lss.core.bump import SHAPE, peak
+from quadtree_lss.core.config import FeaturesConfig, MappingConfig
 from quadtree_lss.core.fitting import Fit
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.planes import Moments
@@ -22,6 +23,9 @@ MEAN_CHI_3 = float(2.0 * np.sqrt(2.0 / np.pi))
 #: Mean and standard deviation of chi_1 and of chi_3.
 CHI_1 = (MEAN_CHI_1, float(np.sqrt(1.0 - MEAN_CHI_1**2)))
 CHI_3 = (MEAN_CHI_3, float(np.sqrt(3.0 - MEAN_CHI_3**2)))
+
+#: Share of measurements that stray returns, let through by the outlier gate, make exceptions.
+STRAY = 5e-4
 
 
 def mean_absolute(group: Index, count: Array, values: Array) -> Array:
@@ -167,3 +171,29 @@ def asks(
     poor = mean > config.division_factor * expected + doubt
     poor &= total >= config.division_min_residuals
     return poor & (leaves.level[rows] < leaves.domain.max_level)
+
+
+def hides_rock(
+    leaves: Leaves,
+    rows: Index,
+    mapping: MappingConfig,
+    features: FeaturesConfig,
+    range_noise: float,
+) -> Mask:
+    """Leaves (M,) above the finest level that hold a rock, which the mean over a large leaf hides.
+
+    A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows by its
+    exceptions (Eq. 48), if beyond what noise makes of them they amount to
+    ``mapping.divide_exceptions`` measurements and to more than stray returns leave; or as a feature
+    at least ``features.divide_height`` high (and three deviations of the range noise), and narrow
+    as a rock is.
+    """
+    noise = leaves.exception_noise[rows]
+    least = np.maximum(mapping.divide_exceptions, STRAY * leaves.residuals[rows])
+    rocky: Mask = leaves.exception_sum[rows] >= noise + np.maximum(least, 3.0 * np.sqrt(noise))
+    rocky &= mapping.divide_exceptions > 0.0
+    state = leaves.feature[rows]
+    height = max(features.divide_height, 3.0 * range_noise)
+    with np.errstate(invalid="ignore"):
+        rocky |= (peak(state) >= SHAPE * height) & (state[:, 4] <= features.divide_sigma)
+    return rocky & (leaves.level[rows] < leaves.domain.max_level)

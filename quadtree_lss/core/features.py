@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core import planes
+from quadtree_lss.core.bump import SHAPE, as_boulder, height, peak
 from quadtree_lss.core.config import FeaturesConfig
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.statistics import Residuals
@@ -21,6 +22,8 @@ from quadtree_lss.core.statistics import Residuals
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+
+__all__ = ["FeatureEstimator", "as_boulder", "estimate", "height", "peak"]
 
 ITERATIONS = 5
 #: Points this many standard deviations above the plane make a cell a candidate.
@@ -33,36 +36,10 @@ WINDOW = 5.0
 MAX_SAMPLES = 512
 #: Relative change of the cost at which an estimate has converged.
 SETTLED = 1e-2
-#: Peak of the bell that fits a hemisphere best over the hemisphere's height.
-SHAPE = 1.25
 #: A first estimate must lower the cost (a chi-square) by this much against flat ground.
 SIGNIFICANCE = 25.0
 #: Candidates treated in one scan; the rest wait for the next, the strongest go first.
 MAX_CANDIDATES = 256
-
-
-def peak(state: Array) -> Array:
-    """Height of bumps over their surroundings, k^2 / (2 pi sigma^2): (..., 5) to (...), m."""
-    out: Array = state[..., 1] ** 2 / (2.0 * np.pi * state[..., 4] ** 2)
-    return out
-
-
-def as_boulder(state: Array) -> Array:
-    """States (M, 5) of fitted bells turned into those of boulders of the same volume.
-
-    A bell fitted to a hemisphere by least squares peaks a quarter above it. The volume k^2 is
-    right; widening sigma by sqrt(5/4) lowers the peak to the boulder's height and keeps it.
-    """
-    out = state.copy()
-    out[:, 4] *= np.sqrt(SHAPE)
-    return out
-
-
-def height(state: Array, x: Array, y: Array) -> Array:
-    """Eq. 57: height of bumps (..., 5) at x, y (...) relative to the cell's centre, A left out."""
-    square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2
-    out: Array = peak(state) * np.exp(-0.5 * square / state[..., 4] ** 2)
-    return out
 
 
 @dataclass(frozen=True)
@@ -311,13 +288,6 @@ class FeatureEstimator:
             strongest = np.argsort(-raised[chosen], kind="stable")[:MAX_CANDIDATES]
             chosen = np.sort(chosen[strongest])
         self._estimate(leaves, residuals, chosen, high, variance[chosen], known[chosen])
-
-    def too_high(self, leaves: Leaves, rows: Index) -> Index:
-        """Leaves ``rows`` (M,) whose feature is no subscale one: it is as high as
-        ``divide_height``, and smaller cells can show its shape."""
-        with np.errstate(invalid="ignore"):
-            high = peak(leaves.feature[rows]) >= SHAPE * self.config.divide_height
-        return rows[high & (leaves.level[rows] < leaves.domain.max_level)]
 
     def _estimate(
         self,

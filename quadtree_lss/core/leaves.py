@@ -31,7 +31,8 @@ class Leaves(Quadtree):
         distance_sum: Sum of |orthogonal distance| (Eq. 55), m.
         noise_sum: What range noise alone adds to ``distance_sum``, m.
         exception_sum: Sum of exception masses (Eq. 48).
-        residuals: Measurements in these three sums.
+        exception_noise: What range noise alone adds to ``exception_sum``.
+        residuals: Measurements in these four sums.
         division_sum, division_weight: Sum of the division statistic and of its weights.
         feature: (., 5) A, k, mu_x, mu_y about the centre, sigma (Eq. 51); NaN for none.
         feature_covariance: (., 5, 5).
@@ -47,6 +48,7 @@ class Leaves(Quadtree):
     distance_sum: Array
     noise_sum: Array
     exception_sum: Array
+    exception_noise: Array
     residuals: Array
     division_sum: Array
     division_weight: Array
@@ -161,6 +163,7 @@ _SUMS = (
     "distance_sum",
     "noise_sum",
     "exception_sum",
+    "exception_noise",
     "residuals",
     "division_sum",
     "division_weight",

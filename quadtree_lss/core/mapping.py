@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core import statistics
+from quadtree_lss.core import division, statistics
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.features import FeatureEstimator, as_boulder
 from quadtree_lss.core.leaves import Leaves
@@ -21,6 +21,7 @@ from quadtree_lss.core.stored import StoredPoints
 from quadtree_lss.core.update import ScanUpdate
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,8 @@ class Mapper:
             self.stamp_ns = max(self.stamp_ns, pose.stamp_ns)
             change = ScanUpdate(self.leaves, self._stored, self.config, scan)
             residuals = self._accumulate(change.run())
-            while len(raised := self._features.too_high(self.leaves, residuals.rows)):
-                below = change.divide(raised)
+            while len(rocky := self._rocky(residuals.rows)):
+                below = change.divide(rocky)
                 if below is None:
                     break
                 residuals = self._accumulate(below)
@@ -130,6 +131,11 @@ class Mapper:
             refused_points=self._stored.refused - refused_before,
             noise_ratio=self._noise.ratio,
         )
+
+    def _rocky(self, rows: Index) -> Index:
+        config = self.config
+        noise = config.lidar.range_noise
+        return rows[division.hides_rock(self.leaves, rows, config.mapping, config.features, noise)]
 
     def _accumulate(self, residuals: statistics.Residuals) -> statistics.Residuals:
         """Roughness, exceptions, noise check and subscale features of the leaves of a scan."""

@@ -331,6 +331,7 @@ def move_up(normal: Array, covariance: Array, delta_z: Array) -> Array:
     out[:, :2, 2] += added
     out[:, 2, :2] = out[:, :2, 2]
     out[:, 2, 2] += 2.0 * np.einsum("mi,mi->m", lever, cross) + np.einsum("mi,mi->m", lever, added)
+    np.maximum(out[:, 2, 2], 1e-18, out=out[:, 2, 2])
     return out
 
 
@@ -405,8 +406,11 @@ def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose:
 
 
 def symmetric(matrices: Array) -> Array:
-    """Mean of (M, K, K) and its transpose."""
-    return 0.5 * (matrices + matrices.transpose(0, 2, 1))
+    """Covariances (M, K, K) without round-off: mean with the transpose, diagonal not negative."""
+    out: Array = 0.5 * (matrices + matrices.transpose(0, 2, 1))
+    diagonal = np.einsum("mii->mi", out)
+    np.maximum(diagonal, 1e-18, out=diagonal)
+    return out
 
 
 def sum_by(group: Index, groups: int, values: Array) -> Array:

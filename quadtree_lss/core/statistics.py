@@ -112,6 +112,9 @@ def accumulate(
     leaves.exception_sum[rows] += exception_mass(
         leaves, residuals, variance * shared, config.roughness_tolerance
     )
+    # xi of a residual that is noise itself: the noise counts twice.
+    beyond = config.roughness_tolerance / np.sqrt(2.0 * np.maximum(variance, 1e-12))
+    leaves.exception_noise[rows] += np.where(count > 1.0, 2.0 * count * ndtr(-beyond), 0.0)
     leaves.residuals[rows] += np.where(count > 1.0, count, 0.0)
 
 

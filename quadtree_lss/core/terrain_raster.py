@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.core.features import height
+from quadtree_lss.core.bump import height
 from quadtree_lss.core.quadtree import CellMap, Domain
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.core.bump import SHAPE
 from quadtree_lss.core.config import LssConfig
-from quadtree_lss.core.features import SHAPE
 from quadtree_lss.core.nodes import Disc, NodePlanes, disc, distance_to
 from quadtree_lss.core.terrain_raster import TerrainRaster
 

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shape of a subscale feature (paper V.C): Eq. 49, 50, 51 and 57 with their errata.
+
+Height over the cell's plane is A + p exp(-r^2 / 2 sigma^2) with p = k^2 / (2 pi sigma^2), so that
+k^2 is the bump's volume. The state is (A, k, mu_x, mu_y, sigma), the centre relative to the cell's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Peak of the bell that fits a hemisphere best over the hemisphere's height.
+SHAPE = 1.25
+
+
+def peak(state: Array) -> Array:
+    """Height of bumps over their surroundings, k^2 / (2 pi sigma^2): (..., 5) to (...), m."""
+    out: Array = state[..., 1] ** 2 / (2.0 * np.pi * state[..., 4] ** 2)
+    return out
+
+
+def as_boulder(state: Array) -> Array:
+    """States (M, 5) of fitted bells turned into those of boulders of the same volume.
+
+    A bell fitted to a hemisphere by least squares peaks a quarter above it. The volume k^2 is
+    right; widening sigma by sqrt(5/4) lowers the peak to the boulder's height and keeps it.
+    """
+    out = state.copy()
+    out[:, 4] *= np.sqrt(SHAPE)
+    return out
+
+
+def height(state: Array, x: Array, y: Array) -> Array:
+    """Eq. 57: height of bumps (..., 5) at x, y (...) relative to the cell's centre, A left out."""
+    square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2
+    out: Array = peak(state) * np.exp(-0.5 * square / state[..., 4] ** 2)
+    return out
