@@ -192,3 +192,30 @@ def test_map_somewhere_else(tmp_path):
     truth = write_truth(tmp_path / "truth.npz", box=(9.0, 11.0, 9.0, 11.0))
     with pytest.raises(EvaluationError, match="overlap"):
         evaluate(folder, truth)
+
+
+def test_site_beyond_the_true_terrain_is_unknown_not_unsafe(tmp_path):
+    # The DEM ends at ±12 m; a lander needs 2 m around it.
+    sites = [(0.0, 0.0), (9.9, 0.0), (10.1, 0.0), (40.0, 0.0)]
+    result = _evaluate(tmp_path, sites=sites)
+    assert result.site_verdicts == ("safe", "safe", "unknown", "unknown")
+    assert (result.unsafe_in_top_five, result.unknown_in_top_five) == (0, 2)
+    assert "rank 3, 4 beyond the true terrain" in result.table()
+
+
+def test_missed_places_are_listed_with_what_stands_there(tmp_path):
+    def rocks(x, y):
+        near = np.hypot(x - 3.0, y + 2.0) < 0.3
+        return ground(x, y) + np.where(near, 0.8, 0.0)
+
+    def safe(x, y):
+        return (np.hypot(x - 3.0, y + 2.0) > 1.1) & (np.hypot(x + 6.0, y - 6.0) > 0.3)
+
+    result = _evaluate(tmp_path, truth={"elevation": rocks, "safe": safe})
+    first, second = result.missed
+    assert (first.x, first.y) == pytest.approx((3.0, -2.0), abs=0.01)
+    assert (second.x, second.y) == pytest.approx((-6.0, 6.0), abs=0.01)
+    assert first.nodes + second.nodes == result.detection.missed_nodes
+    assert first.depth == result.detection.missed_depth
+    assert first.relief == pytest.approx(0.8, abs=0.15)
+    assert np.hypot(first.peak_x - 3.0, first.peak_y + 2.0) < 0.35

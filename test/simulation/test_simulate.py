@@ -225,3 +225,43 @@ def test_place_that_cannot_be_written_is_one_clear_line(tmp_path, hill):
     (tmp_path / "file").write_text("")
     with pytest.raises(SimulationError, match="cannot"):
         simulate("descent", tmp_path / "file" / "bag", seed=1, duration=1.0, terrain=hill)
+
+
+def test_outlines_go_round_the_points_of_their_scan(morpheus):
+    _, rows, truth = morpheus
+    clouds = [row[3] for row in rows if row[0] == "/lidar/points"]
+    for k in (0, 19):
+        rotation = Rotation.from_quat(truth["scan_quaternion_xyzw"][k]).as_matrix()
+        points = _points(clouds[k]) @ rotation.T + truth["scan_position"][k]
+        outline = truth["scan_outline"][k]
+        side = len(outline) // 4
+        # Beams at the corners of the array, half a pixel inside the corners of the outline.
+        corners = points[[-1, -1, 0, 0], [0, -1, -1, 0], :2]
+        distance = np.hypot(*(outline[::side, None] - corners[None]).transpose(2, 0, 1))
+        assert sorted(distance.argmin(axis=1)) == [0, 1, 2, 3]
+        assert distance.min(axis=1).max() < 0.6
+        steps = np.hypot(*np.diff(outline, axis=0, append=outline[:1]).T)
+        assert steps.max() < 4.0 * np.median(steps)
+
+
+def test_outline_does_not_know_where_beams_miss(tmp_path):
+    x, y = np.linspace(-80.0, 80.0, 161), np.linspace(-8.0, 8.0, 17)
+    strip = Terrain(x, y, np.zeros((17, 161)))
+    result = simulate("descent", tmp_path / "bag", seed=1, duration=1.0, terrain=strip)
+    outlines = np.load(result.truth_path)["scan_outline"]
+    known = np.isfinite(outlines).all(axis=2)
+    assert 0.0 < known.mean() < 1.0
+    assert np.abs(outlines[known][:, 1]).max() <= 8.0
+
+
+def test_table_tells_how_to_replay_one_flight_alone(tmp_path, hill):
+    result = simulate("descent", tmp_path / "bag", seed=1, duration=1.0, terrain=hill, flights=2)
+    truth = np.load(result.truth_path)
+    np.testing.assert_array_equal(truth["scan_flight"], np.repeat([0, 1], 5))
+    received = np.array([row[1] for row in _read(tmp_path / "bag")])
+    since = 1e-9 * (received - received[0])
+    assert result.starts[0] == 0.0
+    assert np.abs(since - result.starts[1]).min() > 3.0
+    assert (since < result.starts[1]).sum() == received.size // 2
+    assert f"--start {result.starts[1]:.1f}" in result.table()
+    assert str(result.truth_path) in result.table()
