@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The documents say what is true: marked blocks run as written, links lead somewhere."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from quadtree_lss.core.config import parameters
+from quadtree_lss.simulation.simulate import simulate
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("msg_docs/*.md")])
+MARKED = re.compile(r"<!-- test: (shell|python)([^>]*)-->\n```\w+\n(.*?)```", re.DOTALL)
+
+
+def blocks(kind):
+    """(needs a flight, code) of each page's marked blocks; once more with its slow ones."""
+    cases = []
+    for page in PAGES:
+        found = [m.groups() for m in MARKED.finditer(page.read_text()) if m[1] == kind]
+        needs = any("flight/bag" in note for _, note, _ in found)
+        code = [text for _, note, text in found if "slow" not in note]
+        if code:
+            cases.append(pytest.param(needs, code, id=page.name))
+        if len(code) < len(found):
+            every = [text for _, _, text in found]
+            marks = pytest.mark.slow
+            cases.append(pytest.param(needs, every, id=f"{page.name} all", marks=marks))
+    return cases
+
+
+@pytest.fixture(scope="session")
+def flight(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flight")
+    simulate("morpheus", folder / "bag", seed=3, duration=1.0)
+    return folder
+
+
+def environment():
+    """The programs of this python, and nothing that depends on the terminal."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    return {**os.environ, "PATH": path}
+
+
+@pytest.mark.parametrize(("needs_flight", "code"), blocks("shell"))
+def test_commands_run_as_written(needs_flight, code, flight, tmp_path):
+    if needs_flight:
+        shutil.copytree(flight, tmp_path / "flight")
+    shutil.copytree(ROOT / "config", tmp_path / "config")
+    command = f"{sys.executable} -m quadtree_lss.cli"
+    script = "set -e\n" + "".join(code)
+    script = re.sub(r"^quadtree-lss ", f"{command} ", script, flags=re.MULTILINE)
+    done = subprocess.run(
+        ["bash", "-c", script], cwd=tmp_path, env=environment(), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("needs_flight", "code"), blocks("python"))
+def test_python_runs_as_written(needs_flight, code, flight, tmp_path):
+    if needs_flight:
+        shutil.copytree(flight, tmp_path / "flight")
+    for text in code:
+        done = subprocess.run(
+            [sys.executable, "-c", text], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout
+
+
+def test_the_blocks_above_were_found():
+    assert len(blocks("shell")) >= 2 and len(blocks("python")) >= 1
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
+        if not target.startswith("http"):
+            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if p.parent.name != "msg_docs"], ids=lambda page: page.name
+)
+def test_parameters_that_are_named_exist(page):
+    names = {row.name for row in parameters()}
+    sections = {name.partition(".")[0] for name in names}
+    for word in re.findall(r"`([a-z_]+\.[a-z_0-9]+)(?::[^`]*)?`", page.read_text()):
+        if word.partition(".")[0] in sections - {"map", "lidar", "diagnostics"}:
+            assert word in names, word
+
+
+def test_every_equation_is_found_in_one_search():
+    text = (ROOT / "docs" / "how_it_works.md").read_text()
+    assert {int(n) for n in re.findall(r"Eq\. (\d+)", text)} == set(range(1, 64))
+
+
+def test_the_table_of_equations_names_files_and_functions_that_exist():
+    text = (ROOT / "docs" / "how_it_works.md").read_text()
+    for row in re.findall(r"^\| Eq\..*$", text, re.MULTILINE):
+        for file, functions in re.findall(r"`(\w+/\w+\.py)`((?: `\w+`,?)*)", row):
+            source = (ROOT / "quadtree_lss" / file).read_text()
+            for name in re.findall(r"`(\w+)`", functions):
+                assert re.search(rf"(def|class) {name}\b", source), (file, name)
+
+
+def test_the_picture_is_small():
+    for picture in (ROOT / "docs" / "images").iterdir():
+        assert picture.stat().st_size <= 200_000

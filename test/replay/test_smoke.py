@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command with every shipped configuration, on a small simulated flight."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from quadtree_lss.cli import main
+from quadtree_lss.configuration import find_config
+from quadtree_lss.simulation.simulate import simulate
+
+SHIPPED = sorted(path.stem for path in Path(find_config("default")).parent.glob("*.yaml"))
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flight")
+    simulate("parabola", folder / "bag", seed=5, duration=4.0)
+    return folder
+
+
+def run_all(capsys, *commands):
+    for arguments in commands:
+        assert main([str(argument) for argument in arguments]) == 0, arguments
+        shown, err = capsys.readouterr()
+        assert shown and "Traceback" not in err
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_each_command_with_each_shipped_configuration(flight, tmp_path, capsys, name):
+    out, chosen = tmp_path / "out", ["--config", name]
+    run_all(
+        capsys,
+        ["info", flight / "bag", *chosen],
+        ["config", "check", name],
+        ["config", *chosen],
+        ["replay", flight / "bag", "--out", out, *chosen, "--no-report", "--record", out / "made"],
+        ["replay", out / "made", "--out", out / "again", *chosen, "--no-report"],
+    )
+    assert json.loads((out / "summary.json").read_text())["scans"] >= 4
+    assert (out / "sites.csv").read_bytes() == (out / "again" / "sites.csv").read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_report_and_evaluation_with_each_shipped_configuration(flight, tmp_path, capsys, name):
+    out = tmp_path / "out"
+    run_all(
+        capsys,
+        ["replay", flight / "bag", "--out", out, "--config", name],
+        ["evaluate", out, "--truth", flight / "truth.npz"],
+    )
+    assert (out / "report.html").stat().st_size < 5e6
