@@ -22,12 +22,13 @@ SOURCES := $(shell find quadtree_lss launch config scripts resource -type f \
 export PYTHONSAFEPATH := 1
 unexport VIRTUAL_ENV
 
-.PHONY: help setup demo test test-all lint bench clean
+.PHONY: help setup demo test test-all test-vehicle lint bench clean
 
 help:
 	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
 	@echo 'make test      test suite'
 	@echo 'make test-all  test suite with the slow tests'
+	@echo 'make test-vehicle  test suite with the versions of a vehicle computer, where there is a python3.12'
 	@echo 'make lint      ruff and mypy'
 	@echo 'make bench     print benchmark figures'
 	@echo 'make setup     only install into .venv'
@@ -69,6 +70,18 @@ test: setup
 
 test-all: setup
 	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+
+# What Ubuntu 24.04 has, in an environment of its own; where there is no such Python, it says so.
+VEHICLE_PYTHON ?= python3.12
+VEHICLE := $(VENV)/vehicle
+test-vehicle:
+	@if ! $(VEHICLE_PYTHON) --version >/dev/null 2>&1; then \
+	    echo 'no $(VEHICLE_PYTHON) here: not tested with the versions of a vehicle'; exit 0; fi; \
+	$(VEHICLE_PYTHON) -m venv --clear $(VEHICLE); \
+	$(VEHICLE)/bin/python -m pip install --disable-pip-version-check --quiet \
+	    'numpy==1.26.*' 'scipy==1.11.*' '.[wheels,test]'; \
+	rm -rf build quadtree_lss.egg-info; \
+	$(VEHICLE)/bin/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .
