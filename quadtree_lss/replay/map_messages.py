@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -108,7 +108,7 @@ def _records(cloud: Any) -> NDArray[np.void]:
 
 def _layout(fields: Fields) -> list[tuple[str, int, int]]:
     kinds = record_dtype(fields)
-    offsets = kinds.fields or {}
+    offsets: Mapping[str, Any] = kinds.fields or {}
     return [(name, offsets[name][1], POINT_FIELD_TYPES[kind]) for name, kind in fields]
 
 

@@ -23,10 +23,12 @@ h1 { font-size: 1.5rem; margin: .2rem 0 .6rem; } h2 { font-size: 1.15rem; margin
 .buttons { position: absolute; top: .5rem; right: .5rem; display: flex; gap: .25rem; }
 button { font: inherit; background: #fff; border: 1px solid #98a1ad; border-radius: .3rem;
   min-width: 2rem; cursor: pointer; }
-fieldset { border: 1px solid var(--line); border-radius: .4rem; margin: 0 0 .7rem; }
+fieldset { border: 1px solid var(--line); border-radius: .4rem; margin: 0 0 .7rem;
+  min-width: 0; padding: .3rem .6rem .5rem; }
 legend { font-weight: 600; padding: 0 .3rem; } fieldset label { display: block; cursor: pointer;
   white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
-#values td { white-space: nowrap; } tbody td:first-child { white-space: nowrap; }
+#values td { white-space: nowrap; } #values th, #values td { padding: .12rem .2rem; }
+tbody td:first-child { white-space: nowrap; }
 #legend { min-height: 2.6rem; } #legend canvas { width: 100%; height: 36px; display: block; }
 #legend div { display: flex; align-items: center; gap: .5rem; }
 #legend i { width: 1rem; height: 1rem; border: 1px solid #666; } #legend b { margin-left: auto;

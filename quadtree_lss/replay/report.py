@@ -110,12 +110,16 @@ def _verdict(result: ReplayResult) -> str:
 
 def _cards(summary: Mapping[str, Any]) -> str:
     dropped = sum(summary["scans_dropped"].values())
-    cards = [
-        (f"{summary['scans']}", "scans mapped"),
-        (f"{dropped}", "scans dropped"),
+    cards = [(f"{summary['maps']}", "maps read, the last assessed")]
+    if summary["scans"]:
+        cards = [
+            (f"{summary['scans']}", "scans mapped"),
+            (f"{dropped}", "scans dropped"),
+            (_ms(summary["map_ms_median"]), "map update, median"),
+            (_ms(summary["map_ms_p99"]), "map update, 99 %"),
+        ]
+    cards += [
         (f"{summary['leaves']}", "leaves"),
-        (_ms(summary["map_ms_median"]), "map update, median"),
-        (_ms(summary["map_ms_p99"]), "map update, 99 %"),
         (_ms(summary["lss_ms"]), "site selection"),
         (f"{summary['real_time_factor']:.1f} ×", "real time, reading included"),
     ]
@@ -131,8 +135,8 @@ def _sites(result: ReplayResult) -> str:
     sites = result.assessment.sites
     if not len(sites.score):
         return f"<p>None. {escape(result.assessment.explanation)}</p>"
-    header = ("rank", "x, m", "y, m", "z, m", "score", "slope, deg", "roughness, m³")
-    header = (*header, "to hazard, m", "subscale height, m", "why")
+    header = ["rank", "x, m", "y, m", "z, m", "score", "slope, deg", "roughness, m³"]
+    header += ["to hazard, m", "subscale height, m", "why"]
     rows = [
         (
             k + 1,
