@@ -14,7 +14,7 @@ import struct
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
@@ -77,13 +77,19 @@ class Usage:
     seconds: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     memory_mb: list[float] = field(default_factory=list)
+    _before: float = 0.0
 
     def sample(self) -> None:
         """Look at the process now."""
         spent = self.process.cpu_times()
         self.seconds.append(time.monotonic())
-        self.cpu.append(spent.user + spent.system)
+        self.cpu.append(self._before + spent.user + spent.system)
         self.memory_mb.append(self.process.memory_info().rss / 2**20)
+
+    def follow(self, process: psutil.Process) -> None:
+        """The process was replaced by another; its processor time goes on from zero."""
+        self.process = process
+        self._before = self.cpu[-1] if self.cpu else 0.0
 
     def share(self, first: int = 0) -> float:
         """Per cent of one core from sample ``first`` to the last."""
@@ -98,6 +104,7 @@ class Flight:
     observed: Observed
     usage: dict[str, Usage]
     late_ms: float
+    recovery_s: list[tuple[str, float]] = field(default_factory=list)
 
 
 def write_script(seed: int, config_name: str = "morpheus") -> Script:
@@ -174,13 +181,20 @@ def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
 
 
 def fly(
-    script: Script, seconds: float, folder: Path, *, extra: Sequence[str] = (), domain: int = 0
+    script: Script,
+    seconds: float,
+    folder: Path,
+    *,
+    extra: Sequence[str] = (),
+    domain: int = 0,
+    kill_every: float = 0.0,
 ) -> Flight:
     """Starts the nodes, plays the script for some time, watches.
 
     Args:
         extra: ROS arguments for both nodes.
         domain: ROS domain, 0 for a free one.
+        kill_every: Kill the nodes in turn and start them again, s; 0 for never.
     """
     domain = domain or free_domain_id()
     env = local_environment(domain, folder / "log")
@@ -197,7 +211,19 @@ def fly(
         ]
         ready.wait(30.0)
         usage = {node.name: Usage(psutil.Process(node.process.pid)) for node in nodes}
-        sent, late = _play(script, seconds, domain, usage)
+        killed: list[tuple[str, int]] = []
+
+        def replace_one() -> None:
+            turn = len(killed) % len(nodes)
+            nodes[turn].process.kill()
+            nodes[turn].process.wait()
+            name = nodes[turn].name
+            log = folder / f"{name}_{len(killed)}.txt"
+            nodes[turn] = stack.enter_context(NodeProcess(name, args, env, log))
+            usage[name].follow(psutil.Process(nodes[turn].process.pid))
+            killed.append((name, time.time_ns()))
+
+        sent, late = _play(script, seconds, domain, usage, kill_every, replace_one)
         time.sleep(3.0)
         for node in nodes:
             node.check()
@@ -208,11 +234,21 @@ def fly(
         if any(codes):
             msg = f"nodes ended with exit codes {codes}"
             raise RuntimeError(msg)
-    return Flight(np.array(sent, dtype=np.int64), seen, usage, late)
+    flight = Flight(np.array(sent, dtype=np.int64), seen, usage, late)
+    for name, at in killed:
+        topic = CELLS if name == "mapping_node" else SITES
+        later = [t for stamp, t in seen.received[topic] if t > at and stamp > at]
+        flight.recovery_s.append((name, (later[0] - at) / SECOND_NS if later else float("inf")))
+    return flight
 
 
 def _play(
-    script: Script, seconds: float, domain: int, usage: dict[str, Usage]
+    script: Script,
+    seconds: float,
+    domain: int,
+    usage: dict[str, Usage],
+    kill_every: float,
+    kill: Callable[[], None],
 ) -> tuple[list[int], float]:
     """Stamps of the scans sent, and by how much the worst was sent too late, ms."""
     context = Context()
@@ -231,6 +267,7 @@ def _play(
     start, last = time.time_ns(), time.time_ns() + round(seconds * SECOND_NS)
     sent: list[int] = []
     late = sampled = 0
+    next_kill = start + round(kill_every * SECOND_NS) if kill_every else last
     while start < last:
         for offset, is_scan, content in zip(
             script.offset_ns, script.is_scan, script.content, strict=True
@@ -249,6 +286,9 @@ def _play(
                 sampled = now
                 for each in usage.values():
                     each.sample()
+            if now > next_kill:
+                next_kill = now + round(kill_every * SECOND_NS)
+                kill()
         start += script.period_ns
     context.try_shutdown()
     return sent, late / 1e6
@@ -301,8 +341,7 @@ def report(flight: Flight) -> None:
         shown = {
             key: value
             for key, value in values.items()
-            if key.startswith(("problems.", "scans", "assessments", "map.leaves"))
-            or "_ms" in key
+            if key.startswith(("problems.", "scans", "assessments", "map.leaves")) or "_ms" in key
         }
         print(f"\n{name}: " + ", ".join(f"{key} {value}" for key, value in shown.items()))
     mapped = int(flight.observed.diagnostics.get("mapping_node", {}).get("scans", 0))
@@ -310,6 +349,8 @@ def report(flight: Flight) -> None:
         f"\n{len(flight.sent)} scans sent, {mapped} mapped, {len(flight.sent) - mapped} lost;"
         f" the player was at most {flight.late_ms:.0f} ms late"
     )
+    for name, seconds in flight.recovery_s:
+        print(f"{name} killed and started again: serves new scans {seconds:.1f} s later (must 6)")
 
 
 def _spread(values: Any) -> list[str]:

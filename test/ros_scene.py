@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
@@ -97,6 +97,24 @@ def pose(stamp_ns: int) -> PoseWithCovarianceStamped:
     return message
 
 
+def gimbal(stamp_ns: int, translation: tuple[float, float, float]) -> TransformStamped:
+    """Lidar that looks down from a level body, ``translation`` in body axes."""
+    message = TransformStamped(header=header_message(stamp_ns, "body"), child_frame_id="lidar")
+    place, turn = message.transform.translation, message.transform.rotation
+    place.x, place.y, place.z = translation
+    turn.x, turn.y, turn.z, turn.w = DOWN_XYZW.tolist()
+    return message
+
+
+def level_body(stamp_ns: int, above: float) -> PoseWithCovarianceStamped:
+    """Pose of a level body whose origin lies ``above`` the lidar."""
+    message = pose(stamp_ns)
+    message.pose.pose.position.z += above
+    turn = message.pose.pose.orientation
+    turn.x, turn.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
+    return message
+
+
 class Sensors:
     """Publishers of scans and poses, matched with whoever listens."""
 
@@ -114,12 +132,32 @@ class Sensors:
         )
         time.sleep(0.5)  # the subscriber's side of the match
 
-    def publish(self, scans: int) -> int:
-        """All events, somewhat faster than they were recorded; stamp of the last scan."""
+    def publish(
+        self,
+        scans: int,
+        *,
+        offset_ns: int = 0,
+        make_pose: Callable[[int], Any] = pose,
+        make_cloud: Callable[[int, NDArray[np.float64]], PointCloud2] = cloud,
+        on_pose: Callable[[int], None] = lambda stamp_ns: None,
+    ) -> int:
+        """All events, somewhat faster than they were recorded; stamp of the last scan.
+
+        Args:
+            offset_ns: Added to all stamps.
+            make_pose: Pose message of a stamp, or a list of them; none is sent for None.
+            make_cloud: Scan message.
+            on_pose: Called with the stamp of each pose, before it is sent.
+        """
         for event in events(scans):
-            if event.points_lidar is None:
-                self.poses.publish(pose(event.stamp_ns))
-            else:
-                self.scans.publish(cloud(event.stamp_ns, event.points_lidar))
+            stamp = event.stamp_ns + offset_ns
+            if event.points_lidar is not None:
+                self.scans.publish(make_cloud(stamp, event.points_lidar))
                 time.sleep(0.03)
-        return last_scan_ns(scans)
+                continue
+            on_pose(stamp)
+            made = make_pose(stamp)
+            for message in made if isinstance(made, list) else [made]:
+                if message is not None:
+                    self.poses.publish(message)
+        return last_scan_ns(scans) + offset_ns

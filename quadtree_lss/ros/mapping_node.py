@@ -179,6 +179,8 @@ class MappingNode(Node):
             with source.handle:
                 while (got := source.handle.take_message(source.msg_type, source.raw)) is not None:
                     take(got[0])
+                    if len(self._intake.queue):
+                        self._work()
 
     def _look_around(self) -> None:
         """What is due though nothing arrives that wakes the node."""

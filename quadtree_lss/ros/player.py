@@ -11,7 +11,7 @@ from typing import Any
 
 import rclpy
 import zstandard
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -22,6 +22,8 @@ from tqdm import tqdm
 
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.replay.bags import (
+    GIMBAL_TOPIC,
+    GIMBAL_TYPE,
     POSE_TOPIC,
     POSE_TYPE,
     SCAN_TOPIC,
@@ -76,7 +78,8 @@ def play(
 ) -> PlayReport:
     """Plays a ROS 2 bag on ``lidar/points`` and ``nav/pose``, as fast as it was recorded.
 
-    Waits until both topics have a subscriber, and at the end until all was acknowledged.
+    ``lidar/gimbal`` is played if it was recorded. Waits until the first two have a subscriber,
+    and at the end until all was acknowledged.
 
     Args:
         bag: Directory or single file.
@@ -106,12 +109,15 @@ def play(
             choose_topic(source, scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic"): SCAN_TOPIC,
             choose_topic(source, pose_topic, POSE_TOPIC, POSE_TYPE, "--pose-topic"): POSE_TOPIC,
         }
+        if any((t.name, t.type) == (GIMBAL_TOPIC, GIMBAL_TYPE) for t in source.topics):
+            names[GIMBAL_TOPIC] = GIMBAL_TOPIC
         rclpy.init(context=context, domain_id=domain_id)
         try:
             node = Node("bag_player", context=context, namespace=namespace)
             publishers = _publishers(node, names)
             times = _Times(node if clock else None, rate)
-            _wait_for_subscribers(list(publishers.values()), wait)
+            needed = [p for name, p in publishers.items() if name != GIMBAL_TOPIC]
+            _wait_for_subscribers(needed, wait)
             first = source.start_ns + round(start * SECOND_NS)
             last = source.end_ns + 1
             if duration is not None:
@@ -124,7 +130,10 @@ def play(
             )
             for publisher in publishers.values():
                 publisher.wait_for_all_acked(Duration(seconds=5))
-            scans, poses = (sent[name] for name in names)
+            scans, poses = (
+                sum(sent[recorded] for recorded, name in names.items() if name == wanted)
+                for wanted in (SCAN_TOPIC, POSE_TOPIC)
+            )
             return PlayReport(scans, poses, time.monotonic() - began, tuple(source.losses))
         finally:
             context.try_shutdown()
@@ -170,7 +179,11 @@ def _send(
 
 def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
     """For each topic of the bag the publisher of its messages."""
-    kinds = {SCAN_TOPIC: PointCloud2, POSE_TOPIC: PoseWithCovarianceStamped}
+    kinds = {
+        SCAN_TOPIC: PointCloud2,
+        POSE_TOPIC: PoseWithCovarianceStamped,
+        GIMBAL_TOPIC: TransformStamped,
+    }
     profile = stream(DEPTH, reliable=True)
     return {
         recorded: node.create_publisher(kinds[name], name.lstrip("/"), profile)

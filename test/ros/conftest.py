@@ -4,16 +4,19 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 if importlib.util.find_spec("rclpy") is None:
     collect_ignore_glob = ["test_*.py"]
 else:
-    from quadtree_lss.ros.listener import Listener
+    from std_srvs.srv import Trigger
+
+    from quadtree_lss.ros.listener import TOPICS, Listener
     from quadtree_lss.ros.processes import NodeProcess, free_domain_id, local_environment
 
 PARAMETERS = """\
@@ -25,6 +28,12 @@ PARAMETERS = """\
     qos: {scan_reliability: reliable}
     publish.diagnostics_rate: 5.0
 """
+
+
+def status_values(listener: Listener, name: str) -> dict[str, str]:
+    """Values by key of the last diagnostic status of a node."""
+    status = listener.diagnostics.get(name)
+    return {} if status is None else {item.key: item.value for item in status.values}
 
 
 class Ros:
@@ -46,9 +55,18 @@ class Ros:
         ros_args = ["--params-file", str(self.params), *args]
         return self._stack.enter_context(NodeProcess(name, ros_args, self.env, log))
 
-    def listen(self) -> Listener:
+    def listen(self, topics: Mapping[str, Any] = TOPICS) -> Listener:
         """Collects the nodes' topics, as a context manager."""
-        return Listener(self.domain)
+        return Listener(self.domain, topics)
+
+    def call(self, listener: Listener, service: str) -> Trigger.Response:
+        """Answer of a Trigger service."""
+        client = listener.node.create_client(Trigger, service)
+        assert listener.wait_for(client.service_is_ready), f"no service {service}"
+        future = client.call_async(Trigger.Request())
+        assert listener.wait_for(future.done), f"{service} does not answer"
+        listener.node.destroy_client(client)
+        return future.result()
 
 
 @pytest.fixture

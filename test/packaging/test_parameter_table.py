@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/parameters.md is what the table says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from quadtree_lss.core.config import parameters
+from quadtree_lss.parameter_table import parameter_table
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "parameters.md"
+
+
+def test_the_document_is_up_to_date():
+    written = DOCUMENT.read_text(encoding="utf-8")
+    remedy = "python -m quadtree_lss.parameter_table > docs/parameters.md"
+    assert written == parameter_table(), f"docs/parameters.md is stale: {remedy}"
+
+
+def test_every_parameter_has_one_row_of_seven_cells():
+    rows = [line for line in parameter_table().splitlines() if line.startswith("| `")]
+    assert [line.split("`")[1] for line in rows] == [row.name for row in parameters()]
+    assert {line.count("|") for line in rows} == {8}

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Services of mapping_node, landing inputs of lss_node, levels of the diagnostics."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from ros.conftest import status_values
+from ros_scene import Sensors
+
+from quadtree_lss.messages.maps import CELL_FIELDS
+from quadtree_lss.ros.messages import cloud_records, header_message
+from quadtree_lss.ros.qos import latched, stream
+
+pytestmark = pytest.mark.xdist_group("ros_services")
+
+SCANS = 4
+
+
+def cells_of(listener):
+    """Bytes of the newest map."""
+    return bytes(listener.newest["map/cells"].data)
+
+
+def site_places(listener):
+    """Ranked sites (K, 2)."""
+    poses = listener.newest["landing/sites"].poses
+    return np.array([(p.position.x, p.position.y) for p in poses]).reshape(-1, 2)
+
+
+def polygon(corners, frame="map"):
+    message = PolygonStamped(header=header_message(1, frame))
+    message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
+    return message
+
+
+def target(x, y):
+    message = PointStamped(header=header_message(1, "map"))
+    message.point.x, message.point.y = x, y
+    return message
+
+
+def has_count(listener, node, key, number):
+    return status_values(listener, node).get(key) == str(number)
+
+
+def test_reset_save_and_load(ros):
+    path = ros.folder / "saved.map"
+    mapping = ros.start("mapping_node", "-p", f"map_file.path:={path}")
+    lss = ros.start("lss_node")
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        call = functools.partial(ros.call, listener)
+        missing = call("/mapping_node/load_map")
+        assert not missing.success and str(path) in missing.message
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("landing/sites") == last), lss.output()
+        before = cells_of(listener)
+        assert len(site_places(listener)) > 0
+        saved = call("/mapping_node/save_map")
+        assert saved.success and str(path) in saved.message
+
+        assert call("/mapping_node/reset").success
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == 0), mapping.output()
+        records = cloud_records(listener.newest["map/cells"], CELL_FIELDS)
+        assert np.isnan(records["elevation"]).all() and not records["measured"].any()
+        assert max(listener.newest["map/observed"].data) == -1
+        assert listener.wait_for(lambda: listener.stamp("landing/sites") == 0), lss.output()
+        assert len(site_places(listener)) == 0
+
+        assert call("/mapping_node/load_map").success
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        assert cells_of(listener) == before
+        assert listener.wait_for(lambda: listener.stamp("landing/sites") == last), lss.output()
+
+        path.write_bytes(path.read_bytes()[:-100])
+        refused = call("/mapping_node/load_map")
+        assert not refused.success and "\n" not in refused.message
+        later = sensors.publish(SCANS, offset_ns=10**10)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == later)
+    assert "Traceback" not in mapping.output() + lss.output()
+
+
+def test_services_without_a_path_or_a_folder_say_so(ros):
+    mapping = ros.start("mapping_node")
+    with ros.listen() as listener:
+        for service in ("save_map", "load_map"):
+            answer = ros.call(listener, f"/mapping_node/{service}")
+            assert not answer.success and "map_file.path" in answer.message
+        value = ParameterValue(
+            type=ParameterType.PARAMETER_STRING, string_value=str(ros.folder / "none" / "a.map")
+        )
+        assert set_parameter(listener, "/mapping_node", "map_file.path", value).successful
+        answer = ros.call(listener, "/mapping_node/save_map")
+        assert not answer.success and "No such file" in answer.message
+        refused = set_parameter(
+            listener,
+            "/mapping_node",
+            "domain.size",
+            ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=50.0),
+        )
+        assert not refused.successful
+    mapping.check()
+
+
+def set_parameter(listener, node, name, value):
+    client = listener.node.create_client(SetParameters, f"{node}/set_parameters")
+    assert listener.wait_for(client.service_is_ready)
+    request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+    future = client.call_async(request)
+    assert listener.wait_for(future.done)
+    return future.result().results[0]
+
+
+def test_area_keep_out_and_target_move_the_sites(ros):
+    mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
+    with ros.listen() as listener:
+        node, keep = listener.node, latched()
+        volatile = stream(5, reliable=True)
+        area = node.create_publisher(PolygonStamped, "landing/area", volatile)
+        keep_out = node.create_publisher(PolygonStamped, "landing/keep_out", keep)
+        goal = node.create_publisher(PointStamped, "landing/target", volatile)
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("landing/sites") == last), mapping.output()
+        free = site_places(listener)
+        assert len(free)
+
+        west = [(-15, -15), (0, -15), (0, 15), (-15, 15)]
+        area.publish(polygon(west))
+        assert listener.wait_for(lambda: _all(listener, lambda p: p[:, 0] <= -1.85)), lss.output()
+        keep_out.publish(polygon([(-20, -20), (5, -20), (5, 0), (-20, 0)]))
+        both = functools.partial(_all, listener, lambda p: (p[:, 0] <= -1.85) & (p[:, 1] >= 1.85))
+        assert listener.wait_for(both), lss.output()
+        goal.publish(target(-12.0, 12.0))
+        near = functools.partial(
+            _all, listener, lambda p: np.hypot(p[:1, 0] + 12.0, p[:1, 1] - 12.0) < 3.0
+        )
+        assert listener.wait_for(near), site_places(listener)
+
+        problems = functools.partial(has_count, listener, "lss_node")
+        area.publish(polygon(west[:2]))
+        area.publish(polygon(west, frame="odom"))
+        goal.publish(target(float("inf"), 0.0))
+        assert listener.wait_for(lambda: problems("problems.area_polygon", 1)), lss.output()
+        assert listener.wait_for(lambda: problems("problems.area_frame", 1)), lss.output()
+        assert listener.wait_for(lambda: problems("problems.target_point", 1)), lss.output()
+        assert both(), "what was asked for before still holds"
+
+        lss.process.kill()
+        lss.process.wait(10.0)
+        listener.newest.pop("landing/sites")
+        lss = ros.start("lss_node")
+        kept = functools.partial(_all, listener, lambda p: (p[:, 1] >= 1.85) | (p[:, 0] >= 6.85))
+        assert listener.wait_for(kept), "the latched keep-out zone is back after a restart"
+
+        area.publish(polygon([]))
+        keep_out.publish(polygon([]))
+        goal.publish(target(float("nan"), float("nan")))
+        same = functools.partial(_same, listener, free)
+        assert listener.wait_for(same), (free, site_places(listener))
+
+
+def _all(listener, condition):
+    if "landing/sites" not in listener.newest:
+        return False
+    places = site_places(listener)
+    return len(places) > 0 and bool(np.all(condition(places)))
+
+
+def _same(listener, places):
+    return np.array_equal(site_places(listener), places)
+
+
+def test_levels_follow_the_age_of_the_data(ros):
+    limits = ("-p", "diagnostics.warn_age:=1.5", "-p", "diagnostics.error_age:=2.5")
+    limits += ("-p", "lidar.range_noise:=0.02")
+    nodes = ("mapping_node", "lss_node")
+    for node in nodes:
+        ros.start(node, *limits)
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+
+        def level(node):
+            status = listener.diagnostics.get(node)
+            return None if status is None else status.level
+
+        for k in range(12):
+            sensors.publish(SCANS, offset_ns=k * 10**10)
+            if {level(node) for node in nodes} == {DiagnosticStatus.OK}:
+                break
+        assert {level(node) for node in nodes} == {DiagnosticStatus.OK}, listener.diagnostics
+        values = status_values(listener, "mapping_node")
+        expected = {"scan.rate_hz", "pose.age_s", "map_ms", "publish_ms", "points.dropped.outside"}
+        assert expected <= set(values), values
+        for wanted in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR):
+            for node in nodes:
+                stale = functools.partial(_equal, level, node, wanted)
+                assert listener.wait_for(stale), listener.diagnostics
+        assert "no scan on '/lidar/points'" in listener.diagnostics["mapping_node"].message
+        assert "no map on '/map/cells'" in listener.diagnostics["lss_node"].message
+
+
+def _equal(level, node, wanted):
+    return level(node) == wanted
+
+
+def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
+    ros.start("mapping_node")
+    ros.start("lss_node", "-p", "lss.vehicle_diameter:=40.0")
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("landing/sites") == last)
+        assert listener.newest["landing/sites"].poses == []
+        zone = functools.partial(_told, listener, "lss_node", "no safe site", "20.00 m")
+        assert listener.wait_for(zone), listener.diagnostics
+        noise = functools.partial(_told, listener, "mapping_node", "lidar.range_noise")
+        assert listener.wait_for(noise), listener.diagnostics
+
+
+def _told(listener, node, *words):
+    status = listener.diagnostics.get(node)
+    return (
+        status is not None
+        and status.level >= DiagnosticStatus.WARN
+        and all(word in status.message for word in words)
+    )
