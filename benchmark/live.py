@@ -345,8 +345,11 @@ def report(flight: Flight) -> None:
         }
         print(f"\n{name}: " + ", ".join(f"{key} {value}" for key, value in shown.items()))
     mapped = int(flight.observed.diagnostics.get("mapping_node", {}).get("scans", 0))
+    lost = f"{mapped} mapped, {len(flight.sent) - mapped} lost"
+    if flight.recovery_s:
+        lost = f"{mapped} mapped since the last restart"
     print(
-        f"\n{len(flight.sent)} scans sent, {mapped} mapped, {len(flight.sent) - mapped} lost;"
+        f"\n{len(flight.sent)} scans sent, {lost};"
         f" the player was at most {flight.late_ms:.0f} ms late"
     )
     for name, seconds in flight.recovery_s:

@@ -28,7 +28,14 @@ def generate_launch_description() -> LaunchDescription:
             "lidar_points", default_value="lidar/points", description="topic of the scans"
         ),
         DeclareLaunchArgument(
-            "nav_pose", default_value="nav/pose", description="topic of the lidar's poses"
+            "nav_pose",
+            default_value="nav/pose",
+            description="topic of the lidar's poses, or of the body's with a mount",
+        ),
+        DeclareLaunchArgument(
+            "lidar_gimbal",
+            default_value="lidar/gimbal",
+            description="topic of the gimbal, with mount.gimbal",
         ),
     ]
     sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
@@ -44,6 +51,7 @@ def generate_launch_description() -> LaunchDescription:
         remappings=[
             ("lidar/points", LaunchConfiguration("lidar_points")),
             ("nav/pose", LaunchConfiguration("nav_pose")),
+            ("lidar/gimbal", LaunchConfiguration("lidar_gimbal")),
         ],
         **shared,
     )

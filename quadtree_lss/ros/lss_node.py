@@ -80,7 +80,10 @@ class LssNode(Node):
 
     def _on_publishers(self, number: int) -> None:
         if number > 1:
-            text = f"{number} publishers on '{self._map_topic}': maps of either are assessed"
+            text = (
+                f"{number} publishers on '{self._map_topic}': maps of either are assessed (one that"
+                " was killed counts until its lease ends)"
+            )
             self._problems.report("map_publishers", text)
 
     def _on_cells(self, message: Any) -> None:

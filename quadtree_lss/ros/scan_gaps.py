@@ -28,7 +28,7 @@ class ScanGaps:
         if number > max(self._publishers, 1):
             text = (
                 f"{number} publishers on '{self._topic}': their scans are mapped as they come, as"
-                " if of one lidar"
+                " if of one lidar (one that was killed counts until its lease ends)"
             )
             self._problems.report("scan_publishers", text)
         self._publishers = number

@@ -37,7 +37,8 @@ def test_installed_files_are_those_of_the_checkout():
     for source in sorted((ROOT / "quadtree_lss").rglob("*.py")):
         copy = installed / source.relative_to(ROOT / "quadtree_lss")
         assert copy.read_bytes() == source.read_bytes(), f"{copy} is stale: make setup"
-    for folder, pattern in (("launch", "*.launch.py"), ("config", "*.yaml")):
+    shared = (("launch", "*.launch.py"), ("config", "*.yaml"), ("rviz", "*.rviz"))
+    for folder, pattern in shared:
         names = {path.name for path in (ROOT / folder).glob(pattern)}
         assert names and names == {path.name for path in (SHARE / folder).glob(pattern)}
 
@@ -119,7 +120,8 @@ def test_launch_file_starts_both_nodes_with_its_arguments():
         }
 
     declared = first_words("DeclareLaunchArgument")
-    assert declared == {"params_file", "namespace", "use_sim_time", "lidar_points", "nav_pose"}
+    topics = {"lidar_points", "nav_pose", "lidar_gimbal"}
+    assert declared == {"params_file", "namespace", "use_sim_time"} | topics
     assert first_words("LaunchConfiguration") == declared
     started = {
         keyword.value.value
