@@ -211,6 +211,7 @@ def test_a_browser_draws_it_and_tells_values(result, tmp_path):
     assert told("rows") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this computer")
 def test_a_browser_draws_a_map_without_sites(tmp_path):
     config = config_from_values({"lss.max_gap": 0.0}, CONFIG)
