@@ -90,7 +90,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
         y=y,
         z=z0 + rise,
         normal=fused_normal,
-        range_part=planes.move_up(fused_normal, planes.symmetric(fused_range), rise),
-        pose_part=planes.move_up(fused_normal, planes.symmetric(fused_pose), rise),
+        range_part=planes.move_up(fused_normal, planes.sound(fused_range), rise),
+        pose_part=planes.move_up(fused_normal, planes.sound(fused_pose), rise),
         of_leaf=np.where(below, place[np.where(below, key, 0)], -1),
     )

@@ -242,4 +242,4 @@ def pose_variance(normal: Array, arm: Array, pose_root: Array) -> Array:
     row = np.concatenate([normal, planes.cross(arm, normal)], axis=1)
     moved = (row[:, None, :] @ pose_root)[:, 0, :]
     out: Array = np.einsum("mi,mi->m", moved, moved)
-    return out
+    return np.minimum(out, planes.MAX_VARIANCE)

@@ -99,7 +99,8 @@ class Leaves(Quadtree):
     ) -> None:
         """Write planes through (x, y, z)."""
         self.normal[rows], self.z[rows] = normal, z
-        self.range_part[rows], self.pose_part[rows] = range_part, pose_part
+        self.range_part[rows] = planes.sound(range_part)
+        self.pose_part[rows] = planes.sound(pose_part)
 
     def set_fused(self, rows: Index, fused: Planes) -> None:
         """Write planes whose d is about the present (x, y, z): the origin moves to the plane."""
@@ -116,7 +117,7 @@ class Leaves(Quadtree):
         """Divide leaves ``rows`` as far as ``max_cells`` allows; children inherit the plane.
 
         An inherited plane is the parent's moved to the child's centre, its covariance inflated by
-        the parent's misfit m^2: m^2 on d, and m^2 / (size / 4)^2 on the tilt.
+        the parent's misfit m^2: m^2 on d, and m^2 / (size / 4)^2 on the tilt, a radian at most.
 
         Returns:
             The rows that were divided.
@@ -141,7 +142,7 @@ class Leaves(Quadtree):
         _, change = planes.shift_origin(normal, np.zeros(4 * done), delta)
         inflated = planes.congruent(change, np.repeat(range_part[:done], 4, axis=0))
         square = np.repeat(misfit[:done], 4)
-        tilt = square / quarter**2
+        tilt = np.minimum(square / quarter**2, 1.0)
         inflated[:, 0, 0] += tilt
         inflated[:, 1, 1] += tilt
         inflated[:, 2, 2] += square

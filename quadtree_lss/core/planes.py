@@ -23,6 +23,8 @@ Mask = NDArray[np.bool_]
 MIN_COSINE = 0.05
 #: A fit whose slope is less certain than this (rad, one sigma) is none.
 MAX_SLOPE_SIGMA = 0.5
+#: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
+MIN_UP = 0.05
 #: Pose variances above this (m^2 or rad^2) say no more than this: nothing is known.
 MAX_VARIANCE = 1e6
 #: In-plane scatter thinner than this, relative to its length, is a line.
@@ -125,7 +127,7 @@ def fit_height(scatter: Array, prior_normal: Array, prior_spread: Array) -> Arra
     determinant = sxx * syy - sxy * sxy
     a = (syy * sxz - sxy * syz) / determinant
     b = (sxx * syz - sxy * sxz) / determinant
-    return normal_from_slopes(a, b)
+    return upward(normal_from_slopes(a, b))
 
 
 def normal_from_slopes(a: Array, b: Array) -> Array:
@@ -170,12 +172,13 @@ def fit_orthogonal(scatter: Array, start: Array, iterations: int = 4) -> Array:
 
 
 def upward(normals: Array) -> Array:
-    """(n, d) and (-n, -d) are one plane: normals (M, 3) turned to n_z > 0 and off the horizon."""
+    """(n, d) and (-n, -d) are one plane: normals (M, 3) turned to n_z >= ``MIN_UP``."""
     up = np.where(normals[:, 2:] < 0.0, -normals, normals)
-    low = up[:, 2] < 1e-3
-    if low.any():
-        up[low, 2] = 1e-3
-        up[low] /= np.linalg.norm(up[low], axis=-1, keepdims=True)
+    low = np.flatnonzero(up[:, 2] < MIN_UP)
+    if len(low):
+        level = up[low, :2]
+        level *= np.sqrt(1.0 - MIN_UP**2) / np.maximum(np.hypot(*level.T), 1e-300)[:, None]
+        up[low, :2], up[low, 2] = level, MIN_UP
     return up
 
 
@@ -200,6 +203,8 @@ def slope_covariance(scatter: Array, basis: Array, spread: Array) -> Array:
     out = np.empty((len(h), 2, 2))
     out[:, 0, 0], out[:, 1, 1] = h11 / determinant, h00 / determinant
     out[:, 0, 1] = out[:, 1, 0] = -h01 / determinant
+    # A direction is never less certain than a radian.
+    out *= np.minimum(1.0, 1.0 / (out[:, 0, 0] + out[:, 1, 1]))[:, None, None]
     return out
 
 
@@ -331,7 +336,6 @@ def move_up(normal: Array, covariance: Array, delta_z: Array) -> Array:
     out[:, :2, 2] += added
     out[:, 2, :2] = out[:, :2, 2]
     out[:, 2, 2] += 2.0 * np.einsum("mi,mi->m", lever, cross) + np.einsum("mi,mi->m", lever, added)
-    np.maximum(out[:, 2, 2], 1e-18, out=out[:, 2, 2])
     return out
 
 
@@ -373,8 +377,8 @@ def fuse_pair(prior: Planes, update: Planes) -> Planes:
     return Planes(
         normal,
         prior.d + step[:, 2],
-        symmetric(congruent(rest, prior.range_part) + congruent(gain, range_part)),
-        symmetric(congruent(rest, prior.pose_part) + congruent(gain, pose)),
+        congruent(rest, prior.range_part) + congruent(gain, range_part),
+        congruent(rest, prior.pose_part) + congruent(gain, pose),
     )
 
 
@@ -400,16 +404,38 @@ def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose:
     return Planes(
         upward(sphere.plus(prior.normal, step[:, :2])),
         prior.d + step[:, 2],
-        symmetric(congruent(rest, prior.range_part) + noise[:, None, None] * square),
-        symmetric(congruent(rest, prior.pose_part) + pose[:, None, None] * square),
+        congruent(rest, prior.range_part) + noise[:, None, None] * square,
+        congruent(rest, prior.pose_part) + pose[:, None, None] * square,
     )
 
 
 def symmetric(matrices: Array) -> Array:
-    """Covariances (M, K, K) without round-off: mean with the transpose, diagonal not negative."""
+    """Mean of (M, K, K) and its transpose."""
     out: Array = 0.5 * (matrices + matrices.transpose(0, 2, 1))
-    diagonal = np.einsum("mii->mi", out)
-    np.maximum(diagonal, 1e-18, out=diagonal)
+    return out
+
+
+def sound(covariance: Array) -> Array:
+    """Covariances (M, 3, 3) freed of what round-off may do to extreme ones.
+
+    Variances are kept positive; where the correlations are impossible, the nearest possible ones
+    (no negative eigenvalue) take their place.
+    """
+    out = symmetric(covariance)
+    variance = np.maximum(np.einsum("mii->mi", out), 1e-18)
+    np.einsum("mii->mi", out)[...] = variance
+    inverse = 1.0 / np.sqrt(variance)
+    b = out[:, 0, 1] * inverse[:, 0] * inverse[:, 1]
+    c = out[:, 0, 2] * inverse[:, 0] * inverse[:, 2]
+    e = out[:, 1, 2] * inverse[:, 1] * inverse[:, 2]
+    determinant = 1.0 + 2.0 * b * c * e - b * b - c * c - e * e
+    apart = np.maximum(np.maximum(b * b, c * c), e * e)
+    bad = np.flatnonzero((determinant < -1e-9) | (apart > 1.0 + 1e-9))
+    if len(bad):
+        scale = inverse[bad, :, None] * inverse[bad, None, :]
+        values, vectors = np.linalg.eigh(np.clip(out[bad] * scale, -1.0, 1.0))
+        kept = (vectors * np.maximum(values, 1e-12)[:, None, :]) @ vectors.transpose(0, 2, 1)
+        out[bad] = kept / scale
     return out
 
 
