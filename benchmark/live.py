@@ -267,7 +267,7 @@ def _play(
     start, last = time.time_ns(), time.time_ns() + round(seconds * SECOND_NS)
     sent: list[int] = []
     late = sampled = 0
-    next_kill = start + round(kill_every * SECOND_NS) if kill_every else last
+    next_kill = start + kill_every * SECOND_NS if kill_every else float("inf")
     while start < last:
         for offset, is_scan, content in zip(
             script.offset_ns, script.is_scan, script.content, strict=True
@@ -287,7 +287,7 @@ def _play(
                 for each in usage.values():
                     each.sample()
             if now > next_kill:
-                next_kill = now + round(kill_every * SECOND_NS)
+                next_kill = now + kill_every * SECOND_NS
                 kill()
         start += script.period_ns
     context.try_shutdown()
