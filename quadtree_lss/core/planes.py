@@ -377,8 +377,8 @@ def fuse_pair(prior: Planes, update: Planes) -> Planes:
     return Planes(
         normal,
         prior.d + step[:, 2],
-        congruent(rest, prior.range_part) + congruent(gain, range_part),
-        congruent(rest, prior.pose_part) + congruent(gain, pose),
+        symmetric(congruent(rest, prior.range_part) + congruent(gain, range_part)),
+        symmetric(congruent(rest, prior.pose_part) + congruent(gain, pose)),
     )
 
 
@@ -404,8 +404,8 @@ def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose:
     return Planes(
         upward(sphere.plus(prior.normal, step[:, :2])),
         prior.d + step[:, 2],
-        congruent(rest, prior.range_part) + noise[:, None, None] * square,
-        congruent(rest, prior.pose_part) + pose[:, None, None] * square,
+        symmetric(congruent(rest, prior.range_part) + noise[:, None, None] * square),
+        symmetric(congruent(rest, prior.pose_part) + pose[:, None, None] * square),
     )
 
 
