@@ -67,6 +67,8 @@ class ScanUpdate:
         self.key = stored.open_scan(scan)
         self.divisions = 0
         self.refused = 0
+        self._known = np.zeros(leaves.capacity, dtype=np.bool_)
+        self._shift = np.zeros(leaves.capacity)
 
     def run(self) -> Residuals:
         """Fit, fuse and divide until no cell asks for it.
@@ -92,9 +94,27 @@ class ScanUpdate:
 
     def _divide(self, rows: Index) -> Index:
         divided = self.leaves.divide(rows)
+        self._bequeath(divided)
         self.refused += len(rows) - len(divided)
         self.divisions += len(divided)
         return divided
+
+    def _bequeath(self, divided: Index) -> None:
+        """Children of leaves that earlier scans had measured keep what these said of the height.
+
+        Their first fits know this scan's height alone, which its pose error shifts as it shifted
+        the parent's: by the parent's fused plane less the parent's fit of this scan.
+        """
+        more = self.leaves.capacity - len(self._known)
+        if more > 0:
+            self._known = np.concatenate([self._known, np.zeros(more, dtype=np.bool_)])
+            self._shift = np.concatenate([self._shift, np.zeros(more)])
+        known = np.flatnonzero(self._known[divided])
+        if len(known):
+            # The first child has its parent's row; the others were appended, three a parent.
+            fresh = self.leaves.count - 3 * len(divided) + 3 * known[:, None] + np.arange(3)
+            self._known[fresh] = True
+            self._shift[fresh] = self._shift[divided[known], None]
 
     def _settle(self, points: Array, finest: Index) -> Residuals:
         final = FinalGroups(points.shape[1], self.origin)
@@ -211,17 +231,24 @@ class ScanUpdate:
             planes.move_up(normal, fit.planes.range_part[again], -rise),
             planes.move_up(normal, fit.planes.pose_part[again], -rise),
         )
+        scanned = leaves.z[later] + rise
         leaves.set_fused(later, planes.fuse_pair(leaves.planes(later), update))
+        self._known[later] = True
+        self._shift[later] = leaves.z[later] - scanned
 
     def _set(self, rows: Index, chosen: Index, fit: Fit) -> None:
-        """First estimate of the leaves ``rows[chosen]``."""
+        """First estimate of the leaves ``rows[chosen]``; see `_bequeath` for children."""
         at, of = rows[chosen], fit.planes
+        known = self._known[at]
+        pose_part = of.pose_part[chosen]
+        if known.any():
+            pose_part = np.where(known[:, None, None], self.leaves.pose_part[at], pose_part)
         self.leaves.set_planes(
             at,
             of.normal[chosen],
-            fit.z[chosen] + self.origin[2],
+            fit.z[chosen] + self.origin[2] + self._shift[at],
             of.range_part[chosen],
-            of.pose_part[chosen],
+            pose_part,
         )
         self.leaves.measured[at] = True
 
