@@ -161,7 +161,8 @@ def fit_scans(
     lidars: Array,
     pose_roots: Array,
 ) -> Fit:
-    """Planes of cells from stored points of several scans, each with its own offset gamma_j.
+    """Planes of cells from stored points of several scans, each with its own offset gamma_j
+    (Eq. 20, Eq. 21).
 
     The normal follows from the sum of the within-scan scatters over their residuals' variances
     (which depend on the normal a little: two passes); gamma_j = n.mean_j, and d = mean of gamma_j

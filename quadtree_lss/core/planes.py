@@ -138,10 +138,12 @@ def normal_from_slopes(a: Array, b: Array) -> Array:
 
 
 def fit_orthogonal(scatter: Array, start: Array, iterations: int = 4) -> Array:
-    """Normals (M, 3) of the paper's ML fit (Eq. 23-36) by Newton's method on the sphere.
+    """Normals (M, 3) of the paper's ML fit by Newton's method on the sphere.
 
-    With one free offset per scan and weights constant in a (cell, scan), the cost of Eq. 25 is
-    n^T S n / 2, S the sum of within-scan scatters times their weights 1 / (n^T Sigma n), held at
+    Eq. 23, Eq. 24 and Eq. 25 are the cost, Eq. 26, Eq. 27, Eq. 28, Eq. 29, Eq. 30 and Eq. 31 its
+    linearisation, Eq. 32, Eq. 33, Eq. 34 and Eq. 35 the normal equations, Eq. 36 the step. With one
+    free offset per scan and weights constant in a (cell, scan), the cost of Eq. 25 is n^T S n / 2, S
+    the sum of within-scan scatters times their weights 1 / (n^T Sigma n), held at
     the current normal as in Eq. 35. With B the tangent basis at n: gradient B^T S n, Hessian
     B^T S B - (n^T S n) I. Where that is not positive definite the Gauss-Newton Hessian B^T S B
     of Eq. 33 serves.
@@ -341,7 +343,7 @@ def move_up(normal: Array, covariance: Array, delta_z: Array) -> Array:
 
 @dataclass(frozen=True)
 class Planes:
-    """Estimates of M planes with the two parts of their covariance.
+    """Estimates of M planes (Eq. 37) with the two parts of their covariance (Eq. 38).
 
     Attributes:
         normal: (M, 3), up.
@@ -357,7 +359,10 @@ class Planes:
 
 
 def fuse_pair(prior: Planes, update: Planes) -> Planes:
-    """Eq. 39-45 for two estimates of each plane about the same origin, parts carried along.
+    """Two estimates of each plane about the same origin made one, parts carried along.
+
+    Eq. 39 is the error, Eq. 40, Eq. 41 and Eq. 42 the least squares, Eq. 43, Eq. 44 and Eq. 45 what
+    comes of it:
 
     e = (n_update [-] n_prior, d_update - d_prior) in the prior's tangent; with the total
     covariances P and R: K = P (P + R)^-1, fused = prior [+] K e, and each part of the covariance

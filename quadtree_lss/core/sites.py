@@ -298,7 +298,7 @@ def _score(
     over: Disc,
     lss: LssConfig,
 ) -> Array:
-    """Eq. 58 on the finest cells, Eq. 59 as the mean over the disc of each node.
+    """Eq. 58 on the finest cells; Eq. 56's integral as Eq. 59's mean over the disc of each node.
 
     The distance to a hazard counts up to ``hazard_distance_cap``.
     """
@@ -321,7 +321,7 @@ def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
         lines.append(
             f"slope {sites.slope_deg[k]:.1f} deg of {lss.max_slope_deg:g}, {nearest}, "
             f"roughness {sites.roughness[k]:.3f} m^3, "
-            + (f"features up to {bump:.2f} m" if bump > 0.0 else "no subscale feature")
+            + (f"features up to {bump:.2f} m" if bump >= 0.005 else "no subscale feature")
         )
     return Sites(
         sites.position,

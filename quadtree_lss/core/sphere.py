@@ -63,7 +63,7 @@ def log(normals: ArrayLike) -> Array:
 
 
 def exp_jacobian(tangents: ArrayLike) -> Array:
-    """Eq. 5-7 with the bottom row -sinc(phi) phi^T: d exp / d phi, (..., 2) to (..., 3, 2)."""
+    """Eq. 5, Eq. 6 and Eq. 7 with the bottom row -sinc(phi) phi^T: d exp / d phi, (..., 2) to (..., 3, 2)."""
     phi = np.asarray(tangents, dtype=np.float64)
     angle = np.hypot(phi[..., 0], phi[..., 1])
     sinc = np.sinc(angle / np.pi)
@@ -102,13 +102,16 @@ def log_jacobian(normals: ArrayLike) -> Array:
 
 
 def plus(normals: ArrayLike, tangents: ArrayLike) -> Array:
-    """Eq. 8: n [+] phi = R_n exp(phi)."""
+    """Eq. 8: n [+] phi = R_n exp(phi).
+
+    An uncertain unit vector is its mean [+] a Gaussian tangent (Eq. 10, Eq. 11).
+    """
     out: Array = (rotation_to(normals) @ exp(tangents)[..., None])[..., 0]
     return out
 
 
 def minus(normals: ArrayLike, reference: ArrayLike) -> Array:
-    """Eq. 9 (cases corrected): n [-] m, the tangent at m that leads to n, or to -n if nearer.
+    """Eq. 9 (cases corrected) and Eq. 12: n [-] m, the tangent at m to n, or to -n if nearer.
 
     (n, d) and (-n, -d) are one plane, so both vectors are first turned to the upper half space
     and then towards one another; R_m is never formed near lambda = -1.
