@@ -27,7 +27,7 @@ _ROUND = 1e-6
 
 
 def acceptance_interval(degrees: int) -> tuple[float, float]:
-    """Eq. 62 and Eq. 63: bounds of the chi distribution of ``degrees`` that hold 95 % of its mass."""
+    """Eq. 62 and Eq. 63: bounds that hold 95 % of the chi distribution of ``degrees``."""
     low, high = 2.0 * gammaincinv(0.5 * degrees, [0.5 * OUTSIDE, 1.0 - 0.5 * OUTSIDE])
     return float(np.sqrt(low)), float(np.sqrt(high))
 

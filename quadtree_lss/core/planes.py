@@ -142,8 +142,8 @@ def fit_orthogonal(scatter: Array, start: Array, iterations: int = 4) -> Array:
 
     Eq. 23, Eq. 24 and Eq. 25 are the cost, Eq. 26, Eq. 27, Eq. 28, Eq. 29, Eq. 30 and Eq. 31 its
     linearisation, Eq. 32, Eq. 33, Eq. 34 and Eq. 35 the normal equations, Eq. 36 the step. With one
-    free offset per scan and weights constant in a (cell, scan), the cost of Eq. 25 is n^T S n / 2, S
-    the sum of within-scan scatters times their weights 1 / (n^T Sigma n), held at
+    free offset per scan and weights constant in a (cell, scan), the cost of Eq. 25 is n^T S n / 2,
+    S the sum of within-scan scatters times their weights 1 / (n^T Sigma n), held at
     the current normal as in Eq. 35. With B the tangent basis at n: gradient B^T S n, Hessian
     B^T S B - (n^T S n) I. Where that is not positive definite the Gauss-Newton Hessian B^T S B
     of Eq. 33 serves.

