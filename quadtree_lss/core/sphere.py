@@ -63,7 +63,7 @@ def log(normals: ArrayLike) -> Array:
 
 
 def exp_jacobian(tangents: ArrayLike) -> Array:
-    """Eq. 5, Eq. 6 and Eq. 7, bottom row -sinc(phi) phi^T: d exp / d phi, (..., 2) to (..., 3, 2)."""
+    """Eq. 5, Eq. 6, Eq. 7 (bottom row -sinc(phi) phi^T): d exp / d phi, (..., 2) to (..., 3, 2)."""
     phi = np.asarray(tangents, dtype=np.float64)
     angle = np.hypot(phi[..., 0], phi[..., 1])
     sinc = np.sinc(angle / np.pi)
