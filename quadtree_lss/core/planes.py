@@ -25,6 +25,8 @@ MIN_COSINE = 0.05
 MAX_SLOPE_SIGMA = 0.5
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
 MIN_UP = 0.05
+#: A fused plane steeper than both it was made of and than this n_z (78 deg) is a failed fusion.
+OVERTURNED = 0.2
 #: Pose variances above this (m^2 or rad^2) say no more than this: nothing is known.
 MAX_VARIANCE = 1e6
 #: In-plane scatter thinner than this, relative to its length, is a line.
@@ -367,6 +369,9 @@ def fuse_pair(prior: Planes, update: Planes) -> Planes:
     e = (n_update [-] n_prior, d_update - d_prior) in the prior's tangent; with the total
     covariances P and R: K = P (P + R)^-1, fused = prior [+] K e, and each part of the covariance
     becomes (I - K) P_part (I - K)^T + K R_part K^T, which sums to (P^-1 + R^-1)^-1.
+
+    Where both normals are so uncertain that the linear step overturns the plane (steeper than
+    either and n_z below ``OVERTURNED``), the update takes the prior's place.
     """
     change = tangent_change(update.normal, prior.normal)
     range_part = congruent(change, update.range_part)
@@ -378,13 +383,14 @@ def fuse_pair(prior: Planes, update: Planes) -> Planes:
     gain = total @ inverse_symmetric(total + range_part + pose)
     rest = np.eye(3) - gain
     step = (gain @ error[:, :, None])[:, :, 0]
-    normal = upward(sphere.plus(prior.normal, step[:, :2]))
-    return Planes(
-        normal,
+    fused = Planes(
+        upward(sphere.plus(prior.normal, step[:, :2])),
         prior.d + step[:, 2],
         symmetric(congruent(rest, prior.range_part) + congruent(gain, range_part)),
         symmetric(congruent(rest, prior.pose_part) + congruent(gain, pose)),
     )
+    steeper = fused.normal[:, 2] < np.minimum(prior.normal[:, 2], update.normal[:, 2])
+    return _where(steeper & (fused.normal[:, 2] < OVERTURNED), update, fused)
 
 
 def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose: Array) -> Planes:
@@ -398,6 +404,8 @@ def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose:
         lever: (M, 2) B^T (mean - origin), m.
         height: (M,) A, m.
         noise, pose: (M,) its variances from range noise and pose, m^2.
+
+    Where the height would overturn an uncertain plane, the prior stays.
     """
     row = np.concatenate([-lever, np.ones((len(lever), 1))], axis=1)
     total = prior.range_part + prior.pose_part
@@ -406,11 +414,26 @@ def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose:
     step = gain * height[:, None]
     rest = np.eye(3) - gain[:, :, None] * row[:, None, :]
     square = gain[:, :, None] * gain[:, None, :]
-    return Planes(
+    fused = Planes(
         upward(sphere.plus(prior.normal, step[:, :2])),
         prior.d + step[:, 2],
         symmetric(congruent(rest, prior.range_part) + noise[:, None, None] * square),
         symmetric(congruent(rest, prior.pose_part) + pose[:, None, None] * square),
+    )
+    steeper = fused.normal[:, 2] < prior.normal[:, 2]
+    return _where(steeper & (fused.normal[:, 2] < OVERTURNED), prior, fused)
+
+
+def _where(chosen: Mask, these: Planes, others: Planes) -> Planes:
+    """``these`` where chosen (M,), ``others`` elsewhere."""
+    if not chosen.any():
+        return others
+    matrix = chosen[:, None, None]
+    return Planes(
+        np.where(chosen[:, None], these.normal, others.normal),
+        np.where(chosen, these.d, others.d),
+        np.where(matrix, these.range_part, others.range_part),
+        np.where(matrix, these.pose_part, others.pose_part),
     )
 
 
