@@ -99,8 +99,8 @@ class Leaves(Quadtree):
     ) -> None:
         """Write planes through (x, y, z)."""
         self.normal[rows], self.z[rows] = normal, z
-        self.range_part[rows] = planes.sound(range_part)
-        self.pose_part[rows] = planes.sound(pose_part)
+        parts = planes.sound(np.concatenate([range_part, pose_part]))
+        self.range_part[rows], self.pose_part[rows] = parts[: len(rows)], parts[len(rows) :]
 
     def set_fused(self, rows: Index, fused: Planes) -> None:
         """Write planes whose d is about the present (x, y, z): the origin moves to the plane."""

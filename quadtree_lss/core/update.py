@@ -238,6 +238,8 @@ class ScanUpdate:
 
     def _set(self, rows: Index, chosen: Index, fit: Fit) -> None:
         """First estimate of the leaves ``rows[chosen]``; see `_bequeath` for children."""
+        if not len(chosen):
+            return
         at, of = rows[chosen], fit.planes
         known = self._known[at]
         pose_part = of.pose_part[chosen]
