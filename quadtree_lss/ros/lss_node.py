@@ -53,6 +53,7 @@ class LssNode(Node):
         self._frame = config.frames.map
         self._assessments = 0
         self._maps = Arrivals()
+        self._publishers_of_map = 0
         self._lss_ms, self._latency_ms = Durations(), Durations()
         self._diagnostics = Diagnostics(
             self, config.publish.diagnostics_rate, self._problems, self._collect
@@ -79,6 +80,7 @@ class LssNode(Node):
         self._output.changed()
 
     def _on_publishers(self, number: int) -> None:
+        self._publishers_of_map = number
         if number > 1:
             text = (
                 f"{number} publishers on '{self._map_topic}': maps of either are assessed (one that"
@@ -148,6 +150,7 @@ class LssNode(Node):
         status.judge_age("map", self._map_topic, self._maps, self._settings.config.diagnostics)
         status.add(
             {
+                "map.publishers": self._publishers_of_map,
                 "assessments": self._assessments,
                 "lss_ms": self._lss_ms.take(),
                 "latency_ms": self._latency_ms.take(),
