@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -24,7 +25,7 @@ from quadtree_lss.core.config import Config
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.sites import LandingSiteSelector
 from quadtree_lss.messages.maps import round_trip
-from quadtree_lss.replay.map_messages import TOPIC_TYPES, MessageMaker
+from quadtree_lss.messages.outputs import TOPIC_TYPES, MessageMaker
 from quadtree_lss.replay.stream import ReplayError
 from quadtree_lss.replay.types import typestore
 
@@ -62,7 +63,7 @@ class Recorder:
         self._path, self._maps = path, maps
         self._writer = self._open()
         self._store = typestore(ros1=False)
-        self._messages = MessageMaker(self._store, config.frames.map)
+        self._messages = MessageMaker(self._store.types, np.asarray, config.frames.map)
         self._selector = LandingSiteSelector(config)
         self._connections: dict[str, Any] = {}
         self._map = _Clock(config.publish.rate)

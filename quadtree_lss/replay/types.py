@@ -10,11 +10,11 @@ from __future__ import annotations
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-SCAN_TYPE = "sensor_msgs/msg/PointCloud2"
+from quadtree_lss.messages.outputs import CLOUD_TYPE, GRID_TYPE, POSES_TYPE
+
+SCAN_TYPE = CLOUD_TYPE
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 GIMBAL_TYPE = "geometry_msgs/msg/TransformStamped"
-GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
-POSES_TYPE = "geometry_msgs/msg/PoseArray"
 
 _HEADER = """
 MSG: std_msgs/Header

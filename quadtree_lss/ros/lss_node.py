@@ -21,12 +21,7 @@ from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
 from quadtree_lss.ros.landing_inputs import LandingInputs
 from quadtree_lss.ros.markers import MarkerPublisher, site_markers
-from quadtree_lss.ros.messages import (
-    landing_grids,
-    map_from_messages,
-    site_table_message,
-    sites_message,
-)
+from quadtree_lss.ros.messages import landing_messages, map_from_messages
 from quadtree_lss.ros.monitor import Arrivals, Durations
 from quadtree_lss.ros.node_runner import run
 from quadtree_lss.ros.parameters import NodeParameters
@@ -58,10 +53,15 @@ class LssNode(Node):
         self._diagnostics = Diagnostics(
             self, config.publish.diagnostics_rate, self._problems, self._collect
         )
-        self._sites = advertise(self, PoseArray, "landing/sites", latched())
-        self._table = advertise(self, PointCloud2, "landing/site_table", latched())
-        self._hazards = advertise(self, OccupancyGrid, "landing/hazards", latched())
-        self._score = advertise(self, OccupancyGrid, "landing/score", latched())
+        self._landing = {
+            topic: advertise(self, kind, topic, latched())
+            for topic, kind in (
+                ("landing/sites", PoseArray),
+                ("landing/site_table", PointCloud2),
+                ("landing/hazards", OccupancyGrid),
+                ("landing/score", OccupancyGrid),
+            )
+        }
         self._markers = MarkerPublisher(
             self,
             config.publish.marker_rate,
@@ -128,11 +128,8 @@ class LssNode(Node):
             self._cells, area=given.area, keep_out=given.keep_out, target=given.target
         )
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
-        hazards, score = landing_grids(result, self._frame)
-        self._hazards.publish(hazards)
-        self._score.publish(score)
-        self._table.publish(site_table_message(result, self._frame))
-        self._sites.publish(sites_message(result, self._frame))
+        for topic, message in landing_messages(result, self._frame).items():
+            self._landing[topic].publish(message)
         self._assessments += 1
         self._result = result
         self._markers.changed()

@@ -18,12 +18,10 @@ from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.messages.maps import CELL_FIELDS, MapMessageError, round_trip
 from quadtree_lss.ros.messages import (
-    cloud_message,
     cloud_records,
-    grid_message,
-    header_message,
     map_from_messages,
     map_messages,
+    message_maker,
 )
 from quadtree_lss.ros.player import PlayError, play
 from quadtree_lss.ros.problems import Problems
@@ -66,14 +64,14 @@ def test_foreign_clouds_are_refused(cells):
     cloud.fields = cloud.fields[:-1]
     with pytest.raises(MapMessageError, match="layout"):
         map_from_messages(cloud, grid)
-    short = cloud_message(np.zeros(3, [("x", "<f4")]), (("x", "f4"),), header_message(0, "map"))
+    short = message_maker("map").cloud(np.zeros(3, [("x", "<f4")]), (("x", "f4"),), 0)
     with pytest.raises(MapMessageError):
         cloud_records(short, CELL_FIELDS)
 
 
 def test_grid_rows_run_along_y():
     values = np.arange(6, dtype=np.int8).reshape(2, 3)
-    grid = grid_message(values, (-1.0, 2.0), 0.5, header_message(1_500_000_000, "map"))
+    grid = message_maker("map").grid(values, (-1.0, 2.0), 0.5, 1_500_000_000)
     assert (grid.info.width, grid.info.height) == (3, 2)
     assert list(grid.data) == [0, 1, 2, 3, 4, 5]
     assert (grid.info.origin.position.x, grid.info.origin.position.y) == (-1.0, 2.0)

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The output topics as messages, and maps read back: for rclpy's classes and for those of bags.
+
+Nothing here knows where the classes come from; they are given by name and called with all fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.messages.clouds import stamp_ns
+from quadtree_lss.messages.maps import (
+    CELL_FIELDS,
+    POINT_FIELD_TYPES,
+    SITE_FIELDS,
+    MapMessageError,
+    decode_cells,
+    encode_cells,
+    encode_hazards,
+    encode_observed,
+    encode_score,
+    encode_sites,
+    record_dtype,
+    site_orientations,
+)
+
+if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
+    from quadtree_lss.core.sites import LandingAssessment
+
+CELLS, OBSERVED = "map/cells", "map/observed"
+SITES, SITE_TABLE = "landing/sites", "landing/site_table"
+HAZARDS, SCORE = "landing/hazards", "landing/score"
+
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
+POSES_TYPE = "geometry_msgs/msg/PoseArray"
+TOPIC_TYPES = {
+    CELLS: CLOUD_TYPE,
+    OBSERVED: GRID_TYPE,
+    SITES: POSES_TYPE,
+    SITE_TABLE: CLOUD_TYPE,
+    HAZARDS: GRID_TYPE,
+    SCORE: GRID_TYPE,
+}
+"""Relative names of the outputs and their types."""
+
+Fields = tuple[tuple[str, str], ...]
+Named = tuple[str, Any]
+"""Relative name of a topic, and a message."""
+
+
+def point_layout(fields: Fields) -> list[tuple[str, int, int]]:
+    """Name, offset and PointField datatype of each field of ``record_dtype(fields)``."""
+    offsets: Mapping[str, Any] = record_dtype(fields).fields or {}
+    return [(name, offsets[name][1], POINT_FIELD_TYPES[kind]) for name, kind in fields]
+
+
+def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
+    """Records (M,) of a PointCloud2 that has exactly the layout of `MessageMaker.cloud`.
+
+    Raises:
+        MapMessageError: other fields, offsets, types or sizes (``layout``).
+    """
+    kinds = record_dtype(fields)
+    found = [(item.name, item.offset, item.datatype) for item in cloud.fields]
+    count = cloud.width * cloud.height
+    if (
+        found != point_layout(fields)
+        or cloud.is_bigendian
+        or cloud.point_step != kinds.itemsize
+        or len(cloud.data) != count * kinds.itemsize
+    ):
+        msg = (
+            f"cloud of {count} points, {len(found)} fields and {cloud.point_step} bytes"
+            f" each is not of the layout documented in msg_docs ({len(fields)} fields,"
+            f" {kinds.itemsize} bytes)"
+        )
+        raise MapMessageError("layout", msg)
+    return np.frombuffer(cloud.data, dtype=kinds)
+
+
+def map_from_messages(cloud: Any, grid: Any) -> CellMap:
+    """The map of one stamp from ``map/cells`` and ``map/observed``.
+
+    Raises:
+        MapMessageError: a message is not what ``mapping_node`` sends.
+    """
+    records = cloud_records(cloud, CELL_FIELDS)
+    values = np.frombuffer(grid.data, dtype=np.int8)
+    if values.size != grid.info.height * grid.info.width:
+        msg = (
+            f"map/observed of {grid.info.width} x {grid.info.height} cells carries"
+            f" {values.size} values"
+        )
+        raise MapMessageError("observed_size", msg)
+    observed = values.reshape(grid.info.height, grid.info.width) > 0
+    origin = grid.info.origin.position
+    return decode_cells(records, observed, origin.x, origin.y, stamp_ns(cloud.header))
+
+
+class MessageMaker:
+    """Builds the output messages.
+
+    Args:
+        types: Message class by name, such as ``nav_msgs/msg/OccupancyGrid``.
+        pack: What the classes take as an array of uint8 or int8.
+        frame: Frame of the map.
+    """
+
+    def __init__(
+        self,
+        types: Mapping[str, Callable[..., Any]],
+        pack: Callable[[NDArray[Any]], Any],
+        frame: str,
+    ) -> None:
+        self._types, self._pack, self._frame = types, pack, frame
+
+    def of_map(self, cells: CellMap) -> Iterator[Named]:
+        """``map/cells`` and ``map/observed``."""
+        domain, stamp = cells.domain, cells.stamp_ns
+        yield CELLS, self.cloud(encode_cells(cells), CELL_FIELDS, stamp)
+        values, corner = encode_observed(cells.observed), (domain.xmin, domain.ymin)
+        yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
+
+    def of_landing(self, assessment: LandingAssessment) -> Iterator[Named]:
+        """The four ``landing/`` topics, sites last; grid nodes are the centres of their cells."""
+        stamp, x, y = assessment.stamp_ns, assessment.x, assessment.y
+        spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
+        corner = (float(x[0]) - 0.5 * spacing, float(y[0]) - 0.5 * spacing)
+        yield HAZARDS, self.grid(encode_hazards(assessment), corner, spacing, stamp)
+        yield SCORE, self.grid(encode_score(assessment), corner, spacing, stamp)
+        yield SITE_TABLE, self.cloud(encode_sites(assessment), SITE_FIELDS, stamp)
+        yield SITES, self.sites(assessment)
+
+    def cloud(self, records: NDArray[np.void], fields: Fields, stamp: int) -> Any:
+        """PointCloud2 with one point per record (M,) of ``record_dtype(fields)``, packed."""
+        size = records.dtype.itemsize
+        return self._make(
+            CLOUD_TYPE,
+            header=self._header(stamp),
+            height=1,
+            width=len(records),
+            fields=[
+                self._make(
+                    "sensor_msgs/msg/PointField", name=name, offset=at, datatype=kind, count=1
+                )
+                for name, at, kind in point_layout(fields)
+            ],
+            is_bigendian=False,
+            point_step=size,
+            row_step=size * len(records),
+            data=self._pack(np.frombuffer(records.tobytes(), dtype=np.uint8)),
+            is_dense=False,
+        )
+
+    def grid(
+        self, values: NDArray[np.int8], corner: tuple[float, float], side: float, stamp: int
+    ) -> Any:
+        """OccupancyGrid of values (ny, nx), row of least y first.
+
+        Args:
+            values: int8.
+            corner: South-western corner of the first cell, m.
+            side: Side of a cell, m.
+            stamp: Of the map, ns.
+        """
+        info = self._make(
+            "nav_msgs/msg/MapMetaData",
+            map_load_time=self._time(stamp),
+            resolution=float(side),
+            width=values.shape[1],
+            height=values.shape[0],
+            origin=self._pose((*corner, 0.0), (0.0, 0.0, 0.0, 1.0)),
+        )
+        data = self._pack(np.ascontiguousarray(values, dtype=np.int8).ravel())
+        return self._make(GRID_TYPE, header=self._header(stamp), info=info, data=data)
+
+    def sites(self, assessment: LandingAssessment) -> Any:
+        """PoseArray of the sites, best first."""
+        sites = assessment.sites
+        turns = site_orientations(sites.normal)
+        poses = [self._pose(p, q) for p, q in zip(sites.position, turns, strict=True)]
+        header = self._header(assessment.stamp_ns)
+        return self._make(POSES_TYPE, header=header, poses=poses)
+
+    def _make(self, kind: str, /, **values: Any) -> Any:
+        return self._types[kind](**values)
+
+    def _time(self, stamp: int) -> Any:
+        seconds, nanoseconds = divmod(int(stamp), 10**9)
+        return self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+    def _header(self, stamp: int) -> Any:
+        return self._make("std_msgs/msg/Header", stamp=self._time(stamp), frame_id=self._frame)
+
+    def _pose(self, position: Any, xyzw: Any) -> Any:
+        x, y, z = map(float, position)
+        a, b, c, d = map(float, xyzw)
+        return self._make(
+            "geometry_msgs/msg/Pose",
+            position=self._make("geometry_msgs/msg/Point", x=x, y=y, z=z),
+            orientation=self._make("geometry_msgs/msg/Quaternion", x=a, y=b, z=c, w=d),
+        )
