@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,6 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from tqdm import tqdm
 
@@ -31,11 +31,10 @@ from quadtree_lss.replay.bags import (
     Bag,
     choose_topic,
 )
-from quadtree_lss.ros.messages import time_message
+from quadtree_lss.ros.keyboard import Keyboard
+from quadtree_lss.ros.play_time import SECOND_NS, PlayTime
 from quadtree_lss.ros.qos import stream
 
-SECOND_NS = 1_000_000_000
-CLOCK_PERIOD_S = 0.02
 MATCH_PAUSE_S = 0.5
 """After a publisher sees its match the subscriber may not be ready yet."""
 DEPTH = 200
@@ -79,7 +78,8 @@ def play(
     """Plays a ROS 2 bag on ``lidar/points`` and ``nav/pose``, as fast as it was recorded.
 
     ``lidar/gimbal`` is played if it was recorded. Waits until the first two have a subscriber,
-    and at the end until all was acknowledged.
+    and at the end until all was acknowledged. The services ``/bag_player/pause``, ``…/resume`` and
+    ``…/toggle_paused`` hold it up, as does the space bar of the terminal it runs in.
 
     Args:
         bag: Directory or single file.
@@ -115,7 +115,6 @@ def play(
         try:
             node = Node("bag_player", context=context, namespace=namespace)
             publishers = _publishers(node, names)
-            times = _Times(node if clock else None, rate)
             needed = [p for name, p in publishers.items() if name != GIMBAL_TOPIC]
             _wait_for_subscribers(needed, wait)
             first = source.start_ns + round(start * SECOND_NS)
@@ -125,9 +124,11 @@ def play(
             began = time.monotonic()
             count = sum(topic.count for topic in source.topics if topic.name in names)
             messages = source.messages(list(names), first, last)
-            sent = _send(
-                tqdm(messages, total=count, unit="msg", disable=not progress), publishers, times
-            )
+            bar = tqdm(messages, total=count, unit="msg", disable=not progress)
+            with Keyboard() as keyboard:
+                times = PlayTime(node, rate, clock=clock, pressed=keyboard.pressed)
+                sent = _send(bar, names, publishers, times)
+                times.shutdown()
             for publisher in publishers.values():
                 publisher.wait_for_all_acked(Duration(seconds=5))
             scans, poses = (
@@ -139,42 +140,33 @@ def play(
             context.try_shutdown()
 
 
-class _Times:
-    """Waits for the time of each message and tells it on ``/clock`` meanwhile."""
-
-    def __init__(self, node: Node | None, rate: float) -> None:
-        self._rate = rate
-        self._first: tuple[int, float] | None = None
-        self._clock: Publisher | None = None
-        if node is not None:
-            self._clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
-
-    def wait_until(self, bag_ns: int) -> None:
-        if self._first is None:
-            self._first = bag_ns, time.monotonic()
-        start_ns, started = self._first
-        while True:
-            elapsed = time.monotonic() - started
-            now_ns = start_ns + round(elapsed * self._rate * SECOND_NS)
-            left = (bag_ns - now_ns) / (self._rate * SECOND_NS)
-            if self._clock is not None:
-                self._clock.publish(Clock(clock=time_message(min(now_ns, bag_ns))))
-            if left <= 0.0:
-                return
-            time.sleep(min(left, CLOCK_PERIOD_S))
-
-
 def _send(
-    messages: Iterable[Any], publishers: Mapping[str, Publisher], times: _Times
+    messages: Iterable[Any],
+    names: Mapping[str, str],
+    publishers: Mapping[str, Publisher],
+    times: PlayTime,
 ) -> dict[str, int]:
     counts = dict.fromkeys(publishers, 0)
+    newest = dict.fromkeys(names.values(), 0)
     for topic, received_ns, raw in messages:
-        times.wait_until(received_ns)
+        # A scan that waits for the pose after it during a pause would be dropped by the node.
+        served = min(newest.values()) == newest[SCAN_TOPIC]
+        times.wait_until(received_ns, may_pause=served)
         if raw[:4] == ZSTD_MAGIC:
             raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
         publishers[topic].publish(bytes(raw))
         counts[topic] += 1
+        newest[names[topic]] = max(newest[names[topic]], _stamp_ns(raw))
     return counts
+
+
+def _stamp_ns(raw: Any) -> int:
+    """Stamp of a serialised message that begins with its header; 0 if it is cut short."""
+    if len(raw) < 12:
+        return 0
+    order = "<" if raw[1] & 1 else ">"
+    seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
+    return int(seconds) * SECOND_NS + int(nanoseconds)
 
 
 def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:

@@ -23,7 +23,6 @@ from quadtree_lss.ros.messages import (
     map_messages,
     message_maker,
 )
-from quadtree_lss.ros.player import PlayError, play
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.rate_limit import ChangePublisher
 
@@ -113,13 +112,3 @@ def test_problems_are_all_counted_and_told_once_per_interval():
     problems.report("frame", "wrong frame")
     assert problems.counts == {"size": 5, "frame": 1}
     assert Log.lines == ["too short", "wrong frame"]
-
-
-def test_player_says_who_is_missing(ros, tmp_path):
-    from ros_scene import write_bag
-
-    write_bag(tmp_path / "flight", 1)
-    with pytest.raises(PlayError, match="/lidar/points"):
-        play(tmp_path / "flight", wait=0.2, domain_id=ros.domain)
-    with pytest.raises(PlayError, match="rate"):
-        play(tmp_path / "flight", rate=0.0)
