@@ -37,13 +37,9 @@ def add_command(
     parser.set_defaults(run=run, parser=parser)
     add = parser.add_argument
     add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
-    return parser
-
-
-def add_verbose(parser: argparse.ArgumentParser) -> None:
-    """``-v``."""
     text = "progress bar even if this is no terminal; where internal errors come from"
-    parser.add_argument("-v", "--verbose", action="store_true", help=text)
+    add("-v", "--verbose", action="store_true", help=text)
+    return parser
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,6 @@ from quadtree_lss.commands.common import (
     add_command,
     add_config_options,
     add_json,
-    add_verbose,
     chosen_config,
     print_json,
 )
@@ -36,7 +35,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
     add_json(parser)
-    add_verbose(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

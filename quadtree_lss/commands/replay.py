@@ -13,7 +13,6 @@ from quadtree_lss.commands.common import (
     add_command,
     add_config_options,
     add_json,
-    add_verbose,
     chosen_config,
     print_json,
 )
@@ -35,7 +34,7 @@ EXAMPLES = """examples:
   quadtree-lss replay flight_bag --out results --start 5 --duration 10 --no-report
   quadtree-lss replay flight_bag --record products      (map and landing topics, for Foxglove)
   quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
-  quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes; needs ROS 2)
+  quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes; space bar pauses)
 
 Ctrl-C ends the replay there: the results are those of what was processed so far. Once more
 stops at once.
@@ -58,7 +57,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
     add("--rate", metavar="R", type=float, default=1.0, help="speed of --publish (default 1)")
     add_json(parser)
-    add_verbose(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

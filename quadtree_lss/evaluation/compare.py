@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from quadtree_lss.evaluation.evaluate import EvaluationResult, evaluate
 from quadtree_lss.evaluation.metrics import elevation_field
@@ -30,6 +31,10 @@ class ComparisonResult:
     runs: dict[str, EvaluationResult]
     out: Path
     figures: tuple[Path, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Scores by the name of the run, ready for JSON."""
+        return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
 
     def table(self) -> str:
         """A row per run; elevation RMS with the mean removed."""
@@ -92,7 +97,6 @@ def compare(
             {name: r.sites for name, r in results.items()},
         )
     result = ComparisonResult(runs, together, drawn)
-    content = {name: scores.as_dict() for name, scores in runs.items()}
-    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    text = json.dumps(result.as_dict()["runs"], indent=2, allow_nan=False) + "\n"
     (together / "evaluation.json").write_text(text, encoding="utf-8")
     return result

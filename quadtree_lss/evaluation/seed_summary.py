@@ -108,6 +108,7 @@ class SeedsResult:
     flight: Mapping[str, Any]
     scored: Mapping[int, EvaluationResult]
     failed: Mapping[int, str]
+    interrupted: bool = False
 
     @property
     def summary(self) -> dict[str, Statistic]:
@@ -159,6 +160,7 @@ class SeedsResult:
             "summary": {name: asdict(value) for name, value in self.summary.items()},
             "sites": {"unsafe": unsafe, "judged": judged, "unknown": unknown},
             "seeds": {str(seed): r.as_dict() for seed, r in self.scored.items()},
+            "interrupted": self.interrupted,
             "failed": {str(seed): reason for seed, reason in self.failed.items()},
         }
         plain_content: dict[str, Any] = plain(content)

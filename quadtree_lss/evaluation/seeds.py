@@ -7,13 +7,14 @@ import csv
 import json
 import os
 import re
-import signal
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Future,
+    wait,
+)
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,14 @@ from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.evaluation.evaluate import EvaluationResult, evaluate
 from quadtree_lss.evaluation.results import EvaluationError
 from quadtree_lss.evaluation.seed_summary import SeedsResult, csv_rows
+from quadtree_lss.evaluation.workers import workers
 
 Progress = Callable[[int, int], None]
 """Called with the steps that are done and the steps there are (three per seed)."""
 
 _STEPS = 3
+_LOOK_S = 0.5
+_LOST = "its process was ended from outside (out of memory?)"
 _LONGEST_RANGE = 10_000
 
 
@@ -89,6 +93,7 @@ def evaluate_seeds(
     jobs: int = 2,
     figures: bool = False,
     progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> SeedsResult:
     """Fly, map and score every seed; writes ``evaluation.json``, ``.csv``, ``seeds.png``.
 
@@ -102,10 +107,12 @@ def evaluate_seeds(
         jobs: Processes, 1 or 2.
         figures: Also draw the figures of every seed.
         progress: See `Progress`.
+        stop: Asked now and then; once it answers True, the result is of the seeds scored so far.
 
     Raises:
         EvaluationError: No seeds, a folder that cannot be written, or no seed could be scored.
             Single failures are in the result's ``failed``.
+        KeyboardInterrupt: Stopped before a seed was scored.
     """
     if not seeds or jobs not in (1, 2):
         msg = "need at least one seed" if not seeds else f"jobs must be 1 or 2, not {jobs}"
@@ -129,48 +136,63 @@ def evaluate_seeds(
         )
         for seed in dict.fromkeys(seeds)
     ]
-    scored, failed = _run_all(tasks, jobs, progress or (lambda done, total: None))
+    scored, failed, stopped = _run_all(
+        tasks, jobs, progress or (lambda done, total: None), stop or (lambda: False)
+    )
+    if stopped and not scored:
+        raise KeyboardInterrupt
     if not scored:
         seed, reason = next(iter(failed.items()))
         msg = f"no seed could be scored; seed {seed}: {reason}"
         raise EvaluationError(msg)
-    result = SeedsResult(folder, asdict(flight), scored, failed)
-    _write(result)
+    result = SeedsResult(folder, asdict(flight), scored, failed, stopped)
+    _write(result, config)
     return result
 
 
 def _run_all(
-    tasks: Sequence[_Task], jobs: int, progress: Progress
-) -> tuple[dict[int, EvaluationResult], dict[int, str]]:
-    """Each task through its steps; tasks do not wait for each other."""
+    tasks: Sequence[_Task], jobs: int, progress: Progress, stop: Callable[[], bool]
+) -> tuple[dict[int, EvaluationResult], dict[int, str], bool]:
+    """Each task through its steps; tasks do not wait for each other.
+
+    Returns:
+        Scores and failures by seed, and whether it was stopped.
+    """
     scored: dict[int, EvaluationResult] = {}
     failed: dict[int, str] = {}
     done, total = 0, _STEPS * len(tasks)
     progress(done, total)
     steps: tuple[Callable[[_Task], EvaluationResult | None], ...] = (_fly, _map, _score)
-    with _executor(min(jobs, len(tasks))) as executor:
+    with workers(min(jobs, len(tasks))) as (start, end_workers):
         waiting = list(reversed(tasks))
         running: dict[Future[EvaluationResult | None], tuple[_Task, int]] = {}
-        while waiting or running:
-            while waiting and len(running) < jobs:
-                task = waiting.pop()
-                running[executor.submit(steps[0], task)] = (task, 0)
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                task, step = running.pop(future)
-                try:
-                    outcome = future.result()
-                except (QuadtreeLssError, OSError, MemoryError) as error:
-                    failed[task.seed] = str(error) or type(error).__name__
-                    done += _STEPS - step
-                else:
-                    done += 1
-                    if outcome is not None:
-                        scored[task.seed] = outcome
+        try:
+            while (waiting or running) and not stop():
+                while waiting and len(running) < jobs:
+                    task = waiting.pop()
+                    running[start(steps[0], task)] = (task, 0)
+                for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
+                    task, step = running.pop(future)
+                    try:
+                        outcome = future.result()
+                    except (QuadtreeLssError, OSError, MemoryError) as error:
+                        failed[task.seed] = str(error) or type(error).__name__
+                        done += _STEPS - step
                     else:
-                        running[executor.submit(steps[step + 1], task)] = (task, step + 1)
-                progress(done, total)
+                        done += 1
+                        if outcome is not None:
+                            scored[task.seed] = outcome
+                        else:
+                            running[start(steps[step + 1], task)] = (task, step + 1)
+                    progress(done, total)
+        except (BrokenExecutor, SystemExit):  # a worker has gone
+            if not stop():
+                failed |= {t.seed: _LOST for t in tasks if t.seed not in scored | failed}
+        if stop():
+            end_workers()
     order = [task.seed for task in tasks]
-    return {seed: scored[seed] for seed in order if seed in scored}, failed
+    complete = len(scored) + len(failed) == len(tasks)
+    return {seed: scored[seed] for seed in order if seed in scored}, failed, not complete
 
 
 def _fly(task: _Task) -> None:
@@ -196,42 +218,13 @@ def _score(task: _Task) -> EvaluationResult:
     return evaluate(task.results, task.place / "truth.npz", figures=task.figures)
 
 
-class _Here(Executor):
-    """Runs what is submitted at once, in this process."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """The finished future."""
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-@contextmanager
-def _executor(jobs: int) -> Iterator[Executor]:
-    if jobs == 1:
-        yield _Here()
-        return
-    # Spawned, not forked: the parent may run threads of its own (progress bar, linear algebra).
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_stop_quietly)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _stop_quietly() -> None:
-    """A worker that is interrupted ends without a traceback; the parent says what happened."""
-    signal.signal(signal.SIGINT, lambda *_: sys.exit(130))
-
-
-def _write(result: SeedsResult) -> None:
+def _write(result: SeedsResult, config: Config) -> None:
+    from quadtree_lss.configuration import dump_config
     from quadtree_lss.evaluation.figures_seeds import draw_seeds
 
     text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
     _replace(result.out / "evaluation.json", text + "\n")
+    _replace(result.out / "config.yaml", dump_config(config))
     path = result.out / "evaluation.csv"
     rows: list[Mapping[str, Any]] = csv_rows(result)
     with path.open("w", newline="", encoding="utf-8") as file:

@@ -8,10 +8,10 @@ from typing import Any
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.maps import MapMessageError
-from quadtree_lss.messages.outputs import CELLS, OBSERVED, map_from_messages
+from quadtree_lss.messages.outputs import CELLS, GRID_TYPE, OBSERVED, map_from_messages
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.rescue import RawMessage
-from quadtree_lss.replay.types import GRID_TYPE, SCAN_TYPE
+from quadtree_lss.replay.types import SCAN_TYPE
 
 
 class MapPairs:

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,8 @@ class SimulationResult:
     """What was written.
 
     ``starts`` are the seconds after the bag's first message at which each flight is sure to be
-    still to come (the first: 0), as ``replay --start`` takes them.
+    still to come (the first: 0), as ``replay --start`` takes them. ``interrupted`` says that it was
+    stopped before the end of what was to be flown.
     """
 
     scenario: str
@@ -47,6 +49,11 @@ class SimulationResult:
     box: tuple[float, float, float, float]
     safe_fraction: float | None
     starts: tuple[float, ...] = (0.0,)
+    interrupted: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(self).items()}
 
     def table(self) -> str:
         """A few aligned lines for people."""
@@ -85,6 +92,7 @@ def simulate(
     truth: bool = True,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> SimulationResult:
     """Simulate ``scenario`` (morpheus, parabola or descent) into a ROS 2 bag.
 
@@ -93,8 +101,11 @@ def simulate(
     parent directory and replaces one that is there. ``terrain`` is a DEM or the path of one;
     ``flights`` > 1 flies again over the same ground with new navigation errors, into the same bag.
     ``progress(done, total)`` is called after every scan. The same arguments give the same messages.
+    ``stop`` is asked before every message; once it answers True, bag and truth are of what was
+    flown so far.
 
-    Raises `SimulationError` for options that make no sense and for an existing ``bag_path``.
+    Raises `SimulationError` for options that make no sense and for an existing ``bag_path``,
+    KeyboardInterrupt if it is stopped before the first scan.
     """
     path = Path(bag_path)
     if flights < 1:
@@ -125,8 +136,12 @@ def simulate(
             for plan in plans:
                 done = sum(leg.stamps_ns.size for leg in flown)
                 report = None if progress is None else _offset(progress, done, total)
-                flown.append(_fly(plan, start_ns, recorder, navigation, noise, report))
+                flown.append(_fly(plan, start_ns, recorder, navigation, noise, report, stop))
+                if flown[-1].stopped:
+                    break
                 start_ns += round((plan.pose_times[-1] + _FLIGHT_GAP_S) * 1e9)
+        if not flown[0].stamps_ns.size:
+            raise KeyboardInterrupt
         if truth_path is not None:
             safe_fraction = _write_truth(truth_path, plans[0], flown)
     except BaseException as error:
@@ -141,13 +156,14 @@ def simulate(
         seed=seed,
         bag_path=path,
         truth_path=truth_path,
-        scans=total,
+        scans=sum(leg.stamps_ns.size for leg in flown),
         poses=sum(leg.poses for leg in flown),
         points=sum(leg.points for leg in flown),
-        duration=sum(float(plan.scan_times[-1]) for plan in plans),
+        duration=sum(leg.seconds for leg in flown),
         box=plans[0].box,
         safe_fraction=safe_fraction,
         starts=_starts(flown),
+        interrupted=flown[-1].stopped,
     )
 
 
@@ -161,6 +177,8 @@ class _Flown:
     points: int
     first_ns: int
     last_ns: int
+    seconds: float
+    stopped: bool
 
 
 def _starts(flown: list[_Flown]) -> tuple[float, ...]:
@@ -204,6 +222,7 @@ def _fly(
     navigation: np.random.Generator,
     noise: np.random.Generator,
     report: Callable[[int], None] | None,
+    stop: Callable[[], bool] | None,
 ) -> _Flown:
     """Record one flight in the order in which messages would arrive."""
     scan_ns = start_ns + np.rint(plan.scan_times * 1e9).astype(np.int64)
@@ -215,9 +234,12 @@ def _fly(
     pose_quaternions = quaternions(estimate.rotations)
     arrivals = [(int(t) + _POSE_LATENCY_NS, 0, k) for k, t in enumerate(pose_ns)]
     arrivals += [(int(t) + _SCAN_LATENCY_NS, 1, k) for k, t in enumerate(scan_ns)]
-    outlines = []
-    points = 0
+    outlines: list[FloatArray] = []
+    points, poses, stopped = 0, 0, False
     for received_ns, kind, k in sorted(arrivals):
+        if stop is not None and stop():
+            stopped = True
+            break
         if kind == 0:
             recorder.pose(
                 int(pose_ns[k]),
@@ -226,6 +248,7 @@ def _fly(
                 estimate.covariance,
                 received_ns,
             )
+            poses += 1
             continue
         scan = plan.lidar.scan(plan.surface, positions[k], rotations[k], noise)
         outlines.append(plan.lidar.outline(plan.surface, positions[k], rotations[k]))
@@ -233,15 +256,18 @@ def _fly(
         recorder.scan(int(scan_ns[k]), scan, received_ns)
         if report is not None:
             report(k + 1)
+    scans = len(outlines)
     return _Flown(
-        stamps_ns=scan_ns,
-        positions=positions,
-        quaternions_xyzw=quaternions(rotations),
+        stamps_ns=scan_ns[:scans],
+        positions=positions[:scans],
+        quaternions_xyzw=quaternions(rotations[:scans]),
         outlines=np.array(outlines),
-        poses=pose_ns.size,
+        poses=poses,
         points=points,
         first_ns=min(arrivals)[0],
         last_ns=max(arrivals)[0],
+        seconds=float(plan.scan_times[scans - 1]) if scans else 0.0,
+        stopped=stopped,
     )
 
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
+import time
+from concurrent.futures import BrokenExecutor
 
 import pytest
 
 from quadtree_lss.configuration import load_config
 from quadtree_lss.evaluation import EvaluationError, FlightOptions, evaluate_seeds, parse_seeds
+from quadtree_lss.evaluation.workers import workers
 
 FLIGHT = FlightOptions(scenario="parabola", duration=2.0)
 
@@ -109,6 +113,52 @@ def test_one_bad_flight_does_not_spoil_the_others(run, tmp_path, config):
     assert "seed 4 failed" in part.table()
     with pytest.raises(EvaluationError, match="seed 4"):
         evaluate_seeds([4], tmp_path / "x", config, FLIGHT, bags=tmp_path / "flights", jobs=1)
+
+
+def test_stopping_keeps_the_seeds_that_were_scored(run, tmp_path, config):
+    result, _ = run
+    done = [0]
+    part = evaluate_seeds(
+        [4, 5],
+        tmp_path,
+        config,
+        FLIGHT,
+        bags=result.out / "flights",
+        jobs=1,
+        progress=lambda steps, of: done.__setitem__(0, steps),
+        stop=lambda: done[0] >= 3,
+    )
+    assert part.interrupted and list(part.scored) == [4] and not part.failed
+    assert json.loads((tmp_path / "evaluation.json").read_text())["interrupted"]
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_seeds([4], tmp_path / "x", config, FLIGHT, jobs=1, stop=lambda: True)
+
+
+def _vanish(_):
+    os._exit(9)
+
+
+def test_a_process_that_is_killed_is_told_and_ends_nothing_else():
+    with workers(2) as (start, _):
+        assert start(abs, -3).result() == 3
+        with pytest.raises(BrokenExecutor):
+            start(_vanish, None).result()
+
+
+def test_workers_are_ended_in_the_middle_of_their_work():
+    with workers(2) as (start, end):
+        futures = [start(abs, -1), start(time.sleep, 3600)]
+        assert futures[0].result() == 1
+        while not futures[1].running():
+            time.sleep(0.01)
+        end()
+        with pytest.raises((SystemExit, BrokenExecutor)):
+            futures[1].result()
+
+
+def test_the_configuration_lies_beside_the_scores(run, config):
+    result, _ = run
+    assert load_config([str(result.out / "config.yaml")]) == config
 
 
 def test_nothing_to_do_and_nowhere_to_write(tmp_path, config):

@@ -2,6 +2,7 @@
 """The command line: exit codes, one-line errors, what stands on stdout and stderr."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -122,6 +123,25 @@ def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     truth = tmp_path / "flight" / "truth.npz"
     code, shown, _ = run(capsys, "evaluate", out, "--truth", truth)
     assert code == 0 and "Elevation error" in shown
+    one = json.loads(run(capsys, "evaluate", out, "--truth", truth, "--json", "-q")[1])
+    assert one["out"] == str(out / "evaluation") and one["elevation"]["rms"] > 0.0
+    shutil.copytree(out, tmp_path / "other")
+    several = run(capsys, "evaluate", out, tmp_path / "other", "--truth", truth, "--json")
+    runs = json.loads(several[1])["runs"]
+    assert runs["results"]["elevation"] == runs["other"]["elevation"] == one["elevation"]
+
+
+def test_json_of_a_simulation_and_of_seeds(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    flight = ["--duration", "2", "--seed", "3", "--out", "flight/bag", "--json"]
+    made = json.loads(run(capsys, "simulate", "parabola", *flight)[1])
+    assert made["scans"] == 3 and made["bag_path"] == "flight/bag" and not made["interrupted"]
+    many = ["--seeds", "3", "--scenario", "parabola", "--duration", "2", "--jobs", "1", "--json"]
+    code, out, _ = run(capsys, "evaluate", *many, "--config", "parabola")
+    shown = json.loads(out)
+    assert code == 0 and list(shown["seeds"]) == ["3"]
+    assert (tmp_path / shown["out"] / "config.yaml").exists()
+    assert (tmp_path / "results" / "latest").resolve() == tmp_path / shown["out"]
 
 
 def test_publishing_without_ros_says_so(bag, capsys, monkeypatch):
@@ -176,6 +196,21 @@ def test_interrupting_keeps_what_was_computed(tmp_path):
     assert summary["duration"] < 150.0
     with open(tmp_path / "out" / "timing.csv") as file:
         assert len(file.readlines()) == summary["scans"] + 1
+
+
+def test_interrupting_a_simulation_keeps_what_was_flown(tmp_path):
+    bag = tmp_path / "bag"
+    command = [sys.executable, "-m", "quadtree_lss.cli", "simulate", "descent", "--out", str(bag)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not bag.exists():  # until it flies
+        assert process.poll() is None
+        time.sleep(0.02)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    shown, err = process.communicate(timeout=120)
+    assert process.returncode == 130 and "Traceback" not in err
+    assert "interrupted: the bag has the first" in err and "truth.npz" in shown
+    assert (bag / "metadata.yaml").exists()
 
 
 def test_results_without_a_folder_get_one_by_time_and_a_link(bag, tmp_path, capsys, monkeypatch):

@@ -265,3 +265,26 @@ def test_table_tells_how_to_replay_one_flight_alone(tmp_path, hill):
     assert (since < result.starts[1]).sum() == received.size // 2
     assert f"--start {result.starts[1]:.1f}" in result.table()
     assert str(result.truth_path) in result.table()
+
+
+def test_a_flight_that_is_stopped_is_a_whole_shorter_one(tmp_path, hill):
+    asked = iter([False] * 60)
+    part = simulate(
+        "morpheus",
+        tmp_path / "part" / "bag",
+        seed=5,
+        duration=1.0,
+        terrain=hill,
+        stop=lambda: next(asked, True),
+    )
+    whole = simulate("morpheus", tmp_path / "whole" / "bag", seed=5, duration=1.0, terrain=hill)
+    assert part.interrupted and not whole.interrupted
+    assert 0 < part.scans < whole.scans and part.scans + part.poses == 60
+    rows, all_rows = _read(part.bag_path), _read(whole.bag_path)
+    assert [row[:3] for row in rows] == [row[:3] for row in all_rows[:60]]
+    with np.load(part.truth_path) as truth, np.load(whole.truth_path) as full:
+        assert truth["scan_stamp_ns"].size == part.scans == len(truth["scan_outline"])
+        np.testing.assert_array_equal(truth["safe"], full["safe"])
+    with pytest.raises(KeyboardInterrupt):
+        simulate("morpheus", tmp_path / "no" / "bag", seed=5, terrain=hill, stop=lambda: True)
+    assert not (tmp_path / "no" / "bag").exists()

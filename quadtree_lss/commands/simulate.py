@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss simulate``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from quadtree_lss.commands.common import DONE, INTERRUPTED, add_command, add_json, print_json
+from quadtree_lss.console import Interruption, ProgressBar, say
+
+SCENARIOS = ("morpheus", "parabola", "descent")
+TEXT = "Simulate a flight: a bag, and truth.npz beside it."
+EXAMPLES = """examples:
+  quadtree-lss simulate morpheus --seed 7 --out flight/bag      (flight/truth.npz beside it)
+  quadtree-lss simulate parabola --seed 1 --out parabola/bag
+  quadtree-lss simulate descent --terrain dem.npz --out descent/bag
+  quadtree-lss simulate morpheus --flights 2 --outliers 0.02 --dropouts 0.05 --out two/bag
+
+Ctrl-C ends the flight there: bag and truth are those of what was flown so far. Once more stops
+at once and leaves no bag.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "simulate", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("scenario", choices=SCENARIOS, help="which flight")
+    add("--seed", type=int, default=1, metavar="N", help="of terrain and noise (default 1)")
+    add("--out", required=True, type=Path, metavar="BAG", help="bag to write")
+    add_flight_options(parser)
+    add("--overwrite", action="store_true", help="replace an existing bag")
+    add_json(parser)
+
+
+def add_flight_options(parser: argparse._ActionsContainer) -> None:
+    """What is flown, over what, with which noise."""
+    add = parser.add_argument
+    add("--duration", type=float, metavar="D", help="seconds of flight")
+    add("--terrain", type=Path, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    add("--range-noise", type=float, metavar="M", help="one sigma of a range, m")
+    add("--outliers", type=float, default=0.0, metavar="F", help="share of false returns")
+    add("--dropouts", type=float, default=0.0, metavar="F", help="share of missing returns")
+    add(
+        "--flights",
+        type=int,
+        default=1,
+        metavar="N",
+        help="fly N times over the same ground, with other navigation errors, into one bag",
+    )
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.simulation.simulate import simulate
+
+    with Interruption() as interruption, ProgressBar("simulate", "scan", options.verbose) as bar:
+        result = simulate(
+            options.scenario,
+            options.out,
+            seed=options.seed,
+            duration=options.duration,
+            terrain=options.terrain,
+            range_noise=options.range_noise,
+            outliers=options.outliers,
+            dropouts=options.dropouts,
+            flights=options.flights,
+            overwrite=options.overwrite,
+            progress=bar.update,
+            stop=interruption.asked,
+        )
+    if options.json:
+        print_json(result.as_dict())
+    else:
+        print(result.table())
+    if result.interrupted:
+        say(f"interrupted: the bag has the first {result.scans} scans")
+        return INTERRUPTED
+    return DONE
