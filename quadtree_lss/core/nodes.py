@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from scipy.signal import oaconvolve
 
+from quadtree_lss.core.distances import distance_from
 from quadtree_lss.core.terrain_raster import TerrainRaster
 
 Array = NDArray[np.float64]
@@ -32,6 +32,22 @@ class Disc:
     x: Array
     y: Array
 
+    @cached_property
+    def runs(self) -> list[tuple[int, list[int]]]:
+        """Half widths 1, 2, ... ``reach`` in cells, and the rows of the disc that are so wide.
+
+        The row ``row`` covers the columns -half to half - 1.
+        """
+        width = {
+            row: int(self.column[self.row == row].max()) + 1
+            for row in range(-self.reach, self.reach)
+            if (self.row == row).any()
+        }
+        return [
+            (half, [row for row, found in width.items() if found == half])
+            for half in range(1, self.reach + 1)
+        ]
+
 
 def disc(radius: float, side: float) -> Disc:
     """Cells of side ``side`` (m) within ``radius`` (m) of a node, four at the least."""
@@ -43,18 +59,21 @@ def disc(radius: float, side: float) -> Disc:
     return Disc(reach, row[inside], column[inside], x[inside], y[inside])
 
 
-def node_sums(values: Array, weights: Array, over: Disc) -> Array:
-    """Sums over the disc of each node: (n, n) cells to (n + 1, n + 1) nodes.
-
-    Args:
-        values: (n, n), zero is assumed outside.
-        weights: (K,) one for each cell of the disc.
-    """
-    n, reach = len(values), over.reach
-    kernel = np.zeros((2 * reach, 2 * reach))
-    kernel[reach - 1 - over.row, reach - 1 - over.column] = weights
-    full = oaconvolve(values, kernel)
-    return full[reach - 1 : reach + n, reach - 1 : reach + n]
+def node_means(values: Array, over: Disc) -> Array:
+    """Means over the disc of each node: (n, n) cells, 0 outside, to (n + 1, n + 1) nodes."""
+    n = len(values)
+    padded = np.pad(values, over.reach)
+    run = np.zeros((len(padded), n + 1))
+    out = np.zeros((n + 1, n + 1))
+    # A disc is a stack of centred runs of cells.
+    for half, rows in over.runs:
+        left, right = over.reach - half, over.reach + half - 1
+        run += padded[:, left : left + n + 1]
+        run += padded[:, right : right + n + 1]
+        for row in rows:
+            out += run[over.reach + row : over.reach + row + n + 1]
+    out /= len(over.x)
+    return out
 
 
 @dataclass(frozen=True)
@@ -78,20 +97,35 @@ def node_planes(raster: TerrainRaster, radius: float) -> NodePlanes:
     slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z). Outside the domain the ground
     at its edge goes on.
     """
-    over = disc(radius, raster.domain.finest_size)
-    level = float(np.nanmean(raster.elevation))
-    border = over.reach
-    z = np.pad(raster.elevation - level, border, mode="edge")
-    inner = slice(border, -border)
-
-    def sums(weights: Array) -> Array:
-        return node_sums(z, weights, over)[inner, inner]
-
-    return NodePlanes(
-        level + sums(np.full(len(over.x), 1.0 / len(over.x))),
-        sums(over.x / np.sum(over.x**2)),
-        sums(over.y / np.sum(over.y**2)),
-    )
+    side, n = raster.domain.finest_size, raster.domain.finest_count
+    over = disc(radius, side)
+    reach, level = over.reach, float(np.nanmean(raster.elevation))
+    z = np.pad(raster.elevation - level, reach, mode="edge")
+    # Sums over centred runs of cells of z and of x z; then rows above and below the node in pairs.
+    run, moment = np.zeros((2, len(z), n + 1))
+    sums, along_x, along_y = np.zeros((3, n + 1, n + 1))
+    for half, rows in over.runs:
+        west = z[:, reach - half : reach - half + n + 1]
+        east = z[:, reach + half - 1 : reach + half + n]
+        run += west
+        run += east
+        moment += (east - west) * (half - 0.5)
+        for row in rows:
+            if row < 0:
+                continue
+            north, south = reach + row, reach - 1 - row
+            above, below = run[north : north + n + 1], run[south : south + n + 1]
+            sums += above
+            sums += below
+            along_y += (above - below) * (row + 0.5)
+            along_x += moment[north : north + n + 1]
+            along_x += moment[south : south + n + 1]
+    sums /= len(over.x)
+    sums += level
+    scale = side / np.sum(over.x**2)
+    along_x *= scale
+    along_y *= scale
+    return NodePlanes(sums, along_x, along_y)
 
 
 def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -101,17 +135,14 @@ def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return out
 
 
-def distance_to(cells: Mask, side: float) -> Array:
+def distance_to(cells: Mask, side: float, cap: float = np.inf) -> Array:
     """Distance in m of each node (n + 1, n + 1) to the edge of the nearest marked cell (n, n).
 
     The point of a lattice square that is nearest to a lattice node is a lattice node itself, so
-    the distance to the nearest corner of a marked cell is exact. Infinite if none is marked.
+    the distance to the nearest corner of a marked cell is exact. Infinite if none is marked;
+    distances over ``cap`` (m) may be given as infinite.
     """
-    corner = touching(cells.astype(np.uint8)) > 0
-    if not corner.any():
-        return np.full(corner.shape, np.inf)
-    out: Array = distance_transform_edt(~corner) * side
-    return out
+    return distance_from(touching(cells.view(np.uint8)) > 0, side, cap)
 
 
 def sum_of_corners(nodes: Array) -> Array:

@@ -72,8 +72,16 @@ class GridSampler:
         self.u = np.clip(column - self.column0, 0.0, 1.0)
         self.v = np.clip(row - self.row0, 0.0, 1.0)[:, None]
 
+        self.on_lattice = bool(
+            (self.row0 == self.row1).all() and (self.column0 == self.column1).all()
+        )
+
     def _corners(self, values: NDArray[Kind]) -> tuple[NDArray[Kind], ...]:
-        low, high = values[self.row0], values[self.row1]
+        """Values of the four lattice nodes around, or of the one that grid nodes coincide with."""
+        low = values[self.row0]
+        if self.on_lattice:
+            return (low[:, self.column0],)
+        high = values[self.row1]
         return (
             low[:, self.column0],
             low[:, self.column1],
@@ -101,7 +109,10 @@ class GridSampler:
 
     def linear(self, values: Array) -> Array:
         """Bilinear interpolation."""
-        a, b, c, d = self._corners(values)
+        corners = self._corners(values)
+        if self.on_lattice:
+            return corners[0]
+        a, b, c, d = corners
         u, v = self.u, self.v
         out: Array = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
         return out

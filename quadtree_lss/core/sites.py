@@ -7,20 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.core import hazards
 from quadtree_lss.core.config import Config, LssConfig
-from quadtree_lss.core.nodes import (
-    Disc,
-    NodePlanes,
-    disc,
-    distance_to,
-    node_planes,
-    node_sums,
-    sum_of_corners,
-    touching,
-)
+from quadtree_lss.core.node_assessment import NodeAssessment, assess_nodes, greatest_in_zones
 from quadtree_lss.core.planes import normal_from_slopes
 from quadtree_lss.core.polygons import signed_distance
 from quadtree_lss.core.quadtree import CellMap
@@ -88,24 +78,6 @@ class LandingAssessment:
     explanation: str
 
 
-@dataclass(frozen=True)
-class _Nodes:
-    """What the assessment finds on the lattice of finest-cell corners, (n + 1, n + 1).
-
-    ``clearance`` is the least distance of the zone's ground from a hazard; ``roughness`` and
-    ``subscale`` are of the finest cells, (n, n), and ``zone`` says which of them a zone covers.
-    """
-
-    planes: NodePlanes
-    hazard: Bits
-    safe: Mask
-    score: Array
-    clearance: Array
-    roughness: Array
-    subscale: Array
-    zone: Disc
-
-
 @dataclass
 class LandingSiteSelector:
     """Assesses maps.
@@ -145,7 +117,7 @@ class LandingSiteSelector:
         raster = rasterise(cells, lss.max_gap)
         if not raster.seen.any():
             return _nothing(cells.stamp_ns, x, y, "nothing is mapped yet")
-        nodes = _assess_nodes(cells, raster, lss, self._touchdown)
+        nodes = assess_nodes(cells, raster, lss, self._touchdown)
         at = GridSampler(domain, x, y)
         safe = at.everywhere(nodes.safe)
         score = np.where(safe, at.nearest(nodes.score), np.nan)
@@ -167,21 +139,24 @@ class LandingSiteSelector:
         if safe.any() and not np.isfinite(score).any():
             explanation = "no safe ground within the landing area and outside the keep-out"
         sites = self._rank(nodes, at, score, x, y)
-        unseen = (at.any(nodes.hazard) & hazards.UNSEEN) > 0
+        hazard = at.any(nodes.hazard)
+        unseen = (hazard & hazards.UNSEEN) > 0
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             sites=sites,
             x=x,
             y=y,
             elevation=np.where(unseen, np.nan, at.linear(nodes.planes.elevation)),
-            slope_deg=np.where(unseen, np.nan, at.nearest(_slope_deg(nodes.planes))),
-            hazard=at.any(nodes.hazard),
+            slope_deg=np.where(unseen, np.nan, np.degrees(at.nearest(nodes.slope))),
+            hazard=hazard,
             safe=safe,
             score=score,
             explanation=explanation,
         )
 
-    def _rank(self, nodes: _Nodes, at: GridSampler, score: Array, x: Array, y: Array) -> Sites:
+    def _rank(
+        self, nodes: NodeAssessment, at: GridSampler, score: Array, x: Array, y: Array
+    ) -> Sites:
         """The best nodes, one after the other, each ``min_separation`` from those before."""
         lss = self.config.lss
         first = self._keep_first(score, x, y)
@@ -189,15 +164,15 @@ class LandingSiteSelector:
         place = np.column_stack([x[where[1]], y[where[0]]])
         self._last_first = place[0].copy() if len(place) else None
         centre = at.lattice(*where)
-        planes = nodes.planes
+        planes, zone = nodes.planes, 0.5 * lss.vehicle_diameter + lss.margin
         sites = Sites(
             position=np.column_stack([place, at.linear(planes.elevation)[where]]),
             normal=normal_from_slopes(planes.slope_x[centre], planes.slope_y[centre]),
             score=score[where],
-            slope_deg=_slope_deg(planes)[centre],
-            roughness=_greatest(nodes.roughness, nodes.zone, *centre),
-            hazard_distance=nodes.clearance[centre],
-            subscale_height=_greatest(nodes.subscale, nodes.zone, *centre),
+            slope_deg=np.degrees(nodes.slope[centre]),
+            roughness=greatest_in_zones(nodes.roughness, nodes.zone, *centre),
+            hazard_distance=np.maximum(nodes.clearance.of_nodes(*centre) - zone, 0.0),
+            subscale_height=greatest_in_zones(nodes.subscale, nodes.zone, *centre),
             reasons=(),
         )
         return _with_reasons(sites, lss)
@@ -220,96 +195,6 @@ def _grid(low: float, size: float, spacing: float) -> Array:
     """Nodes from ``low`` in steps of ``spacing`` up to the domain's far edge, inclusive."""
     count = int(np.floor(size / spacing + 1e-9)) + 1
     return np.asarray(low + spacing * np.arange(count), dtype=np.float64)
-
-
-def _slope_deg(planes: NodePlanes) -> Array:
-    return np.degrees(np.arctan(np.hypot(planes.slope_x, planes.slope_y)))
-
-
-def _assess_nodes(
-    cells: CellMap, raster: TerrainRaster, lss: LssConfig, touchdown: TouchdownCheck
-) -> _Nodes:
-    """Hazards, safety and score on the finest lattice."""
-    domain = cells.domain
-    n, side = domain.finest_count, domain.finest_size
-    radius = 0.5 * lss.vehicle_diameter
-    zone = radius + lss.margin
-    leaf_bits = hazards.avoided_features(cells, lss)
-    bits = np.where(raster.seen, leaf_bits[raster.leaf], 0).astype(np.uint8)
-    planes = node_planes(raster, 0.75 * radius)
-    lattice = np.arange(n + 1)
-    border = np.minimum(lattice, n - lattice) * side
-    known = np.minimum(distance_to(~raster.seen, side), np.minimum(border[:, None], border))
-    hazard = touching(bits)
-    if lss.assessment == "touchdown":
-        landable = known >= radius - 1e-9
-        unsafe = touchdown.unsafe_nodes(raster, planes, landable)
-        unsafe |= landable & (distance_to((bits & hazards.EXCEPTION) > 0, side) <= radius)
-        unsafe |= landable & (_distance_from(unsafe, side) <= lss.hazard_growth)
-        hazard[unsafe] |= hazards.TOUCHDOWN
-        # Ground that spoils a landing lies about a radius from the nodes it makes unsafe.
-        away = _distance_from(unsafe, side)
-        safe = ~unsafe & (away > lss.margin) & (known >= zone - 1e-9)
-        clearance = np.minimum(away + radius, known)
-        density_slope = 0.25 * sum_of_corners(np.radians(_slope_deg(planes)))
-    else:
-        clearance = distance_to(bits > 0, side)
-        safe = (clearance > zone) & (known >= zone - 1e-9)
-        clearance = np.minimum(clearance, known)
-        density_slope = hazards.slope(cells.normal)[raster.leaf]
-    hazard[touching((~raster.seen).astype(np.uint8)) > 0] |= hazards.UNSEEN
-    over = disc(zone, side)
-    rough = np.nan_to_num(cells.roughness[raster.leaf])
-    score = _score(raster, density_slope, rough, clearance, over, lss)
-    return _Nodes(
-        planes,
-        hazard,
-        safe,
-        score,
-        np.maximum(clearance - zone, 0.0),
-        rough,
-        raster.subscale,
-        over,
-    )
-
-
-def _distance_from(marked: Mask, side: float) -> Array:
-    """Distance in m of each node to the nearest marked node, infinite if there is none."""
-    if not marked.any():
-        return np.full(marked.shape, np.inf)
-    out: Array = distance_transform_edt(~marked) * side
-    return out
-
-
-def _greatest(values: Array, over: Disc, rows: Index, columns: Index) -> Array:
-    """Greatest value (K,) of the cells (n, n) in the disc about nodes (K,) inside the domain."""
-    last = len(values) - 1
-    row = np.clip(rows[:, None] + over.row, 0, last)
-    column = np.clip(columns[:, None] + over.column, 0, last)
-    out: Array = values[row, column].max(axis=1)
-    return out
-
-
-def _score(
-    raster: TerrainRaster,
-    slope: Array,
-    roughness: Array,
-    clearance: Array,
-    over: Disc,
-    lss: LssConfig,
-) -> Array:
-    """Eq. 58 on the finest cells; Eq. 56's integral as Eq. 59's mean over the disc of each node.
-
-    The distance to a hazard counts up to ``hazard_distance_cap``.
-    """
-    distance = 0.25 * sum_of_corners(np.minimum(clearance, lss.hazard_distance_cap))
-    density = (
-        lss.weight_slope * np.nan_to_num(slope)
-        + lss.weight_roughness * roughness
-        - lss.weight_hazard_distance * distance
-        + lss.weight_subscale * raster.subscale
-    )
-    return node_sums(density, np.full(len(over.x), 1.0 / len(over.x)), over)
 
 
 def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
@@ -335,7 +220,7 @@ def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
     )
 
 
-def _why_none(nodes: _Nodes, raster: TerrainRaster, lss: LssConfig) -> str:
+def _why_none(nodes: NodeAssessment, raster: TerrainRaster, lss: LssConfig) -> str:
     seen = float(np.mean(raster.seen))
     hazardous = (nodes.hazard & 0x7F > 0) & (nodes.hazard & hazards.UNSEEN == 0)
     return (

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.core.bump import height
+from quadtree_lss.core.distances import grown
 from quadtree_lss.core.quadtree import CellMap, Domain
 
 Array = NDArray[np.float64]
@@ -50,32 +51,31 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
     leaf = cells.leaf_raster()
-    centre_x = domain.xmin + (np.arange(n) + 0.5) * side
-    centre_y = domain.ymin + (np.arange(n) + 0.5) * side
-    with np.errstate(invalid="ignore"):
-        slope_x = (-cells.normal[:, 0] / cells.normal[:, 2])[leaf]
-        slope_y = (-cells.normal[:, 1] / cells.normal[:, 2])[leaf]
-    dx = centre_x - cells.x[leaf]
-    dy = centre_y[:, None] - cells.y[leaf]
-    elevation = cells.z[leaf] + slope_x * dx + slope_y * dy
+    # About the middle of the domain, for the sake of digits.
+    along = (np.arange(n) + 0.5 - 0.5 * n) * side
+    x = cells.x - (domain.xmin + 0.5 * domain.size)
+    y = cells.y - (domain.ymin + 0.5 * domain.size)
     measured = cells.measured[leaf]
-    seen = np.zeros((n, n), dtype=np.bool_)
-    if measured.any() and cells.observed.any():
-        gap = distance_transform_edt(~cells.observed) - 0.5
-        seen = gap * side <= max_gap
-        if not measured.all():
-            nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
-            bridged = elevation[nearest[0], nearest[1]]
-            elevation = np.where(measured, elevation, bridged)
-            slope_x = np.where(measured, slope_x, 0.0)
-            slope_y = np.where(measured, slope_y, 0.0)
-    else:
-        elevation = np.full((n, n), np.nan)
-        slope_x = slope_y = np.zeros((n, n))
+    if not (cells.measured.any() and cells.observed.any()):
+        nothing = np.zeros((n, n))
+        unseen = np.zeros((n, n), dtype=np.bool_)
+        return TerrainRaster(domain, leaf, nothing + np.nan, nothing, nothing, nothing, unseen)
+    seen = grown(cells.observed, max_gap, side, short=0.5)
+    with np.errstate(invalid="ignore"):
+        leaf_slope_x = np.where(cells.measured, -cells.normal[:, 0] / cells.normal[:, 2], 0.0)
+        leaf_slope_y = np.where(cells.measured, -cells.normal[:, 1] / cells.normal[:, 2], 0.0)
+    slope_x, slope_y = leaf_slope_x.take(leaf), leaf_slope_y.take(leaf)
+    elevation = (cells.z - leaf_slope_x * x - leaf_slope_y * y).take(leaf)
+    elevation += slope_x * along
+    elevation += slope_y * along[:, None]
+    if not measured.all():
+        nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
+        elevation = elevation[nearest[0], nearest[1]]
     subscale = np.zeros((n, n))
     featured = np.isfinite(cells.feature[:, 1])
     if featured.any():
         where = np.nonzero(featured[leaf])
         rows = leaf[where]
-        subscale[where] = height(cells.feature[rows], dx[where], dy[where])
+        dx, dy = along[where[1]] - x[rows], along[where[0]] - y[rows]
+        subscale[where] = height(cells.feature[rows], dx, dy)
     return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, seen)

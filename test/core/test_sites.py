@@ -12,9 +12,10 @@ from core.builders import configured, flat, mapped, slope, strip
 from quadtree_lss.core import hazards
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.nodes import distance_to
 from quadtree_lss.core.polygons import signed_distance
 from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector, distance_to
+from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.core.terrain_raster import rasterise
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}

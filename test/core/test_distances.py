@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Distances on the lattice against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadtree_lss.core.distances import distance_from, grown
+
+
+def brute(marked: np.ndarray) -> np.ndarray:
+    """Distance in steps of every node to the nearest marked one."""
+    rows, columns = np.indices(marked.shape)
+    out = np.full(marked.shape, np.inf)
+    for row, column in np.argwhere(marked):
+        out = np.minimum(out, np.sqrt((rows - row) ** 2 + (columns - column) ** 2))
+    return out
+
+
+def some(share: float, shape: tuple[int, int] = (19, 23)) -> np.ndarray:
+    return np.random.default_rng(7).random(shape) < share
+
+
+@pytest.mark.parametrize("share", [0.0, 0.004, 0.05, 0.5, 1.0])
+@pytest.mark.parametrize("cap", [0.3, 1.0, 2.5, 40.0, 90.0, np.inf])
+def test_distances_are_exact_up_to_the_cap(share, cap):
+    marked, side = some(share), 0.3
+    expected = side * brute(marked)
+    found = distance_from(marked, side, cap)
+    near = expected <= cap
+    np.testing.assert_allclose(found[near], expected[near], rtol=1e-15)
+    assert (found[~near] > cap).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.004, 0.05, 1.0])
+@pytest.mark.parametrize("distance", [0.0, 0.29, 0.3, 0.6, 1.0, 3.7, 50.0])
+@pytest.mark.parametrize("short", [0.0, 0.5])
+def test_growth_takes_what_is_within_the_distance(share, distance, short):
+    marked, side = some(share), 0.3
+    expected = marked | ((brute(marked) - short) * side <= distance)
+    np.testing.assert_array_equal(grown(marked, distance, side, short), expected)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (1, 9), (300, 2)])
+def test_lattices_of_any_shape(shape):
+    marked = np.zeros(shape, dtype=np.bool_)
+    marked[0, 0] = True
+    expected = brute(marked)
+    np.testing.assert_allclose(distance_from(marked, 1.0), expected)
+    near = distance_from(marked, 1.0, 5.0)
+    np.testing.assert_allclose(near[expected <= 5.0], expected[expected <= 5.0])
+    np.testing.assert_array_equal(grown(marked, 5.0, 1.0), expected <= 5.0)
