@@ -1,32 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading ROS 2 and ROS 1 bags as a stream of raw messages, whatever their state.
 
-A bag is a list of files, each read by ``rosbags`` or, where that fails, by `rescue`. What could
-not be read stands in ``Bag.losses``.
+A bag is a list of files (`parts`). What could not be read stands in ``Bag.losses``.
 """
 
 from __future__ import annotations
 
+import heapq
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import yaml
 import zstandard
-from rosbags.interfaces import Connection
-from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag2 import Reader as Ros2Reader
 
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.replay.rescue import Extent, RawMessage, RescuedMcap
-from quadtree_lss.replay.rescue_ros1 import RescuedRos1
-from quadtree_lss.replay.rescue_sqlite import RescuedSqlite
+from quadtree_lss.replay.parts import Part, of_one_time
+from quadtree_lss.replay.rescue import RawMessage
 from quadtree_lss.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, typestore
 
 __all__ = [
@@ -63,89 +58,6 @@ class Topic:
     count: int
 
 
-class _Rescue(Protocol):
-    """A reader for files that rosbags cannot read, or not to their end."""
-
-    losses: list[str]
-
-    def extent(self) -> Extent: ...
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]: ...
-
-
-class _Part:
-    """One file of a bag: healthy by rosbags' reader, otherwise rescued."""
-
-    def __init__(self, path: Path, stack: ExitStack) -> None:
-        self.path = path
-        self.ros1 = path.suffix == ".bag"
-        self._reader: Any = None
-        self._rescue: _Rescue | None = None
-        try:
-            reader = Ros1Reader(path) if self.ros1 else Ros2Reader(path)
-            self._reader = stack.enter_context(reader)
-            self.extent = _extent(reader)
-        except PermissionError:
-            raise
-        except Exception:  # rosbags raises nearly anything on damaged files
-            self._reader = None
-            self._rescue = self._rescuer()
-            self.extent = self._rescue.extent()
-
-    @property
-    def losses(self) -> list[str]:
-        """What could not be read up to now."""
-        return self._rescue.losses if self._rescue is not None else []
-
-    def messages(
-        self, topics: Collection[str], start_ns: int, stop_ns: int
-    ) -> Iterator[RawMessage]:
-        """Messages of the topics with start_ns <= time of reception < stop_ns, in order."""
-        last, at_last = start_ns, Counter[str]()
-        if self._reader is not None:
-            wanted = [c for c in self._reader.connections if c.topic in topics]
-            if not wanted:
-                return
-            try:
-                for connection, received, raw in self._reader.messages(wanted, start_ns, stop_ns):
-                    if received != last:
-                        last, at_last = received, Counter()
-                    at_last[connection.topic] += 1
-                    yield RawMessage(connection.topic, received, raw)
-                return
-            except Exception:  # as above
-                self._rescue = self._rescuer()
-        assert self._rescue is not None
-        for message in self._rescue.messages(topics):
-            if not last <= message.received_ns < stop_ns:
-                continue
-            if message.received_ns == last and at_last[message.topic] > 0:
-                at_last[message.topic] -= 1  # came before the damage
-                continue
-            yield message
-
-    def _rescuer(self) -> _Rescue:
-        kinds: dict[str, Callable[[Path], _Rescue]] = {
-            ".mcap": RescuedMcap,
-            ".db3": RescuedSqlite,
-            ".bag": RescuedRos1,
-        }
-        return kinds[self.path.suffix](self.path)
-
-
-def _extent(reader: Any) -> Extent:
-    types = {c.topic: c.msgtype for c in reader.connections}
-    counts: dict[str, int] = {}
-    for connection in reader.connections:
-        counts[connection.topic] = counts.get(connection.topic, 0) + _count(connection)
-    # rosbags' end is one beyond the last message
-    return Extent(types, counts, reader.start_time, reader.end_time - 1)
-
-
-def _count(connection: Connection) -> int:
-    return int(connection.msgcount)
-
-
 class Bag:
     """Context manager that opens a bag for reading.
 
@@ -160,7 +72,7 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._stack = ExitStack()
-        self._parts: list[_Part] = []
+        self._parts: list[Part] = []
         self._losses: list[str] = []
 
     def __enter__(self) -> Bag:
@@ -208,10 +120,18 @@ class Bag:
     def messages(
         self, topics: Collection[str], start_ns: int = 0, stop_ns: int = 2**63 - 1
     ) -> Iterator[RawMessage]:
-        """Raw messages of the topics with start_ns <= time of reception < stop_ns."""
-        for part in self._parts:
-            if part.extent.start_ns < stop_ns and part.extent.end_ns >= start_ns:
-                yield from part.messages(topics, start_ns, stop_ns)
+        """Raw messages of the topics with start_ns <= time of reception < stop_ns.
+
+        One file after the other, as they were recorded; files of one time, such as one per topic,
+        are joined by the time of reception.
+        """
+        for parts in of_one_time(self._parts):
+            streams = [
+                part.messages(topics, start_ns, stop_ns)
+                for part in parts
+                if part.extent.start_ns < stop_ns and part.extent.end_ns >= start_ns
+            ]
+            yield from heapq.merge(*streams, key=lambda message: message.received_ns)
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
         """The message of which ``raw`` are the serialised bytes.
@@ -236,7 +156,7 @@ class Bag:
         try:
             files = self._files()
             for file in files:
-                part = _Part(self._plain(file), self._stack)
+                part = Part(self._plain(file), self._stack)
                 self._parts.append(part)
         except PermissionError as error:
             msg = f"{error.filename}: {error.strerror}"

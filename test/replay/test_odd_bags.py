@@ -61,37 +61,48 @@ def test_a_truncated_sqlite_bag(tmp_path, share):
     assert 0.5 * share * 60 < scans < 60 and losses
 
 
-@pytest.mark.parametrize("plugin", ["mcap", "sqlite3"])
-@pytest.mark.parametrize("listed", [True, False])
-def test_a_bag_split_into_several_files(tmp_path, plugin, listed, monkeypatch):
-    whole = write_ros2(tmp_path / "flight", plugin=plugin, scans=20)
-    parts = [tmp_path / "part0", tmp_path / "part1"]
+def write_split(split, whole, plugin, choose):
+    """The messages of a bag in two files of one folder: ``choose(k, message)`` tells which."""
     storage = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[plugin]
     kinds = {"/lidar/points": CLOUD, "/nav/pose": POSE}
     with Bag(whole) as bag:
         messages = list(bag.messages(list(kinds)))
-    for path, some in zip(parts, (messages[:31], messages[31:]), strict=True):
-        with Writer(path, version=9, storage_plugin=storage) as writer:
-            recorder = Recorder(writer)
-            connections = {
-                topic: writer.add_connection(topic, kind, typestore=recorder.store)
-                for topic, kind in kinds.items()
-            }
-            for message in some:
-                writer.write(connections[message.topic], message.received_ns, bytes(message.raw))
-    split = tmp_path / "split"
     split.mkdir()
     names = []
-    for k, path in enumerate(parts):
+    for part in (0, 1):
+        path = split.with_name(f"part{part}")
+        with Writer(path, version=9, storage_plugin=storage) as writer:
+            recorder, connections = Recorder(writer), {}
+            for message in (m for k, m in enumerate(messages) if choose(k, m) == part):
+                topic, raw, store = message.topic, bytes(message.raw), recorder.store
+                if topic not in connections:
+                    kind = kinds[topic]
+                    connections[topic] = writer.add_connection(
+                        topic, kind, typestore=recorder.store
+                    )
+                writer.write(connections[topic], message.received_ns, raw)
         file = storage_file(path)
-        names.append(f"split_{k}{file.suffix}")
+        names.append(f"split_{part}{file.suffix}")
         shutil.copy(file, split / names[-1])
-    metadata = yaml.safe_load((parts[0] / "metadata.yaml").read_text())
+    metadata = yaml.safe_load((path / "metadata.yaml").read_text())
     metadata["rosbag2_bagfile_information"]["relative_file_paths"] = names
+    return metadata
+
+
+@pytest.mark.parametrize("plugin", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("listed", [True, False])
+@pytest.mark.parametrize(
+    "choose",
+    [lambda k, message: int(k > 30), lambda k, message: int(message.topic == "/nav/pose")],
+    ids=["by time", "by topic"],
+)
+def test_a_bag_split_into_several_files(tmp_path, plugin, listed, choose):
+    whole = write_ros2(tmp_path / "flight", plugin=plugin, scans=30)
+    metadata = write_split(tmp_path / "split", whole, plugin, choose)
     if listed:
-        (split / "metadata.yaml").write_text(yaml.safe_dump(metadata))
-    result = run_replay(split, tmp_path / "out", CONFIG, report=False)
-    assert result.summary["scans"] == 20 and bool(result.losses) == (not listed)
+        (tmp_path / "split" / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    result = run_replay(tmp_path / "split", tmp_path / "out", CONFIG, report=False)
+    assert result.summary["scans"] == 30 and bool(result.losses) == (not listed)
     expected = run_replay(whole, tmp_path / "expected", CONFIG, report=False)
     np.testing.assert_array_equal(result.cells.z, expected.cells.z)
 
