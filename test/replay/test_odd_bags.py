@@ -74,7 +74,7 @@ def write_split(split, whole, plugin, choose):
         with Writer(path, version=9, storage_plugin=storage) as writer:
             recorder, connections = Recorder(writer), {}
             for message in (m for k, m in enumerate(messages) if choose(k, m) == part):
-                topic, raw, store = message.topic, bytes(message.raw), recorder.store
+                topic, raw = message.topic, bytes(message.raw)
                 if topic not in connections:
                     kind = kinds[topic]
                     connections[topic] = writer.add_connection(
