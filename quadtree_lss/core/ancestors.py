@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core import planes, sphere
+from quadtree_lss.core import fusion, planes, sphere
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.scan import compact
 
@@ -68,11 +68,11 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     reference = planes.unit(planes.sum_by(group, count, share[:, None] * normal))
     delta = np.column_stack([x[group], y[group], z0[group]])
     delta -= np.column_stack([cells.x[chosen], cells.y[chosen], cells.z[chosen]])
-    d, change = planes.shift_origin(normal, np.zeros(len(chosen)), delta)
+    d, change = fusion.shift_origin(normal, np.zeros(len(chosen)), delta)
     at = reference[group]
-    change = planes.tangent_change(normal, at) @ change
-    range_part = planes.congruent(change, cells.covariance_range[chosen])
-    pose_part = planes.congruent(change, cells.covariance_pose[chosen])
+    change = fusion.tangent_change(normal, at) @ change
+    range_part = fusion.congruent(change, cells.covariance_range[chosen])
+    pose_part = fusion.congruent(change, cells.covariance_pose[chosen])
     error = np.column_stack([sphere.minus(normal, at), d])
     information = planes.inverse_symmetric(range_part)
     pulled = (information @ error[:, :, None])[:, :, 0]
@@ -90,7 +90,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
         y=y,
         z=z0 + rise,
         normal=fused_normal,
-        range_part=planes.move_up(fused_normal, planes.sound(fused_range), rise),
-        pose_part=planes.move_up(fused_normal, planes.sound(fused_pose), rise),
+        range_part=fusion.move_up(fused_normal, fusion.sound(fused_range), rise),
+        pose_part=fusion.move_up(fused_normal, fusion.sound(fused_pose), rise),
         of_leaf=np.where(below, place[np.where(below, key, 0)], -1),
     )

@@ -129,8 +129,7 @@ def _check_leaves(mapper: Mapper, state: State) -> None:
     z, normal = state["leaves.z"], state["leaves.normal"]
     known = np.isfinite(z)
     whole = np.isfinite(normal[known]).all() and (normal[known, 2] > 0.0).all()
-    for name in ("leaves.range_part", "leaves.pose_part"):
-        whole &= np.isfinite(state[name][known]).all()
+    whole &= np.isfinite(state["leaves.parts"][known]).all()
     if not whole or state["leaves.measured"][~known].any():
         msg = "has a leaf with an impossible plane"
         raise CheckpointError(msg)

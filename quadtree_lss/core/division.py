@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,12 +30,6 @@ CHI_3 = (MEAN_CHI_3, float(np.sqrt(3.0 - MEAN_CHI_3**2)))
 STRAY = 5e-4
 
 
-def mean_absolute(group: Index, count: Array, values: Array) -> Array:
-    """Mean of |values| (N,) in each group, of which ``count`` (M,) says the number."""
-    out: Array = np.bincount(group, np.abs(values), minlength=len(count)) / count
-    return out
-
-
 def distances(normal: Array, through: Array, group: Index, points: Array) -> Array:
     """Orthogonal distances (N,) of points (3, N) to their group's plane (Eq. 19), m.
 
@@ -47,6 +43,36 @@ def distances(normal: Array, through: Array, group: Index, points: Array) -> Arr
     out += normal[:, 2][group] * points[2]
     out -= np.einsum("mi,mi->m", normal, through)[group]
     return out
+
+
+@dataclass(frozen=True)
+class GroupedPoints:
+    """Points of a scan, in G groups of which M were fitted.
+
+    Attributes:
+        fitted: (M,) groups.
+        group: (N,) group of each point, 0 .. G - 1.
+        points: (3, N) m.
+        count: (M,) points of the fitted groups.
+        groups: G.
+    """
+
+    fitted: Index
+    group: Index
+    points: Array
+    count: Array
+    groups: int
+
+    def mean_distance(self, normal: Array, through: Array) -> Array:
+        """Mean orthogonal distance (M,) of the fitted groups' points to planes (M, 3) each, m."""
+        if len(self.fitted) < self.groups:
+            everywhere = np.zeros((2, self.groups, 3))
+            everywhere[0, self.fitted], everywhere[1, self.fitted] = normal, through
+            normal, through = everywhere[0], everywhere[1]
+        away = distances(normal, through, self.group, self.points)
+        total = np.bincount(self.group, np.abs(away, out=away), minlength=self.groups)
+        out: Array = total[self.fitted] / self.count
+        return out
 
 
 def lack_of_fit(distance: Array, noise: Array, count: Array) -> Array:
@@ -90,17 +116,14 @@ def mahalanobis_factor(
     return out
 
 
-def lack_of_fit_statistic(fit: Fit, moment: Moments, group: Index, points: Array) -> Array:
+def lack_of_fit_statistic(fit: Fit, moment: Moments, seen: GroupedPoints) -> Array:
     """Division statistic (M,) of fitted cells by their own fit's residuals.
 
     Args:
         fit, moment: M cells.
-        group: (N,) cell of each point.
-        points: (3, N) about the origin of ``moment``.
+        seen: Their points, about the origin of ``moment``.
     """
-    distance = mean_absolute(
-        group, moment.count, distances(fit.planes.normal, moment.mean, group, points)
-    )
+    distance = seen.mean_distance(fit.planes.normal, moment.mean)
     return lack_of_fit(distance, fit.noise, moment.count)
 
 
@@ -109,8 +132,7 @@ def mahalanobis_statistic(
     rows: Index,
     fit: Fit,
     moment: Moments,
-    group: Index,
-    points: Array,
+    seen: GroupedPoints,
     origin: Array,
     pose: lidar.Pose,
     range_noise: float,
@@ -123,13 +145,14 @@ def mahalanobis_statistic(
     Args:
         leaves: Before the fit is taken over.
         rows: (M,) leaves of the cells.
+        seen: Their points, about the origin of ``moment``.
         origin: (3,) of ``points`` and ``moment`` in the map frame, m.
     """
     known = leaves.measured[rows]
     normal = np.where(known[:, None], leaves.normal[rows], fit.planes.normal)
     stored = np.column_stack([leaves.x[rows], leaves.y[rows], leaves.z[rows]]) - origin
     through = np.where(known[:, None], stored, moment.mean)
-    distance = mean_absolute(group, moment.count, distances(normal, through, group, points))
+    distance = seen.mean_distance(normal, through)
     arm = moment.mean - stored
     basis = sphere.tangent_basis(normal)
     row = np.concatenate([-np.einsum("mij,mi->mj", basis, arm), np.ones((len(rows), 1))], axis=1)

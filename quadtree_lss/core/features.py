@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core import planes
-from quadtree_lss.core.bump import SHAPE, as_boulder, height, peak
+from quadtree_lss.core.bump import SHAPE, peak
+from quadtree_lss.core.bump_fit import (
+    Samples,
+    estimate,
+    flat_cost,
+    gather_raised,
+    lay_out,
+    promise,
+    start,
+)
 from quadtree_lss.core.config import FeaturesConfig
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.statistics import Residuals
@@ -23,19 +32,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-__all__ = ["FeatureEstimator", "as_boulder", "estimate", "height", "peak"]
-
-ITERATIONS = 5
 #: Points this many standard deviations above the plane make a cell a candidate.
 HIGH = 3.0
 #: Fraction of points that noise alone raises so high, P(N(0, 1) > 3).
 CHANCE = 0.00135
 #: Half side of the square around a bump whose points are used, in sigma.
 WINDOW = 5.0
-#: Points of one scan that a cell's feature is estimated from, at most.
-MAX_SAMPLES = 512
-#: Relative change of the cost at which an estimate has converged.
-SETTLED = 1e-2
 #: A first estimate must lower the cost (a chi-square) by this much against flat ground.
 SIGNIFICANCE = 25.0
 #: Candidates treated in one scan; the rest wait for the next, the strongest go first.
@@ -43,218 +45,49 @@ MAX_CANDIDATES = 256
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Heights over C cells, laid out by cell and padded to the same number P.
+class Candidates:
+    """C leaves in which a scan shows a feature or may, and the N points in them.
 
     Attributes:
-        x, y: (C, P) relative to the cell's centre, m.
-        z: (C, P) height above the cell's plane, m.
-        weight: (C, P) one over the variance of z, m^-2; 0 where padded.
+        rows: (C,) leaves.
+        size: (C,) their sides, m.
+        count: (C,) their points.
+        variance: (C,) of a point's height above the plane, m^2.
+        cell: (N,) leaf of each point, 0 .. C - 1.
+        x, y: (N,) relative to the cell's centre, m.
+        z: (N,) height above the cell's plane, m.
+        high: (N,) True where the point stands out.
     """
 
-    x: Array
-    y: Array
-    z: Array
-    weight: Array
-
-    def take(self, chosen: Index) -> Samples:
-        """The chosen cells."""
-        return Samples(self.x[chosen], self.y[chosen], self.z[chosen], self.weight[chosen])
-
-
-def lay_out(cell: Index, variance: Array, x: Array, y: Array, z: Array) -> Samples:
-    """Samples from points (N,) of cells (N,), ``variance`` (C,) of each cell's heights.
-
-    A cell with more than ``MAX_SAMPLES`` points keeps every k-th.
-    """
-    cells = len(variance)
-    order = np.argsort(cell, kind="stable")
-    ordered = cell[order]
-    count = np.bincount(cell, minlength=cells)
-    rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-    stride = -(-count // MAX_SAMPLES)[ordered]
-    kept = rank % stride == 0
-    order, at = order[kept], (ordered[kept], (rank // stride)[kept])
-    width = int(at[1].max()) + 1 if len(order) else 1
-    out = np.zeros((4, cells, width))
-    for axis, values in enumerate((x[order], y[order], z[order], 1.0 / variance[at[0]])):
-        out[axis][at] = values
-    return Samples(out[0], out[1], out[2], out[3])
-
-
-def flat_cost(samples: Samples) -> Array:
-    """Chi-square (C,) of heights about their own mean: the ground without a bump."""
-    total = np.maximum(samples.weight.sum(axis=1), 1e-300)
-    mean = (samples.weight * samples.z).sum(axis=1) / total
-    out: Array = (samples.weight * (samples.z - mean[:, None]) ** 2).sum(axis=1)
-    return out
-
-
-def promise(samples: Samples, state: Array) -> Array:
-    """How much a bump of the state's place and width can lower the flat cost at best, (C,).
-
-    Linear in height, so in closed form: (sum w g z)^2 / sum w g^2 with the bell g freed of its
-    mean; 0 where the best height is negative.
-    """
-    square = (samples.x - state[:, 2:3]) ** 2 + (samples.y - state[:, 3:4]) ** 2
-    bell = np.exp(-0.5 * square / state[:, 4:5] ** 2)
-    total = np.maximum(samples.weight.sum(axis=1, keepdims=True), 1e-300)
-    bell -= (samples.weight * bell).sum(axis=1, keepdims=True) / total
-    bell *= samples.weight
-    rise = np.maximum((bell * samples.z).sum(axis=1), 0.0)
-    weight = (bell * bell / np.maximum(samples.weight, 1e-300)).sum(axis=1)
-    out: Array = rise**2 / np.maximum(weight, 1e-300)
-    return out
-
-
-def estimate(
-    samples: Samples, mean: Array, information: Array, half: Array, finest: Array
-) -> tuple[Array, Array, Array]:
-    """Damped, iterated batch EKF update of C states (Levenberg-Marquardt on the MAP cost).
-
-    cost = sum (z - h(X))^2 / variance + (X - mean)^T information (X - mean).
-
-    Args:
-        samples: One scan's heights.
-        mean: (C, 5) prior, also the start.
-        information: (C, 5, 5) inverse prior covariance.
-        half: (C,) half the cell's side: the centre stays inside, m.
-        finest: (C,) least sigma that the sampling resolves, m.
-
-    Returns:
-        States (C, 5), covariances (C, 5, 5), measurement part of the cost (C,).
-    """
-    state = _bounded(mean, half, finest)
-    damping = np.full(len(state), 1e-2)
-    cost, data, normal, gradient = _linearise(samples, state, mean, information)
-    active = np.arange(len(state))
-    for _ in range(ITERATIONS):
-        scale = np.einsum("cii->ci", normal[active])
-        damped = normal[active] + (damping[active, None] * scale)[:, :, None] * np.eye(5)
-        step = np.linalg.solve(damped, gradient[active, :, None])[:, :, 0]
-        trial = _bounded(state[active] + step, half[active], finest[active])
-        t_cost, t_data, t_normal, t_gradient = _linearise(
-            samples.take(active), trial, mean[active], information[active]
-        )
-        gain = cost[active] - t_cost
-        better = gain > 0.0
-        won = active[better]
-        state[won], cost[won], data[won] = trial[better], t_cost[better], t_data[better]
-        normal[won], gradient[won] = t_normal[better], t_gradient[better]
-        damping[active] *= np.where(better, 0.2, 6.0)
-        settled = (np.abs(gain) < SETTLED * (1.0 + t_cost)) | (damping[active] > 1e6)
-        active = active[~settled]
-        if not len(active):
-            break
-    covariance: Array = np.linalg.inv(normal).astype(np.float64)
-    return state, covariance, data
-
-
-def _bounded(state: Array, half: Array, finest: Array) -> Array:
-    out = state.copy()
-    out[:, 2:4] = np.minimum(np.maximum(out[:, 2:4], -half[:, None]), half[:, None])
-    out[:, 4] = np.minimum(np.maximum(np.abs(out[:, 4]), finest), 4.0 * half)
-    return out
-
-
-def _linearise(
-    samples: Samples, state: Array, mean: Array, information: Array
-) -> tuple[Array, Array, Array, Array]:
-    """MAP cost, its measurement part, Gauss-Newton matrix and descent direction at ``state``."""
-    a, k, mx, my, sigma = state.T[:, :, None]
-    inverse_square = 1.0 / sigma**2
-    dx, dy = samples.x - mx, samples.y - my
-    square = (dx * dx + dy * dy) * inverse_square
-    bell = np.exp(-0.5 * square)
-    bump = (k * k * inverse_square / (2.0 * np.pi)) * bell
-    rows = np.empty((len(state), 6, samples.x.shape[1]))
-    rows[:, 0] = 1.0
-    rows[:, 1] = (k * inverse_square / np.pi) * bell
-    rows[:, 2] = bump * dx * inverse_square
-    rows[:, 3] = bump * dy * inverse_square
-    rows[:, 4] = bump * (square - 2.0) / sigma
-    rows[:, 5] = samples.z - a - bump
-    products = (rows * samples.weight[:, None, :]) @ rows.transpose(0, 2, 1)
-    off = state - mean
-    pull = (information @ off[:, :, None])[:, :, 0]
-    return (
-        products[:, 5, 5] + np.einsum("ci,ci->c", off, pull),
-        products[:, 5, 5].copy(),
-        products[:, :5, :5] + information,
-        products[:, :5, 5] - pull,
-    )
-
-
-@dataclass(frozen=True)
-class Raised:
-    """Samples that stand out of C cells, ``K`` of them at most in each, padded with height 0.
-
-    Attributes:
-        x, y: (C, K) relative to the cell's centre, m.
-        z: (C, K) height above the cell's plane, m; 0 where padded.
-        count: (C,) how many there are.
-    """
-
-    x: Array
-    y: Array
-    z: Array
+    rows: Index
+    size: Array
     count: Array
+    variance: Array
+    cell: Index
+    x: Array
+    y: Array
+    z: Array
+    high: Mask
 
+    def start(self, fresh: Mask) -> Array:
+        """Where first estimates begin, (F, 5), of the leaves marked ``fresh`` (C,), each of which
+        has a point that stands out."""
+        chosen = fresh.nonzero()[0]
+        place = np.full(len(fresh), -1, dtype=np.intp)
+        place[chosen] = np.arange(len(chosen))
+        high = self.high.nonzero()[0]
+        high = high[fresh[self.cell[high]]]
+        cell = place[self.cell[high]]
+        raised = gather_raised(cell, len(chosen), self.x[high], self.y[high], self.z[high])
+        return start(raised, self.count[chosen], self.size[chosen] ** 2)
 
-MAX_RAISED = 24
-
-
-def gather_raised(cell: Index, cells: int, x: Array, y: Array, z: Array) -> Raised:
-    """Lay out samples (N,) by cell, the highest ``MAX_RAISED`` of each."""
-    order = np.lexsort((-z, cell))
-    ordered = cell[order]
-    first = np.searchsorted(ordered, np.arange(cells))
-    rank = np.arange(len(order)) - first[ordered]
-    fits = rank < MAX_RAISED
-    at = (ordered[fits], rank[fits])
-    out = np.zeros((3, cells, MAX_RAISED))
-    for axis, values in enumerate((x, y, z)):
-        out[axis][at] = values[order[fits]]
-    count = np.bincount(cell, minlength=cells).astype(np.float64)
-    return Raised(out[0], out[1], out[2], count)
-
-
-def start(raised: Raised, points: Array, area: Array) -> Array:
-    """First states (C, 5) from the data instead of Eq. 52's constants.
-
-    Every raised sample collects the heights of the raised samples near it; the richest one is the
-    centre, which a single outlier is not. Those near it stand for the bump: their share of the
-    cell's area gives sigma, their mean height over the rest its volume.
-
-    Args:
-        raised: Samples that stand out, at least one in each cell.
-        points: (C,) samples in each cell; their heights sum to zero.
-        area: (C,) area of the cells, m^2.
-    """
-    spacing = np.sqrt(area / points)
-    width = np.maximum(1.5 * spacing, 0.1)
-    square = (raised.x[:, :, None] - raised.x[:, None, :]) ** 2
-    square += (raised.y[:, :, None] - raised.y[:, None, :]) ** 2
-    near = np.exp(-0.5 * square / (width**2)[:, None, None])
-    collected = np.where(raised.z > 0.0, (near @ raised.z[:, :, None])[:, :, 0], -1.0)
-    best = np.argmax(collected, axis=1)
-    row = np.arange(len(area))
-    inside = (square[row, best] < (3.0 * width[:, None]) ** 2) & (raised.z > 0.0)
-    many = np.maximum(np.count_nonzero(inside, axis=1), 1)
-    total = np.sum(np.where(inside, raised.z, 0.0), axis=1)
-    level = -total / np.maximum(points - many, 1.0)
-    footprint = area * many / points
-    volume = np.maximum(total / many - level, 1e-3) * footprint
-    return np.stack(
-        [
-            level,
-            np.sqrt(volume),
-            raised.x[row, best],
-            raised.y[row, best],
-            np.sqrt(footprint / (2.0 * np.pi)),
-        ],
-        axis=1,
-    )
+    def window(self, mean: Array) -> Samples:
+        """Samples around each mean (C, 5): beyond a few sigma they say nothing of the bump."""
+        cell = self.cell
+        reach = np.minimum(np.maximum(WINDOW * mean[:, 4], 0.5), self.size)
+        away = np.maximum(np.abs(self.x - mean[cell, 2]), np.abs(self.y - mean[cell, 3]))
+        inside = (away <= reach[cell]).nonzero()[0]
+        return lay_out(cell[inside], self.variance, self.x[inside], self.y[inside], self.z[inside])
 
 
 class FeatureEstimator:
@@ -275,100 +108,70 @@ class FeatureEstimator:
         normal = leaves.normal[rows]
         variance = planes.orthogonal_noise_variance(normal, residuals.moment.ray, range_noise)
         gate = np.maximum(HIGH * np.sqrt(variance), 0.5 * self.config.min_height * normal[:, 2])
-        high = np.flatnonzero(residuals.distance > gate[residuals.group])
+        high = residuals.distance > gate[residuals.group]
         count = residuals.moment.count
         raised = np.bincount(residuals.group[high], minlength=len(rows))
         chance = CHANCE * count
         known = np.isfinite(leaves.feature[rows, 1])
-        candidate = (raised >= np.maximum(2.0, chance + 2.0 * np.sqrt(chance))) | known
-        chosen = np.flatnonzero(candidate & (count >= self.config.min_points))
+        candidate = raised >= np.maximum(2.0, chance + 2.0 * np.sqrt(chance))
+        candidate |= known
+        chosen = (candidate & (count >= self.config.min_points)).nonzero()[0]
         if not len(chosen):
             return
         if len(chosen) > MAX_CANDIDATES:
             strongest = np.argsort(-raised[chosen], kind="stable")[:MAX_CANDIDATES]
             chosen = np.sort(chosen[strongest])
-        self._estimate(leaves, residuals, chosen, high, variance[chosen], known[chosen])
+        up = normal[chosen, 2]
+        candidates = _candidates(leaves, residuals, chosen, high, up, variance[chosen])
+        self._estimate(leaves, candidates, known[chosen])
 
-    def _estimate(
-        self,
-        leaves: Leaves,
-        residuals: Residuals,
-        chosen: Index,
-        high: Index,
-        variance: Array,
-        known: Mask,
-    ) -> None:
-        rows = residuals.rows[chosen]
-        place = np.full(len(residuals.rows), -1, dtype=np.intp)
-        place[chosen] = np.arange(len(chosen))
-        size = leaves.domain.cell_size(leaves.level[rows])
-        count = residuals.moment.count[chosen]
-        mean = self._start(leaves, residuals, rows, place, high, count, known)
-        samples = self._window(leaves, residuals, rows, place, mean, size, variance)
-        worth = np.flatnonzero(known | (promise(samples, mean) >= 0.5 * SIGNIFICANCE))
+    def _estimate(self, leaves: Leaves, candidates: Candidates, known: Mask) -> None:
+        rows, size = candidates.rows, candidates.size
+        mean = leaves.feature[rows]
+        if not known.all():
+            mean[~known] = candidates.start(~known)
+        samples = candidates.window(mean)
+        worth = (known | (promise(samples, mean) >= 0.5 * SIGNIFICANCE)).nonzero()[0]
         if not len(worth):
             return
-        rows, known, mean, samples = rows[worth], known[worth], mean[worth], samples.take(worth)
-        size, count = size[worth], count[worth]
+        if len(worth) < len(rows):
+            samples, mean = samples.take(worth), mean[worth]
+            rows, size, known = rows[worth], size[worth], known[worth]
         # Eq. 52's unit covariance for a new feature, the last one for a known.
         information = np.broadcast_to(np.eye(5), (len(rows), 5, 5)).copy()
         information[known] = np.linalg.inv(leaves.feature_covariance[rows[known]])
-        finest = 0.4 * size / np.sqrt(count)
-        state, covariance, cost = estimate(samples, mean, information, 0.5 * size, finest)
-        gain = flat_cost(samples) - cost
+        finest = 0.4 * size / np.sqrt(candidates.count[worth])
+        state, covariance, cost = estimate(samples, mean, information, known, 0.5 * size, finest)
         config = self.config
         keep = (
             (state[:, 1] ** 2 >= config.min_volume)
             & (peak(state) >= SHAPE * config.min_height)
             & (state[:, 4] <= config.max_sigma_fraction * size)
-            & (known | (gain >= SIGNIFICANCE))
+            & (known | (flat_cost(samples) - cost >= SIGNIFICANCE))
             & np.isfinite(covariance).all(axis=(1, 2))
         )
         leaves.feature[rows] = np.where(keep[:, None], state, np.nan)
         leaves.feature_covariance[rows] = np.where(keep[:, None, None], covariance, np.nan)
 
-    def _start(
-        self,
-        leaves: Leaves,
-        residuals: Residuals,
-        rows: Index,
-        place: Index,
-        high: Index,
-        count: Array,
-        known: Mask,
-    ) -> Array:
-        """Where each estimate begins, (C, 5): the last state, or from the data."""
-        cell = place[residuals.group[high]]
-        high, cell = high[cell >= 0], cell[cell >= 0]
-        raised = gather_raised(
-            cell,
-            len(rows),
-            residuals.points[0, high] + residuals.origin[0] - leaves.x[rows][cell],
-            residuals.points[1, high] + residuals.origin[1] - leaves.y[rows][cell],
-            residuals.distance[high] / leaves.normal[rows, 2][cell],
-        )
-        fresh = start(raised, count, leaves.domain.cell_size(leaves.level[rows]) ** 2)
-        return np.where(known[:, None], leaves.feature[rows], fresh)
 
-    def _window(
-        self,
-        leaves: Leaves,
-        residuals: Residuals,
-        rows: Index,
-        place: Index,
-        mean: Array,
-        size: Array,
-        variance: Array,
-    ) -> Samples:
-        """Samples around each start: beyond a few sigma they say nothing of the bump."""
-        cell = place[residuals.group]
-        mine = np.flatnonzero(cell >= 0)
-        cell = cell[mine]
-        x = residuals.points[0, mine] + (residuals.origin[0] - leaves.x[rows])[cell]
-        y = residuals.points[1, mine] + (residuals.origin[1] - leaves.y[rows])[cell]
-        reach = np.minimum(np.maximum(WINDOW * mean[:, 4], 0.5), size)
-        inside = np.maximum(np.abs(x - mean[cell, 2]), np.abs(y - mean[cell, 3])) <= reach[cell]
-        cell, mine = cell[inside], mine[inside]
-        up = leaves.normal[rows, 2]
-        height_above = residuals.distance[mine] / up[cell]
-        return lay_out(cell, variance / up**2, x[inside], y[inside], height_above)
+def _candidates(
+    leaves: Leaves, residuals: Residuals, chosen: Index, high: Mask, up: Array, variance: Array
+) -> Candidates:
+    """The ``chosen`` (C,) of the residuals' leaves, with n_z and variance of n.r - d of each."""
+    rows = residuals.rows[chosen]
+    place = np.full(len(residuals.rows), -1, dtype=np.intp)
+    place[chosen] = np.arange(len(chosen))
+    cell = place[residuals.group]
+    mine = (cell >= 0).nonzero()[0]
+    cell = cell[mine]
+    return Candidates(
+        rows,
+        leaves.domain.cell_size(leaves.level[rows]),
+        residuals.moment.count[chosen],
+        variance / up**2,
+        cell,
+        residuals.points[0, mine] + (residuals.origin[0] - leaves.x[rows])[cell],
+        residuals.points[1, mine] + (residuals.origin[1] - leaves.y[rows])[cell],
+        residuals.distance[mine] / up[cell],
+        high[mine],
+    )

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from quadtree_lss.core import planes, sphere
 from quadtree_lss.core.config import MappingConfig
-from quadtree_lss.core.planes import Moments, Planes
+from quadtree_lss.core.fusion import Planes
+from quadtree_lss.core.planes import Moments
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -229,7 +230,7 @@ def _about_centre(
     z = mean[:, 2] + rise
     to_mean[:, 2] = -rise
     lever = np.einsum("mij,mi->mj", basis, to_mean)
-    estimate = Planes(
+    estimate = Planes.of(
         normal,
         np.zeros(len(normal)),
         planes.covariance_about(slope, offset_variance, lever),

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core import planes
-from quadtree_lss.core.planes import Planes
+from quadtree_lss.core import fusion
+from quadtree_lss.core.fusion import Planes
 from quadtree_lss.core.quadtree import CHILD_X, CHILD_Y, Domain, Quadtree
 
 Array = NDArray[np.float64]
@@ -24,7 +24,8 @@ class Leaves(Quadtree):
     Attributes:
         z: Plane's elevation at the cell's centre, m; NaN without an estimate.
         normal: (., 3) upward unit normal.
-        range_part, pose_part: (., 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z).
+        parts: (., 2, 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z): of range noise
+            and of pose error.
         measured: True where own points were fitted, False if empty or inherited.
         points_fitted: Measurements in the estimate.
         misfit: Mean square orthogonal residual of the last scan about its own fit, m^2.
@@ -40,8 +41,7 @@ class Leaves(Quadtree):
 
     z: Array
     normal: Array
-    range_part: Array
-    pose_part: Array
+    parts: Array
     measured: Mask
     points_fitted: Array
     misfit: Array
@@ -57,10 +57,10 @@ class Leaves(Quadtree):
 
     def __init__(self, domain: Domain, max_cells: int) -> None:
         super().__init__(domain, max_cells)
+        self._written: list[Index] = []
         self.declare("z", np.nan)
         self.declare("normal", np.nan, (3,))
-        self.declare("range_part", np.nan, (3, 3))
-        self.declare("pose_part", np.nan, (3, 3))
+        self.declare("parts", np.nan, (2, 3, 3))
         self.declare("measured", False, (), np.bool_)
         for name in _SUMS:
             self.declare(name, 0.0)
@@ -88,30 +88,37 @@ class Leaves(Quadtree):
         rows = np.arange(count)
         self._place(rows, *(columns[name].astype(np.intp) for name in ("level", "ix", "iy")))
 
+    @property
+    def range_part(self) -> Array:
+        """(., 3, 3) covariance from range noise."""
+        return self.parts[:, 0]
+
+    @property
+    def pose_part(self) -> Array:
+        """(., 3, 3) covariance from pose error."""
+        return self.parts[:, 1]
+
     def planes(self, rows: Index) -> Planes:
         """Planes of leaves ``rows`` about (x, y, z), so that d is zero."""
-        return Planes(
-            self.normal[rows], np.zeros(len(rows)), self.range_part[rows], self.pose_part[rows]
-        )
+        return Planes(self.normal[rows], np.zeros(len(rows)), self.parts[rows])
 
-    def set_planes(
-        self, rows: Index, normal: Array, z: Array, range_part: Array, pose_part: Array
-    ) -> None:
-        """Write planes through (x, y, z)."""
-        self.normal[rows], self.z[rows] = normal, z
-        parts = planes.sound(np.concatenate([range_part, pose_part]))
-        self.range_part[rows], self.pose_part[rows] = parts[: len(rows)], parts[len(rows) :]
+    def set_planes(self, rows: Index, normal: Array, z: Array, parts: Array) -> None:
+        """Write planes through (x, y, z); `mend` before covariances are read by others."""
+        self.normal[rows], self.z[rows], self.parts[rows] = normal, z, parts
+        self._written.append(rows)
 
     def set_fused(self, rows: Index, fused: Planes) -> None:
         """Write planes whose d is about the present (x, y, z): the origin moves to the plane."""
         rise = fused.d / fused.normal[:, 2]
-        self.set_planes(
-            rows,
-            fused.normal,
-            self.z[rows] + rise,
-            planes.move_up(fused.normal, fused.range_part, rise),
-            planes.move_up(fused.normal, fused.pose_part, rise),
-        )
+        parts = fusion.move_up(fused.normal, fused.parts, rise)
+        self.set_planes(rows, fused.normal, self.z[rows] + rise, parts)
+
+    def mend(self) -> None:
+        """Free the covariances written since the last time of round-off (``fusion.sound``)."""
+        if self._written:
+            rows = np.concatenate(self._written)
+            self._written.clear()
+            self.parts[rows] = fusion.sound(self.parts[rows].reshape(-1, 3, 3)).reshape(-1, 2, 3, 3)
 
     def divide(self, rows: Index) -> Index:
         """Divide leaves ``rows`` as far as ``max_cells`` allows; children inherit the plane.
@@ -125,10 +132,10 @@ class Leaves(Quadtree):
         if not len(rows):
             return rows
         level = self.level[rows]
-        normal, z = self.normal[rows], self.z[rows]
-        range_part, pose_part, misfit = (
-            self.range_part[rows],
-            self.pose_part[rows],
+        normal, z, parts, misfit = (
+            self.normal[rows],
+            self.z[rows],
+            self.parts[rows],
             self.misfit[rows],
         )
         children = self.split(rows)
@@ -139,16 +146,14 @@ class Leaves(Quadtree):
         delta[:, 0] = np.tile(2 * CHILD_X - 1, done) * quarter
         delta[:, 1] = np.tile(2 * CHILD_Y - 1, done) * quarter
         delta[:, 2] = -(normal[:, 0] * delta[:, 0] + normal[:, 1] * delta[:, 1]) / normal[:, 2]
-        _, change = planes.shift_origin(normal, np.zeros(4 * done), delta)
-        inflated = planes.congruent(change, np.repeat(range_part[:done], 4, axis=0))
+        _, change = fusion.shift_origin(normal, np.zeros(4 * done), delta)
+        parts = fusion.congruent(change[:, None], np.repeat(parts[:done], 4, axis=0))
         square = np.repeat(misfit[:done], 4)
         tilt = np.minimum(square / quarter**2, 1.0)
-        inflated[:, 0, 0] += tilt
-        inflated[:, 1, 1] += tilt
-        inflated[:, 2, 2] += square
-        pose = planes.congruent(change, np.repeat(pose_part[:done], 4, axis=0))
-        at = children.ravel()
-        self.set_planes(at, normal, np.repeat(z[:done], 4) + delta[:, 2], inflated, pose)
+        parts[:, 0, 0, 0] += tilt
+        parts[:, 0, 1, 1] += tilt
+        parts[:, 0, 2, 2] += square
+        self.set_planes(children.ravel(), normal, np.repeat(z[:done], 4) + delta[:, 2], parts)
         first = children[:, 0]
         self.measured[first] = False
         for name in _SUMS:

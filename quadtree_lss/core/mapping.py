@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core import division, statistics
+from quadtree_lss.core.bump import as_boulder
 from quadtree_lss.core.config import Config
-from quadtree_lss.core.features import FeatureEstimator, as_boulder
+from quadtree_lss.core.features import FeatureEstimator
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.quadtree import CellMap, Domain, morton_order

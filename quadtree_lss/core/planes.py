@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planes: maximum-likelihood fit, covariance, change of origin and fusion (paper IV.A, IV.B).
+"""Planes: maximum-likelihood fit and its covariance (paper IV.A).
 
 A plane is n.(r - c) = d (Eq. 18 about an origin c near the ground, which is a cell's centre here)
 with its normal up (n_z > 0). Its error is e = (dphi_1, dphi_2, dd): dphi in the tangent plane at
@@ -8,6 +8,7 @@ n, axes of Eq. 2, rad; dd in m. Every function treats all planes at once: leadin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +26,6 @@ MIN_COSINE = 0.05
 MAX_SLOPE_SIGMA = 0.5
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
 MIN_UP = 0.05
-#: A fused plane steeper than both it was made of and than this n_z (78 deg) is a failed fusion.
-OVERTURNED = 0.2
 #: Pose variances above this (m^2 or rad^2) say no more than this: nothing is known.
 MAX_VARIANCE = 1e6
 #: In-plane scatter thinner than this, relative to its length, is a line.
@@ -54,6 +53,16 @@ class Moments:
         return Moments(
             self.count[chosen], self.mean[chosen], self.scatter[chosen], self.ray[chosen]
         )
+
+
+def join(parts: Sequence[Moments]) -> Moments:
+    """Moments of several sets of groups, one after the other."""
+    return Moments(
+        np.concatenate([part.count for part in parts]),
+        np.concatenate([part.mean for part in parts]),
+        np.concatenate([part.scatter for part in parts]),
+        np.concatenate([part.ray for part in parts]),
+    )
 
 
 def moments(group: Index, groups: int, points: Array, lidar: Array) -> Moments:
@@ -129,14 +138,15 @@ def fit_height(scatter: Array, prior_normal: Array, prior_spread: Array) -> Arra
     determinant = sxx * syy - sxy * sxy
     a = (syy * sxz - sxy * syz) / determinant
     b = (sxx * syz - sxy * sxz) / determinant
-    return upward(normal_from_slopes(a, b))
+    return normal_from_slopes(a, b)
 
 
 def normal_from_slopes(a: Array, b: Array) -> Array:
-    """Upward unit normals (M, 3) of z = a x + b y."""
-    normal = np.stack([-a, -b, np.ones_like(a)], axis=-1)
-    normal /= np.sqrt(a * a + b * b + 1.0)[:, None]
-    return normal
+    """Upward unit normals (M, 3) of z = a x + b y, with n_z >= ``MIN_UP``."""
+    up = 1.0 / np.sqrt(a * a + b * b + 1.0)
+    normal = np.empty((len(up), 3))
+    normal[:, 0], normal[:, 1], normal[:, 2] = -a * up, -b * up, up
+    return normal if up.min(initial=1.0) >= MIN_UP else upward(normal)
 
 
 def fit_orthogonal(scatter: Array, start: Array, iterations: int = 4) -> Array:
@@ -243,9 +253,9 @@ def pose_jacobian(normal: Array, basis: Array, arm: Array) -> Array:
         arm: (M, 3) plane's origin minus the lidar's position, m.
     """
     out = np.zeros((len(normal), 3, 6))
-    # b . (dw x n) = dw . (n x b)
-    out[:, 0, 3:] = cross(normal, basis[:, :, 0])
-    out[:, 1, 3:] = cross(normal, basis[:, :, 1])
+    # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
+    out[:, 0, 3:] = basis[:, :, 1]
+    np.negative(basis[:, :, 0], out=out[:, 1, 3:])
     out[:, 2, :3] = normal
     out[:, 2, 3:] = cross(arm, normal)
     return out
@@ -286,185 +296,6 @@ def covariance_root(covariance: Array) -> Array:
 def elevation_at_origin(normal: Array, d: Array, origin_z: Array) -> Array:
     """Height (M,) of the plane n.(r - c) = d straight above its origin c: c_z + d / n_z, m."""
     return origin_z + d / normal[:, 2]
-
-
-def tangent_change(of: Array, to: Array) -> Array:
-    """Linear map (M, 3, 3) of errors in the tangent at ``of`` (M, 3) to the tangent at ``to``.
-
-    With w = R_to^T of, the error of (of [-] to) is dlog(w) R_to^T B_of dphi; dd stays.
-    """
-    turn = np.swapaxes(sphere.rotation_to(to), -1, -2)
-    seen = (turn @ of[:, :, None])[:, :, 0]
-    out = np.zeros((len(of), 3, 3))
-    out[:, :2, :2] = sphere.log_jacobian(seen) @ (turn @ sphere.tangent_basis(of))
-    out[:, 2, 2] = 1.0
-    return out
-
-
-def congruent(change: Array, covariance: Array) -> Array:
-    """T C T^T for (M, 3, 3) each."""
-    out: Array = change @ covariance @ change.transpose(0, 2, 1)
-    return out
-
-
-def transport(covariance: Array, of: Array, to: Array) -> Array:
-    """Covariance (M, 3, 3) of errors in the tangent at ``of``, seen in the tangent at ``to``."""
-    return congruent(tangent_change(of, to), covariance)
-
-
-def shift_origin(normal: Array, d: Array, delta: Array) -> tuple[Array, Array]:
-    """Move the origin of planes by ``delta`` (M, 3), m: exact value and linear map of the error.
-
-    d' = d - n.delta, and as dn = B dphi, dd' = dd - (B^T delta).dphi.
-
-    Returns:
-        d' (M,) and T (M, 3, 3) with e' = T e.
-    """
-    change = np.zeros((len(normal), 3, 3))
-    change[:, 0, 0] = change[:, 1, 1] = change[:, 2, 2] = 1.0
-    basis = sphere.tangent_basis(normal)
-    change[:, 2, :2] = -np.einsum("mij,mi->mj", basis, delta)
-    return d - np.einsum("mi,mi->m", normal, delta), change
-
-
-def move_up(normal: Array, covariance: Array, delta_z: Array) -> Array:
-    """Covariance (M, 3, 3) after moving the origin up by ``delta_z`` (M,), m.
-
-    The vertical case of ``shift_origin``: B^T (0, 0, 1) = -(n_x, n_y), so
-    dd' = dd + delta_z (n_x, n_y).dphi.
-    """
-    lever = normal[:, :2] * delta_z[:, None]
-    out = covariance.copy()
-    added = (covariance[:, :2, :2] @ lever[:, :, None])[:, :, 0]
-    cross = covariance[:, :2, 2]
-    out[:, :2, 2] += added
-    out[:, 2, :2] = out[:, :2, 2]
-    out[:, 2, 2] += 2.0 * np.einsum("mi,mi->m", lever, cross) + np.einsum("mi,mi->m", lever, added)
-    return out
-
-
-@dataclass(frozen=True)
-class Planes:
-    """Estimates of M planes (Eq. 37) with the two parts of their covariance (Eq. 38).
-
-    Attributes:
-        normal: (M, 3), up.
-        d: (M,) about an origin that the owner knows, m.
-        range_part: (M, 3, 3) covariance from range noise.
-        pose_part: (M, 3, 3) covariance from pose error.
-    """
-
-    normal: Array
-    d: Array
-    range_part: Array
-    pose_part: Array
-
-
-def fuse_pair(prior: Planes, update: Planes) -> Planes:
-    """Two estimates of each plane about the same origin made one, parts carried along.
-
-    Eq. 39 is the error, Eq. 40, Eq. 41 and Eq. 42 the least squares, Eq. 43, Eq. 44 and Eq. 45 what
-    comes of it:
-
-    e = (n_update [-] n_prior, d_update - d_prior) in the prior's tangent; with the total
-    covariances P and R: K = P (P + R)^-1, fused = prior [+] K e, and each part of the covariance
-    becomes (I - K) P_part (I - K)^T + K R_part K^T, which sums to (P^-1 + R^-1)^-1.
-
-    Where both normals are so uncertain that the linear step overturns the plane (steeper than
-    either and n_z below ``OVERTURNED``), the update takes the prior's place.
-    """
-    change = tangent_change(update.normal, prior.normal)
-    range_part = congruent(change, update.range_part)
-    pose = congruent(change, update.pose_part)
-    error = np.empty((len(prior.d), 3))
-    error[:, :2] = sphere.minus(update.normal, prior.normal)
-    error[:, 2] = update.d - prior.d
-    total = prior.range_part + prior.pose_part
-    gain = total @ inverse_symmetric(total + range_part + pose)
-    rest = np.eye(3) - gain
-    step = (gain @ error[:, :, None])[:, :, 0]
-    fused = Planes(
-        upward(sphere.plus(prior.normal, step[:, :2])),
-        prior.d + step[:, 2],
-        symmetric(congruent(rest, prior.range_part) + congruent(gain, range_part)),
-        symmetric(congruent(rest, prior.pose_part) + congruent(gain, pose)),
-    )
-    steeper = fused.normal[:, 2] < np.minimum(prior.normal[:, 2], update.normal[:, 2])
-    return _where(steeper & (fused.normal[:, 2] < OVERTURNED), update, fused)
-
-
-def fuse_heights(prior: Planes, lever: Array, height: Array, noise: Array, pose: Array) -> Planes:
-    """Fuse one orthogonal distance per plane: what too few points for a fit still tell.
-
-    The mean residual A = n.(mean - c) - d of the points (Eq. 29) observes (B^T(c - mean), 1).e
-    with variance noise + pose.
-
-    Args:
-        prior: M planes.
-        lever: (M, 2) B^T (mean - origin), m.
-        height: (M,) A, m.
-        noise, pose: (M,) its variances from range noise and pose, m^2.
-
-    Where the height would overturn an uncertain plane, the prior stays.
-    """
-    row = np.concatenate([-lever, np.ones((len(lever), 1))], axis=1)
-    total = prior.range_part + prior.pose_part
-    image = (total @ row[:, :, None])[:, :, 0]
-    gain = image / (np.einsum("mi,mi->m", row, image) + noise + pose)[:, None]
-    step = gain * height[:, None]
-    rest = np.eye(3) - gain[:, :, None] * row[:, None, :]
-    square = gain[:, :, None] * gain[:, None, :]
-    fused = Planes(
-        upward(sphere.plus(prior.normal, step[:, :2])),
-        prior.d + step[:, 2],
-        symmetric(congruent(rest, prior.range_part) + noise[:, None, None] * square),
-        symmetric(congruent(rest, prior.pose_part) + pose[:, None, None] * square),
-    )
-    steeper = fused.normal[:, 2] < prior.normal[:, 2]
-    return _where(steeper & (fused.normal[:, 2] < OVERTURNED), prior, fused)
-
-
-def _where(chosen: Mask, these: Planes, others: Planes) -> Planes:
-    """``these`` where chosen (M,), ``others`` elsewhere."""
-    if not chosen.any():
-        return others
-    matrix = chosen[:, None, None]
-    return Planes(
-        np.where(chosen[:, None], these.normal, others.normal),
-        np.where(chosen, these.d, others.d),
-        np.where(matrix, these.range_part, others.range_part),
-        np.where(matrix, these.pose_part, others.pose_part),
-    )
-
-
-def symmetric(matrices: Array) -> Array:
-    """Mean of (M, K, K) and its transpose."""
-    out: Array = 0.5 * (matrices + matrices.transpose(0, 2, 1))
-    return out
-
-
-def sound(covariance: Array) -> Array:
-    """Covariances (M, 3, 3) freed of what round-off may do to extreme ones.
-
-    Variances are kept positive; where the correlations are impossible, the nearest possible ones
-    (no negative eigenvalue) take their place.
-    """
-    out = symmetric(covariance)
-    variance = np.maximum(np.einsum("mii->mi", out), 1e-18)
-    np.einsum("mii->mi", out)[...] = variance
-    inverse = 1.0 / np.sqrt(variance)
-    b = out[:, 0, 1] * inverse[:, 0] * inverse[:, 1]
-    c = out[:, 0, 2] * inverse[:, 0] * inverse[:, 2]
-    e = out[:, 1, 2] * inverse[:, 1] * inverse[:, 2]
-    determinant = 1.0 + 2.0 * b * c * e - b * b - c * c - e * e
-    apart = np.maximum(np.maximum(b * b, c * c), e * e)
-    bad = np.flatnonzero((determinant < -1e-9) | (apart > 1.0 + 1e-9))
-    if len(bad):
-        scale = inverse[bad, :, None] * inverse[bad, None, :]
-        values, vectors = np.linalg.eigh(np.clip(out[bad] * scale, -1.0, 1.0))
-        kept = (vectors * np.maximum(values, 1e-12)[:, None, :]) @ vectors.transpose(0, 2, 1)
-        out[bad] = kept / scale
-    return out
 
 
 def sum_by(group: Index, groups: int, values: Array) -> Array:

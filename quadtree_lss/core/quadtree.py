@@ -137,10 +137,8 @@ def fill_blocks(
     One vectorised assignment per level that occurs.
     """
     n = domain.finest_count
-    for of_level in range(domain.max_level + 1):
+    for of_level in np.flatnonzero(np.bincount(level)).tolist():
         chosen = np.flatnonzero(level == of_level)
-        if not len(chosen):
-            continue
         side = 1 << (domain.max_level - of_level)
         first = iy[chosen].astype(np.intp) * (side * n) + ix[chosen].astype(np.intp) * side
         within = (np.arange(side)[:, None] * n + np.arange(side)).ravel()

@@ -49,7 +49,8 @@ def register(
     shape = points_lidar.shape[:-1]
     flat = points_lidar.reshape(-1, 3)
     with np.errstate(invalid="ignore", over="ignore"):
-        ranges = np.sqrt(np.einsum("ij,ij->i", flat, flat))
+        points = pose.rotation_map_lidar @ flat.T
+        ranges = np.sqrt(points[0] * points[0] + points[1] * points[1] + points[2] * points[2])
         finite = np.isfinite(ranges)
         valid = finite & (ranges > 0.0) & (ranges >= lidar.min_range) & (ranges <= lidar.max_range)
     returns = int(np.count_nonzero(finite))
@@ -61,8 +62,7 @@ def register(
         valid &= ~lonely.ravel()
     kept = int(np.count_nonzero(valid))
     if kept < len(flat):
-        flat = flat.take(np.flatnonzero(valid), axis=0)
-    points = pose.rotation_map_lidar @ flat.T
+        points = points.take(np.flatnonzero(valid), axis=1)
     points += pose.position[:, None]
     n = domain.finest_count
     scale = 1.0 / domain.finest_size

@@ -73,12 +73,7 @@ class FinalGroups:
     def residuals(self, leaves: Leaves, points: Array) -> Residuals:
         """Residuals of ``points`` (3, N) about ``origin``, of those in measured leaves."""
         rows = np.concatenate(self._rows)
-        moment = Moments(
-            np.concatenate([m.count for m in self._moments]),
-            np.concatenate([m.mean for m in self._moments]),
-            np.concatenate([m.scatter for m in self._moments]),
-            np.concatenate([m.ray for m in self._moments]),
-        )
+        moment = planes.join(self._moments)
         measured = leaves.measured[rows]
         if measured.all():
             group = self._group

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core import division, fitting, planes, sphere
+from quadtree_lss.core import division, fitting, fusion, planes, sphere
 from quadtree_lss.core.config import Config
+from quadtree_lss.core.division import GroupedPoints
 from quadtree_lss.core.fitting import Fit, SlopePrior
+from quadtree_lss.core.fusion import Planes
 from quadtree_lss.core.leaves import Leaves
-from quadtree_lss.core.planes import Moments, Planes
+from quadtree_lss.core.planes import Moments
 from quadtree_lss.core.scan import RegisteredScan, compact
 from quadtree_lss.core.statistics import FinalGroups, Residuals
 from quadtree_lss.core.stored import StoredPoints
@@ -67,6 +69,7 @@ class ScanUpdate:
         self.key = stored.open_scan(scan)
         self.divisions = 0
         self.refused = 0
+        self._few: list[tuple[Index, Moments]] = []
         self._known = np.zeros(leaves.capacity, dtype=np.bool_)
         self._shift = np.zeros(leaves.capacity)
 
@@ -89,6 +92,7 @@ class ScanUpdate:
         mark[self._divide(rows)] = True
         index = np.flatnonzero(mark[leaf])
         if not len(index):
+            self.leaves.mend()
             return None
         return self._settle(self.points.take(index, axis=1), self.scan.finest[index])
 
@@ -130,6 +134,8 @@ class ScanUpdate:
             again = np.flatnonzero(moved[current.group])
             index = current.index[again]
             current = self._round(index, current.points.take(again, axis=1), finest[index])
+        self._nudge()
+        self.leaves.mend()
         return final.residuals(self.leaves, points)
 
     def _round(self, index: Index, points: Array, finest: Index) -> Round:
@@ -162,12 +168,12 @@ class ScanUpdate:
         )
         statistic, mean_square = self._judge(current, fitted, fit, part)
         self._take(rows[fitted], measured[fitted], fit)
-        few = np.flatnonzero(~sound)
-        if len(few):
+        leaves.points_fitted[rows[fitted]] += part.count
+        if len(fitted) < len(rows):
+            few = np.flatnonzero(~sound)
             known = np.isfinite(leaves.z[rows[few]])
-            self._nudge(rows[few[known]], moment.take(few[known]))
+            self._few.append((rows[few[known]], moment.take(few[known])))
             self._fit_stored(current, few[~known], size, prior)
-        leaves.points_fitted[rows] += np.where(leaves.measured[rows], moment.count, 0.0)
         asks = np.zeros(len(rows), dtype=np.bool_)
         asks[fitted] = division.asks(
             leaves, rows[fitted], statistic, part.count, mean_square, self.config
@@ -190,25 +196,18 @@ class ScanUpdate:
         self, current: Round, fitted: Index, fit: Fit, moment: Moments
     ) -> tuple[Array, Array]:
         """Division statistic (M,) of the fitted cells and their mean square residual, m^2."""
-        group, points = current.group, current.points
-        if len(fitted) < len(current.rows):
-            place = np.full(len(current.rows), -1, dtype=np.intp)
-            place[fitted] = np.arange(len(fitted))
-            group = place[group]
-            inside = np.flatnonzero(group >= 0)
-            group, points = group[inside], points.take(inside, axis=1)
         normal = fit.planes.normal
         squares = np.einsum("mi,mij,mj->m", normal, moment.scatter, normal)
         mean_square = np.maximum(squares, 0.0) / np.maximum(moment.count - 3.0, 1.0)
+        seen = GroupedPoints(fitted, current.group, current.points, moment.count, len(current.rows))
         if self.config.division == "lack_of_fit":
-            return division.lack_of_fit_statistic(fit, moment, group, points), mean_square
+            return division.lack_of_fit_statistic(fit, moment, seen), mean_square
         statistic = division.mahalanobis_statistic(
             self.leaves,
             current.rows[fitted],
             fit,
             moment,
-            group,
-            points,
+            seen,
             self.origin,
             self.scan.pose,
             self.range_noise,
@@ -223,16 +222,10 @@ class ScanUpdate:
         if not len(again):
             return
         later = rows[again]
-        normal = fit.planes.normal[again]
-        rise = fit.z[again] + self.origin[2] - leaves.z[later]
-        update = Planes(
-            normal,
-            normal[:, 2] * rise,
-            planes.move_up(normal, fit.planes.range_part[again], -rise),
-            planes.move_up(normal, fit.planes.pose_part[again], -rise),
-        )
-        scanned = leaves.z[later] + rise
-        leaves.set_fused(later, planes.fuse_pair(leaves.planes(later), update))
+        scanned = fit.z[again] + self.origin[2]
+        prior = leaves.planes(later)
+        update = Planes(fit.planes.normal[again], prior.d, fit.planes.parts[again])
+        leaves.set_fused(later, fusion.fuse_pair(prior, update, scanned - leaves.z[later]))
         self._known[later] = True
         self._shift[later] = leaves.z[later] - scanned
 
@@ -240,29 +233,26 @@ class ScanUpdate:
         """First estimate of the leaves ``rows[chosen]``; see `_bequeath` for children."""
         if not len(chosen):
             return
-        at, of = rows[chosen], fit.planes
-        known = self._known[at]
-        pose_part = of.pose_part[chosen]
-        if known.any():
-            pose_part = np.where(known[:, None, None], self.leaves.pose_part[at], pose_part)
-        self.leaves.set_planes(
-            at,
-            of.normal[chosen],
-            fit.z[chosen] + self.origin[2] + self._shift[at],
-            of.range_part[chosen],
-            pose_part,
-        )
+        at = rows[chosen]
+        parts = fit.planes.parts[chosen]
+        known = np.flatnonzero(self._known[at])
+        parts[known, 1] = self.leaves.parts[at[known], 1]
+        z = fit.z[chosen] + self.origin[2] + self._shift[at]
+        self.leaves.set_planes(at, fit.planes.normal[chosen], z, parts)
         self.leaves.measured[at] = True
 
-    def _nudge(self, rows: Index, moment: Moments) -> None:
+    def _nudge(self) -> None:
         """Cells with a plane, their own or inherited, and too few new points for another: fuse the
-        points' mean height."""
+        points' mean height. None of them is divided, so once for all rounds is enough."""
+        few, self._few = self._few, []
+        rows = np.concatenate([rows for rows, _ in few]) if few else np.empty(0, dtype=np.intp)
         if not len(rows):
             return
+        moment = planes.join([moment for _, moment in few])
         leaves = self.leaves
         prior = leaves.planes(rows)
-        at_plane = np.column_stack([leaves.x[rows], leaves.y[rows], leaves.z[rows]])
-        arm = moment.mean + self.origin - at_plane
+        arm = moment.mean + self.origin
+        arm -= np.column_stack([leaves.x[rows], leaves.y[rows], leaves.z[rows]])
         basis = sphere.tangent_basis(prior.normal)
         lever = np.einsum("mij,mi->mj", basis, arm)
         height = np.einsum("mi,mi->m", prior.normal, arm)
@@ -270,9 +260,10 @@ class ScanUpdate:
         pose = fitting.pose_variance(prior.normal, moment.mean - self.lidar, self.scan.pose_root)
         if self.config.covariance == "independent":
             noise, pose = noise + pose, np.zeros_like(pose)
-        fused = planes.fuse_heights(prior, lever, height, noise / moment.count, pose)
+        fused = fusion.fuse_heights(prior, lever, height, noise / moment.count, pose)
         leaves.set_fused(rows, fused)
         leaves.measured[rows] = True
+        leaves.points_fitted[rows] += moment.count
 
     def _fit_stored(self, current: Round, few: Index, size: Array, prior: SlopePrior) -> None:
         """Cells without a plane and too few points of this scan: fit them with what was
@@ -286,7 +277,8 @@ class ScanUpdate:
         mine = np.flatnonzero(cell >= 0)
         cell = cell[mine]
         old = self.stored.of(rows)
-        if len(old):
+        together = self.stored.per_row[rows] + current.moment.count[few]
+        if len(old) and together.max() >= self.config.min_points:
             fitted = self._fit_together(current, few, size[few], prior.take(few), old, mine, cell)
             left = np.flatnonzero(~fitted[cell])
             mine, cell = mine[left], cell[left]
@@ -338,6 +330,6 @@ class ScanUpdate:
         )
         at = rows[chosen]
         self._set(at, np.arange(len(at)), fit)
-        self.leaves.points_fitted[at] += stored.per_row[at]
+        self.leaves.points_fitted[at] += pooled.count[chosen]
         stored.drop(at)
         return good

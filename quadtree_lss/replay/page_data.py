@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.core.bump import peak
 from quadtree_lss.core.config import Config
-from quadtree_lss.core.features import peak
 from quadtree_lss.core.hazards import slope
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.sites import LandingAssessment

@@ -127,7 +127,7 @@ def _short(state):
 
 
 def _without(state):
-    del state["leaves.pose_part"]
+    del state["leaves.parts"]
 
 
 def _other_kind(state):
@@ -139,7 +139,7 @@ def _downward(state):
 
 
 def _infinite(state):
-    state["leaves.range_part"][:] = np.inf
+    state["leaves.parts"][:] = np.inf
 
 
 def _homeless(state):

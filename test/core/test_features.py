@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from core.builders import configured, lattice, make_pose, mapped, scan, slope
 
-from quadtree_lss.core import features
+from quadtree_lss.core import bump
 from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.core.quadtree import CellMap
 
@@ -57,7 +57,7 @@ def test_hemispheres_are_found_with_their_height_and_place():
         centre_x = 2.0 * (np.arange(64) % 8) + 1.0 + state[:, MU_X]
         centre_y = 2.0 * (np.arange(64) // 8) + 1.0 + state[:, MU_Y]
         found.append(np.isfinite(state[:, K]))
-        high.append(np.abs(features.peak(state) / radius - 1.0) <= 0.35)
+        high.append(np.abs(bump.peak(state) / radius - 1.0) <= 0.35)
         near.append(np.hypot(centre_x - x0, centre_y - y0) <= 0.1)
     found, high, near = np.concatenate(found), np.concatenate(high), np.concatenate(near)
     assert np.mean(found) >= 0.9
@@ -99,7 +99,7 @@ def test_k_squared_is_the_volume(height, sigma):
     # The cell's plane leans a little towards the bump, which takes a few per cent of it.
     assert state[K] ** 2 == pytest.approx(volume, rel=0.08)
     assert abs(state[SIGMA]) == pytest.approx(np.sqrt(SHAPE) * sigma, rel=0.05)
-    assert features.peak(state) == pytest.approx(height / SHAPE, rel=0.05)
+    assert bump.peak(state) == pytest.approx(height / SHAPE, rel=0.05)
     np.testing.assert_allclose(state[[MU_X, MU_Y]], [0.3, -0.2], atol=0.02)
 
 
@@ -107,10 +107,10 @@ def test_height_is_the_bell_and_integrates_to_the_volume():
     state = np.array([0.7, 0.3, 0.2, -0.1, 0.25])
     step = 0.01
     x, y = np.meshgrid(*[np.arange(-2.0, 2.0, step)] * 2)
-    heights = features.height(state, x, y)
+    heights = bump.height(state, x, y)
     assert heights.sum() * step**2 == pytest.approx(state[K] ** 2, rel=1e-6)
-    assert features.height(state, 0.2, -0.1) == pytest.approx(features.peak(state))
-    assert heights.max() == pytest.approx(features.peak(state), rel=1e-2)
+    assert bump.height(state, 0.2, -0.1) == pytest.approx(bump.peak(state))
+    assert heights.max() == pytest.approx(bump.peak(state), rel=1e-2)
 
 
 def test_a_feature_stays_with_more_scans_and_is_one():
@@ -139,6 +139,6 @@ def test_limits_are_obeyed():
     state = by_place(mapped(config, rocky(radius, x0, y0), density=100.0).snapshot())
     state = state[np.isfinite(state[:, K])]
     assert len(state) > 5
-    assert (features.peak(state) >= 0.3).all()
+    assert (bump.peak(state) >= 0.3).all()
     assert (state[:, K] ** 2 >= 0.02).all()
     assert (np.abs(state[:, SIGMA]) <= 0.1 * 2.0 * np.sqrt(SHAPE) + 1e-12).all()

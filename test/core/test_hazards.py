@@ -11,7 +11,7 @@ from core.builders import configured, flat, mapped, slope, strip, upward_normals
 
 from quadtree_lss.core import hazards
 from quadtree_lss.core.ancestors import fuse_to_level
-from quadtree_lss.core.features import height
+from quadtree_lss.core.bump import height
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.terrain_raster import rasterise
 

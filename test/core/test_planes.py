@@ -8,7 +8,7 @@ import pytest
 from core.builders import random_covariances, unit_vectors, upward_normals
 from scipy.optimize import minimize
 
-from quadtree_lss.core import planes, rotations, sphere
+from quadtree_lss.core import fusion, planes, rotations, sphere
 
 STEP = 1e-6
 
@@ -134,7 +134,7 @@ def test_shift_of_origin_keeps_the_plane_exactly():
     points = rng.standard_normal((40, 3))
     for reach in (1.0, 1e3, 1e5):
         delta = reach * rng.standard_normal((40, 3))
-        moved, _ = planes.shift_origin(normal, d, delta)
+        moved, _ = fusion.shift_origin(normal, d, delta)
         before = np.einsum("mi,mi->m", normal, points) - d
         after = np.einsum("mi,mi->m", normal, points - delta) - moved
         np.testing.assert_allclose(after, before, atol=2e-15 * reach * 10)
@@ -144,7 +144,7 @@ def test_shift_of_origin_maps_errors_as_differentiation_does():
     rng = np.random.default_rng(9)
     deltas = 30.0 * unit_vectors(rng, 20)
     for normal, delta in zip(upward_normals(rng, 20, 1.2), deltas, strict=True):
-        moved, change = planes.shift_origin(normal[None], np.array([0.3]), delta[None])
+        moved, change = fusion.shift_origin(normal[None], np.array([0.3]), delta[None])
 
         def after(error, normal=normal, delta=delta, moved=moved):
             n, d = perturbed(normal, 0.3, error)
@@ -157,8 +157,8 @@ def test_there_and_back_changes_nothing():
     rng = np.random.default_rng(10)
     normal, delta = upward_normals(rng, 20), 100.0 * unit_vectors(rng, 20)
     covariance = random_covariances(rng, 20, 3, 0.05)
-    d, there = planes.shift_origin(normal, np.zeros(20), delta)
-    d, back = planes.shift_origin(normal, d, -delta)
+    d, there = fusion.shift_origin(normal, np.zeros(20), delta)
+    d, back = fusion.shift_origin(normal, d, -delta)
     np.testing.assert_allclose(d, 0.0, atol=1e-12)
     both = back @ there
     np.testing.assert_allclose(both @ covariance @ both.transpose(0, 2, 1), covariance, atol=1e-10)
@@ -169,9 +169,9 @@ def test_moving_up_is_a_vertical_shift():
     normal, rise = upward_normals(rng, 20), 5.0 * rng.standard_normal(20)
     covariance = random_covariances(rng, 20, 3, 0.05)
     delta = np.column_stack([np.zeros(20), np.zeros(20), rise])
-    _, change = planes.shift_origin(normal, np.zeros(20), delta)
+    _, change = fusion.shift_origin(normal, np.zeros(20), delta)
     np.testing.assert_allclose(
-        planes.move_up(normal, covariance, rise),
+        fusion.move_up(normal, covariance, rise),
         change @ covariance @ change.transpose(0, 2, 1),
         atol=1e-12,
     )
@@ -187,7 +187,7 @@ def test_transport_is_the_derivative_of_the_difference():
         full[:2, :2] = change
         covariance = random_covariances(rng, 1, 3, 0.02)
         np.testing.assert_allclose(
-            planes.transport(covariance, of[None], to[None])[0],
+            fusion.transport(covariance, of[None], to[None])[0],
             full @ covariance[0] @ full.T,
             rtol=1e-6,
             atol=1e-10,
@@ -197,7 +197,7 @@ def test_transport_is_the_derivative_of_the_difference():
 def test_transport_to_itself_changes_nothing():
     rng = np.random.default_rng(13)
     normal, covariance = upward_normals(rng, 20), random_covariances(rng, 20, 3, 0.1)
-    np.testing.assert_allclose(planes.transport(covariance, normal, normal), covariance, atol=1e-14)
+    np.testing.assert_allclose(fusion.transport(covariance, normal, normal), covariance, atol=1e-14)
 
 
 def test_pose_jacobian_is_the_derivative_of_a_rigid_motion():

@@ -165,7 +165,7 @@ def test_inherited_planes_are_the_parents():
     normal = np.array([[0.3, -0.2, 1.0]]) / np.sqrt(1.13)
     part = np.diag([1e-4, 2e-4, 1e-3])[None]
     root = np.array([0])
-    leaves.set_planes(root, normal, np.array([2.0]), part, 2.0 * part)
+    leaves.set_planes(root, normal, np.array([2.0]), np.stack([part, 2.0 * part], axis=1))
     leaves.measured[root], leaves.misfit[root] = True, 0.01
     leaves.divide(root)
     assert leaves.count == 4
