@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import struct
 import sys
 import tempfile
@@ -198,6 +199,7 @@ def fly(
     """
     domain = domain or free_domain_id()
     env = local_environment(domain, folder / "log")
+    os.environ.update(env)  # lidar and observer live in this computer's domain as well
     args = ["--params-file", str(find_config("morpheus"))]
     args += ["-p", "qos.scan_reliability:=reliable", *extra]
     spawn = multiprocessing.get_context("spawn")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseArray
 from nav_msgs.msg import OccupancyGrid
@@ -15,11 +15,9 @@ from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
-from quadtree_lss.ros.landing_inputs import LandingInputs
 from quadtree_lss.ros.markers import MarkerPublisher, site_markers
 from quadtree_lss.ros.messages import landing_messages, map_from_messages
 from quadtree_lss.ros.monitor import Arrivals, Durations
@@ -28,6 +26,9 @@ from quadtree_lss.ros.parameters import NodeParameters
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.qos import advertise, latched, subscribe
 from quadtree_lss.ros.rate_limit import ChangePublisher
+
+if TYPE_CHECKING:
+    from quadtree_lss.core.sites import LandingAssessment
 
 CELLS, OBSERVED = "map/cells", "map/observed"
 
@@ -39,7 +40,8 @@ class LssNode(Node):
         super().__init__("lss_node", automatically_declare_parameters_from_overrides=True)
         self._settings = NodeParameters(self, self._reconfigure)
         config = self._settings.config
-        self._selector = LandingSiteSelector(config)
+        subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._on_publishers)
+        subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
         self._problems = Problems(self.get_logger())
         self._map_topic = self.resolve_topic_name(CELLS)
         self._newest: dict[str, Any] = {}
@@ -69,11 +71,14 @@ class LssNode(Node):
             self._site_markers,
         )
         self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
+        # These take a second to load, in which the middleware already finds mapping_node.
+        from quadtree_lss.core.sites import LandingSiteSelector
+        from quadtree_lss.ros.landing_inputs import LandingInputs
+
+        self._selector = LandingSiteSelector(config)
         self._inputs = LandingInputs(
             self, lambda: self._frame, self._problems, self._output.changed
         )
-        subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._on_publishers)
-        subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
 
     def _reconfigure(self, config: Config) -> None:
         self._selector.config = config

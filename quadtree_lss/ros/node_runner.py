@@ -25,8 +25,8 @@ STOP_PERIOD_S = 0.2
 TRANSPORTS = "UDPv4"
 """Of Fast DDS, unless the environment says otherwise: no shared memory.
 
-What a killed process leaves behind there can keep its successor, which gets the same ports, from
-being heard until the lease of 20 s ends. Latency and processor time are the same.
+What a killed process leaves behind there can keep its successor, which gets the same port, from
+hearing the sensors for ten seconds or for good; see docs/onboard.md for what was measured.
 """
 
 

@@ -17,6 +17,36 @@ from quadtree_lss.errors import QuadtreeLssError
 
 PACKAGE = "quadtree_lss"
 
+LOCAL_PROFILE = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <transport_descriptors>
+    <transport_descriptor>
+      <transport_id>udp</transport_id>
+      <type>UDPv4</type>
+      <maxInitialPeersRange>32</maxInitialPeersRange>
+    </transport_descriptor>
+  </transport_descriptors>
+  <participant profile_name="local" is_default_profile="true">
+    <rtps>
+      <userTransports>
+        <transport_id>udp</transport_id>
+      </userTransports>
+      <useBuiltinTransports>false</useBuiltinTransports>
+      <builtin>
+        <metatrafficUnicastLocatorList>
+          <locator/>
+        </metatrafficUnicastLocatorList>
+        <initialPeersList>
+          <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
+        </initialPeersList>
+      </builtin>
+    </rtps>
+  </participant>
+</profiles>
+"""
+"""For Fast DDS: what ROS's range LOCALHOST does, which brings in shared memory, without it."""
+
 
 class ProcessError(QuadtreeLssError):
     """A program is not installed or ended when it should not."""
@@ -55,13 +85,20 @@ def free_domain_id() -> int:
 
 def local_environment(domain: int, log_dir: Path) -> dict[str, str]:
     """This process's environment with a ROS domain of its own that stays on this computer."""
-    return {
+    env = {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": str(log_dir),
         "PYTHONUNBUFFERED": "1",
     }
+    if "fastrtps" in env.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"):
+        log_dir.mkdir(parents=True, exist_ok=True)
+        profile = log_dir / "fastdds.xml"
+        profile.write_text(LOCAL_PROFILE, encoding="utf-8")
+        env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+        env["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+    return env
 
 
 class NodeProcess:

@@ -9,12 +9,17 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+LATE = 0.6
+"""How long after it was due the next change is waited for, in intervals between changes."""
+
 
 class ChangePublisher:
-    """Calls ``publish`` after changes, at most ``rate`` times a second.
+    """Calls ``publish`` after changes, on average at most ``rate`` times a second.
 
-    A change that comes too soon is published by a timer as soon as it may be, on a steady clock:
-    the last state goes out even if ``/clock`` has stopped. Without changes there is no timer.
+    Of changes that come regularly, the one nearest to the due time is published as it comes, rather
+    than an older one at that time. Whatever no further change follows is published by a timer, on a
+    steady clock: the last state goes out even if ``/clock`` has stopped. Without changes there is
+    no timer.
 
     Args:
         node: Owner of the timer.
@@ -25,18 +30,21 @@ class ChangePublisher:
     def __init__(self, node: Node, rate: float, publish: Callable[[], None]) -> None:
         self._period_ns = round(1e9 / rate)
         self._publish = publish
-        self._due_ns = 0
+        self._due_ns = self._changed_ns = 0
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(1.0 / rate, self._send, clock=clock)
         self._timer.cancel()
 
     def changed(self) -> None:
-        """The state changed: send it now, or when the period has passed."""
-        wait_ns = self._due_ns - time.monotonic_ns()
-        if wait_ns <= 0:
+        """The state changed: send it now, with the next change, or soon after it was due."""
+        now_ns = time.monotonic_ns()
+        interval_ns = min(now_ns - self._changed_ns, self._period_ns)
+        self._changed_ns = now_ns
+        wait_ns = self._due_ns - now_ns
+        if wait_ns <= interval_ns // 2:
             self._send()
         elif self._timer.is_canceled():
-            self._timer.timer_period_ns = wait_ns
+            self._timer.timer_period_ns = wait_ns + round(LATE * interval_ns)
             self._timer.reset()
 
     def now(self) -> None:

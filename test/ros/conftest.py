@@ -14,6 +14,9 @@ import pytest
 if importlib.util.find_spec("rclpy") is None:
     collect_ignore_glob = ["test_*.py"]
 else:
+    from rcl_interfaces.msg import SetParametersResult
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
     from std_srvs.srv import Trigger
 
     from quadtree_lss.ros.listener import TOPICS, Listener
@@ -61,9 +64,20 @@ class Ros:
 
     def call(self, listener: Listener, service: str) -> Trigger.Response:
         """Answer of a Trigger service."""
-        client = listener.node.create_client(Trigger, service)
+        return self._ask(listener, Trigger, service, Trigger.Request())
+
+    def set(self, listener: Listener, node: str, name: str, value: object) -> SetParametersResult:
+        """What a node says to a new value of a parameter, as ``ros2 param set`` asks it."""
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        service = f"/{node}/set_parameters"
+        return self._ask(listener, SetParameters, service, request).results[0]
+
+    def _ask(self, listener: Listener, kind: Any, service: str, request: Any) -> Any:
+        client = listener.node.create_client(kind, service)
         assert listener.wait_for(client.service_is_ready), f"no service {service}"
-        future = client.call_async(Trigger.Request())
+        future = client.call_async(request)
         assert listener.wait_for(future.done), f"{service} does not answer"
         listener.node.destroy_client(client)
         return future.result()
@@ -74,6 +88,6 @@ def ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
     """See `Ros`."""
     with ExitStack() as stack:
         session = Ros(tmp_path, stack)
-        for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
-            monkeypatch.setenv(name, session.env[name])
+        for name, value in session.env.items():
+            monkeypatch.setenv(name, value)
         yield session

@@ -119,7 +119,7 @@ def set_parameter(listener, node, name, value):
     return future.result().results[0]
 
 
-def test_area_keep_out_and_target_move_the_sites(ros):
+def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:
         node, keep = listener.node, latched()
@@ -133,6 +133,19 @@ def test_area_keep_out_and_target_move_the_sites(ros):
         assert listener.wait_for(lambda: listener.stamp("landing/sites") == last), mapping.output()
         free = site_places(listener)
         assert len(free)
+
+        ask = functools.partial(ros.set, listener, "lss_node")
+        for name, value, why in (
+            ("domain.size", 64.0, "read-only"),
+            ("lss.margin", -1.0, "lss.margin"),
+            ("lss.marign", 1.0, "undeclared"),
+        ):
+            refused = ask(name, value)
+            assert not refused.successful and why in refused.reason, refused
+        assert ask("lss.margin", 12.0).successful
+        assert listener.wait_for(lambda: not len(site_places(listener))), lss.output()
+        assert ask("lss.margin", 0.0).successful
+        assert listener.wait_for(lambda: _same(listener, free)), lss.output()
 
         west = [(-15, -15), (0, -15), (0, 15), (-15, 15)]
         area.publish(polygon(west))
@@ -194,14 +207,20 @@ def test_levels_follow_the_age_of_the_data(ros):
             status = listener.diagnostics.get(node)
             return None if status is None else status.level
 
+        expected = {"scan.rate_hz", "pose.age_s", "map_ms", "publish_ms", "points.dropped.outside"}
+
+        def fine():
+            told = [set(status_values(listener, node)) for node in nodes]
+            return {level(node) for node in nodes} == {DiagnosticStatus.OK} and (
+                expected <= told[0] and {"map.rate_hz", "lss_ms"} <= told[1]
+            )
+
         for k in range(12):
             sensors.publish(SCANS, offset_ns=k * 10**10)
-            if {level(node) for node in nodes} == {DiagnosticStatus.OK}:
+            if fine():
                 break
-        assert {level(node) for node in nodes} == {DiagnosticStatus.OK}, listener.diagnostics
-        values = status_values(listener, "mapping_node")
-        expected = {"scan.rate_hz", "pose.age_s", "map_ms", "publish_ms", "points.dropped.outside"}
-        assert expected <= set(values), values
+        else:
+            pytest.fail(f"not OK: {listener.diagnostics}")
         for wanted in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR):
             for node in nodes:
                 stale = functools.partial(_equal, level, node, wanted)
