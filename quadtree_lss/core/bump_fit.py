@@ -20,7 +20,7 @@ ITERATIONS = 5
 #: Points of one scan that a cell's feature is estimated from, at most.
 MAX_SAMPLES = 512
 #: Relative change of the cost at which an estimate has converged.
-SETTLED = 1e-2
+SETTLED = 5e-2
 
 
 @dataclass(frozen=True)
