@@ -17,8 +17,8 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 LEVEL_STEP = 64.0
-#: Cells repeated outside the domain beyond the lander's reach, so that whole blocks fit.
-SPARE = 8
+#: Side of the blocks of nodes that are treated together.
+BLOCK = 8
 
 
 class LanderGround:
@@ -30,14 +30,15 @@ class LanderGround:
         level: Height that all others are over, in steps of 64 m: small numbers round finely, and
             the same ground rounds alike while the map grows.
         reach: Cells from a node to the farthest that the lander at the node can meet.
-        border: Cells repeated on every side.
+        border: Cells repeated on every side, so that whole blocks fit.
+        window: Side of the square of cells that the landers at a block's nodes can meet.
         pad: Height of a pad at each cell's centre: it stands on the highest ground within its
             radius.
         slope_x, slope_y: dz/dx, dz/dy of each cell.
-        rise: Of each cell's plane from its centre to the highest corner.
         top: Highest ground of each cell: plane, its rise to the corner, subscale feature (a bell
             fitted to part of a rock is low, so its own peak counts and not the boulder's).
         under: Cells under the lander, relative to its node.
+        farthest: Distance of the farthest of them or of the pads, m.
         feet: The places of the pads.
     """
 
@@ -46,16 +47,17 @@ class LanderGround:
         self.side = raster.domain.finest_size
         self.level = LEVEL_STEP * float(np.rint(np.mean(raster.elevation) / LEVEL_STEP))
         self.reach = int(np.floor(self.radius / self.side)) + 1
-        self.border = self.reach + SPARE
+        self.border = self.reach + BLOCK
+        self.window = BLOCK - 1 + 2 * self.reach
         height = raster.elevation - self.level
         rise = 0.5 * self.side * (np.abs(raster.slope_x) + np.abs(raster.slope_y))
         tilt = np.sqrt(raster.slope_x**2 + raster.slope_y**2)
         self.pad = self._bordered(height + config.pad_radius * tilt)
         self.slope_x = self._bordered(raster.slope_x)
         self.slope_y = self._bordered(raster.slope_y)
-        self.rise = self._bordered(rise)
         self.top = self._bordered(height + rise + SHAPE * raster.subscale)
         self.under = disc(self.radius, self.side)
+        self.farthest = max(self.radius, float(np.hypot(self.under.x, self.under.y).max()))
         self.feet = Feet(self.radius, self.side, config.touchdown_yaws)
 
     @property
@@ -79,16 +81,11 @@ class LanderGround:
         """Flat index of the cells north-east of nodes (K,)."""
         return (row + self.border) * self.stride + column + self.border
 
-    def stands(self, cell: Index) -> Single:
-        """Height (4, yaws, K) of the pads about nodes, given ``cell_of`` them, m."""
-        feet = self.feet
-        at = cell + (feet.row * self.stride + feet.column)[..., None]
-        out = self.slope_x.ravel().take(at)
-        out *= feet.dx[..., None]
-        part = self.slope_y.ravel().take(at)
-        part *= feet.dy[..., None]
-        out += part
-        out += self.pad.ravel().take(at)
+    def window_cells(self, rows: Index, columns: Index) -> Index:
+        """Flat index (window, window, B) of the cells about blocks, given their first nodes."""
+        offset = np.arange(self.window)
+        corner = self.cell_of(rows - self.reach, columns - self.reach)
+        out: Index = corner + (offset[:, None] * self.stride + offset)[..., None]
         return out
 
     def _bordered(self, values: Array) -> Single:
@@ -102,12 +99,10 @@ class Feet:
         cos, sin: (yaws,) of the headings, which cover a quarter turn.
         row, column: Cell that a pad stands on, relative to the node's (to its north-east).
         dx, dy: Of the pad from that cell's centre, m.
-        half_step: Half the angle between headings, rad.
     """
 
     def __init__(self, radius: float, side: float, yaws: int) -> None:
         yaw = np.arange(yaws) * (0.5 * np.pi / yaws)
-        self.half_step = 0.25 * np.pi / yaws
         self.cos, self.sin = np.cos(yaw).astype(np.float32), np.sin(yaw).astype(np.float32)
         c, s = self.cos.astype(np.float64), self.sin.astype(np.float64)
         x, y = radius * np.stack([c, -s, -c, s]), radius * np.stack([s, c, -s, -c])
@@ -115,8 +110,3 @@ class Feet:
         self.row = np.floor(y / side).astype(np.intp)
         self.dx = (x - (self.column + 0.5) * side).astype(np.float32)
         self.dy = (y - (self.row + 0.5) * side).astype(np.float32)
-
-    def cells(self) -> tuple[list[int], list[int]]:
-        """Rows and columns of the different cells that pads stand on, relative to the node's."""
-        pairs = sorted(set(zip(self.row.flat, self.column.flat, strict=True)))
-        return [int(row) for row, _ in pairs], [int(column) for _, column in pairs]

@@ -5,9 +5,6 @@ At every node the lander stands on its pads at a number of headings. Four rigid 
 ground rock about the diagonal that carries: the plane through the higher diagonal and either of
 the other two pads. Each such plane must be level enough, and no ground under the lander may rise
 above it by more than the roughness limit.
-
-Bounds over all headings settle most nodes (``touchdown_bounds``), bounds on each heading most of
-the others, and the rest is compared with the ground cell by cell (``touchdown_planes``).
 """
 
 from __future__ import annotations
@@ -16,16 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core.config import LssConfig
-from quadtree_lss.core.lander_ground import LanderGround
+from quadtree_lss.core.lander_ground import BLOCK, LanderGround
 from quadtree_lss.core.terrain_raster import TerrainRaster
-from quadtree_lss.core.touchdown_bounds import BLOCK, block_bounds
-from quadtree_lss.core.touchdown_planes import Doubtful, fails
+from quadtree_lss.core.touchdown_blocks import fails
 
 Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 
-#: Cells of the windows of the blocks that are treated at once: the working set stays in the cache.
-WORKING_SET = 60_000
+#: Cells of the windows of the blocks that are treated at once.
+WORKING_SET = 120_000
 
 
 class TouchdownCheck:
@@ -80,25 +75,10 @@ def _check(ground: LanderGround, due: Mask, config: LssConfig) -> Mask:
     by_block = np.pad(due, ((0, spare), (0, spare))).reshape(count, BLOCK, count, BLOCK)
     rows, columns = np.nonzero(by_block.any(axis=(1, 3)))
     unsafe = np.zeros(by_block.shape, dtype=np.bool_)
-    at_once = max(WORKING_SET // (BLOCK + 2 * ground.reach) ** 2, 1)
-    doubtful = []
+    at_once = max(WORKING_SET // ground.window**2, 1)
     for begin in range(0, len(rows), at_once):
         row, column = rows[begin : begin + at_once], columns[begin : begin + at_once]
         here = by_block[row, :, column].transpose(1, 2, 0)
-        bounds = block_bounds(ground, row * BLOCK, column * BLOCK, config)
-        unsafe[row, :, column] = (here & bounds.unsafe).transpose(2, 0, 1)
-        up, right, block = np.nonzero(here & ~bounds.unsafe & ~bounds.safe)
-        doubtful.append(
-            Doubtful(
-                row[block] * BLOCK + up,
-                column[block] * BLOCK + right,
-                bounds.roof[up, right, block],
-                bounds.slope_x[block],
-                bounds.slope_y[block],
-            )
-        )
-    out = unsafe.reshape(count * BLOCK, count * BLOCK)[: len(due), : len(due)]
-    if doubtful:
-        left = Doubtful.join(doubtful)
-        out[left.row, left.column] = fails(ground, left, config)
-    return out
+        failed = fails(ground, row * BLOCK, column * BLOCK, here, config)
+        unsafe[row, :, column] = failed.transpose(2, 0, 1)
+    return unsafe.reshape(count * BLOCK, count * BLOCK)[: len(due), : len(due)]
