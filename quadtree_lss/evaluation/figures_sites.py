@@ -75,7 +75,7 @@ def score(grid: Grid, truth: Truth, sites: FloatArray) -> Figure:
     allowed: BoolArray = grid.safe & np.isfinite(grid.score)
     values = np.where(allowed, grid.score, np.nan)
     low, high = np.percentile(grid.score[allowed], (0.5, 99.5)) if allowed.any() else (0.0, 1.0)
-    shown = image(axes, grid.x, grid.y, values, cmap="viridis", vmin=low, vmax=high)
+    shown = image(axes, grid.x, grid.y, values, cmap="viridis_r", vmin=low, vmax=high)
     figure.colorbar(shown, ax=axes, label="score [-]", extend="both")
     contours(axes, truth, around(truth))
     outline(axes, truth)

@@ -34,7 +34,9 @@ HAZARDS = (
     (4, "exception", "#56b4e9"),
     (8, "touchdown", "#e69f00"),
 )
-SAFE_COLOUR, CLEAR_COLOUR, SITE_COLOUR = "#009e73", "#f0e9c8", "#d55e00"
+SAFE_COLOUR, CLEAR_COLOUR = "#009e73", "#f0e9c8"
+SITE_COLOUR = "#1c1c1c"  # of no map and no kind of hazard; ringed in white
+NONE_COLOUR = "#cdcdcd"
 
 
 def elevation_figure(cells: CellMap, assessment: LandingAssessment) -> Figure:
@@ -50,7 +52,9 @@ def elevation_figure(cells: CellMap, assessment: LandingAssessment) -> Figure:
         LineCollection(list(leaf_edges(cells)), colors="black", linewidths=width, alpha=0.35)
     )
     _draw_sites(axes, assessment, radius=0.0)
-    figure.colorbar(image, ax=axes, label="elevation, m", shrink=0.85)
+    axes.set_facecolor(NONE_COLOUR)
+    label = "elevation, m (grey: no estimate)"
+    figure.colorbar(image, ax=axes, label=label, shrink=0.85, extend="both")
     _scale_bar(axes, domain.size)
     return figure
 
@@ -67,9 +71,10 @@ def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
         vmin=0.0,
         vmax=top,
     )
-    bar = figure.colorbar(image, ax=axes, label="slope, deg", shrink=0.85, extend="max")
+    label = "slope, deg (grey: no estimate)"
+    bar = figure.colorbar(image, ax=axes, label=label, shrink=0.85, extend="max")
     bar.ax.axhline(config.lss.max_slope_deg, color="white")
-    axes.set_facecolor("#dddddd")
+    axes.set_facecolor(NONE_COLOUR)
     _scale_bar(axes, float(np.ptp(assessment.x)))
     if np.nanmax(assessment.slope_deg, initial=0.0) > config.lss.max_slope_deg:
         axes.contour(
@@ -83,12 +88,13 @@ def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
     return figure
 
 
-def hazard_figure(assessment: LandingAssessment) -> Figure:
+def hazard_figure(assessment: LandingAssessment, config: Config) -> Figure:
     """Kinds of hazards, and beside them where the vehicle may land, with the ranked sites."""
+    note = f": {hazard_note(config)}" if hazard_note(config) else ""
     figure = Figure(figsize=(11.0, 6.4))
     left, right = figure.subplots(1, 2, sharey=True)
     figure.subplots_adjust(left=0.07, right=0.98, top=0.95, bottom=0.18, wspace=0.05)
-    for axes, title in ((left, "Hazards by kind"), (right, "Where landing is allowed")):
+    for axes, title in ((left, f"Hazards by kind{note}"), (right, "Where landing is allowed")):
         _label(axes, title)
     right.set_ylabel("")
     kind = np.zeros(assessment.hazard.shape, dtype=np.int64)
@@ -107,6 +113,12 @@ def hazard_figure(assessment: LandingAssessment) -> Figure:
     return figure
 
 
+def hazard_note(config: Config) -> str:
+    """Which kinds of hazards do not exclude landing, if any."""
+    by_touchdown = config.lss.assessment == "touchdown"
+    return "slope and elevation of leaves do not exclude" if by_touchdown else ""
+
+
 def score_figure(assessment: LandingAssessment, config: Config) -> Figure:
     """Score of the landing zones (lower is better) with the ranked sites and their zones."""
     figure, axes = _map_axes("Landing site score (lower is better)")
@@ -120,10 +132,10 @@ def score_figure(assessment: LandingAssessment, config: Config) -> Figure:
         vmin=low,
         vmax=high,
     )
-    axes.set_facecolor("#dddddd")
+    axes.set_facecolor(NONE_COLOUR)
     _scale_bar(axes, float(np.ptp(assessment.x)))
     _draw_sites(axes, assessment, 0.5 * config.lss.vehicle_diameter + config.lss.margin)
-    figure.colorbar(image, ax=axes, label="score", shrink=0.85)
+    figure.colorbar(image, ax=axes, label="score (grey: excluded)", shrink=0.85, extend="both")
     if not len(assessment.sites.score):
         axes.text(0.5, 0.5, "no safe site", transform=axes.transAxes, ha="center", size=18)
     return figure
@@ -223,7 +235,8 @@ def _scale_bar(axes: Any, width: float) -> None:
 def _draw_sites(axes: Any, assessment: LandingAssessment, radius: float) -> None:
     for rank, (x, y, _) in enumerate(assessment.sites.position, start=1):
         if radius > 0.0:
-            axes.add_patch(Circle((x, y), radius, fill=False, color=SITE_COLOUR, linewidth=1.4))
+            axes.add_patch(Circle((x, y), radius, fill=False, color="white", linewidth=2.6))
+            axes.add_patch(Circle((x, y), radius, fill=False, color=SITE_COLOUR, linewidth=1.2))
         axes.annotate(
             str(rank),
             (x, y),
@@ -256,7 +269,7 @@ def _draw_classes(
             facecolor=colour,
             edgecolor="black",
             linewidth=0.4,
-            label=f"{name} {np.mean(kind == number):.1%}",
+            label=f"{name} {100.0 * np.mean(kind == number):.1f} %",
         )
         for number, (name, colour) in enumerate(classes)
     ]

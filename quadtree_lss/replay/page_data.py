@@ -21,6 +21,7 @@ from quadtree_lss.replay.figures import (
     SITE_COLOUR,
     colour_limits,
     colour_table,
+    hazard_note,
 )
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ def page_data(result: ReplayResult, config: Config) -> dict[str, Any]:
         "zone": 0.5 * config.lss.vehicle_diameter + config.lss.margin,
         "timing": _timing(result),
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in HAZARDS],
+        "hazard_note": hazard_note(config),
         "colours": {
             "clear": CLEAR_COLOUR,
             "safe": SAFE_COLOUR,

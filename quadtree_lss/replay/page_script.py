@@ -73,19 +73,19 @@ const allowedClasses = [
   { name: "excluded", colour: data.colours.clear },
   { name: "unseen", colour: UNSEEN.colour },
 ];
-const onNodes = (title, unit, name, lut, reversed) =>
+const onNodes = (title, unit, name, lut, none, reversed) =>
   ({ title, unit, of: "node", value: nodes[name].at, limits: nodes[name].limits,
-     mark: nodes[name].mark, lut, reversed });
+     mark: nodes[name].mark, lut, none, reversed });
 const onLeaves = (title, unit, value, limits, lut) =>
-  ({ title, unit, of: "leaf", value, limits, lut });
+  ({ title, unit, of: "leaf", value, limits, lut, none: "no estimate" });
 const LAYERS = {
-  elevation: onNodes("Elevation", "m", "elevation", "viridis"),
-  slope: onNodes("Slope at the lander's scale", "deg", "slope", "cividis"),
+  elevation: onNodes("Elevation", "m", "elevation", "viridis", "no estimate"),
+  slope: onNodes("Slope at the lander's scale", "deg", "slope", "cividis", "no estimate"),
   hazards: { title: "Hazards by kind", of: "node", classes: hazardClasses,
-             value: i => hazardClass(nodes.hazard.raw[i]) },
+             note: data.hazard_note, value: i => hazardClass(nodes.hazard.raw[i]) },
   allowed: { title: "Where landing is allowed", of: "node", classes: allowedClasses,
              value: allowedClass },
-  score: onNodes("Score, lower is better", "", "score", "viridis", true),
+  score: onNodes("Score, lower is better", "", "score", "viridis", "excluded", true),
   cells: onLeaves("Size of the leaves (log scale)", "m",
                   i => Math.log2(leafSize(leaf.level.raw[i])),
                   [leaves.max_level, leaves.min_level].map(l => Math.log2(leafSize(l))), "magma"),
@@ -268,10 +268,13 @@ function legend() {
     for (let i = 0; i < n; i++) counts[layer.value(i)]++;
     box.innerHTML = layer.classes.map((k, i) =>
       `<div><i style="background:${k.colour}"></i>${k.name}` +
-      `<b>${(100 * counts[i] / n).toFixed(1)} %</b></div>`).join("");
+      `<b>${(100 * counts[i] / n).toFixed(1)} %</b></div>`).join("") +
+      (layer.note ? `<p class="note">${layer.note}</p>` : "");
     return;
   }
-  box.innerHTML = "<canvas></canvas>";
+  const holes = layer.of === "node" && holesOf(layer);
+  box.innerHTML = "<canvas></canvas>" + (holes ? `<div><i style="background:` +
+    `rgb(${UNKNOWN})"></i>${layer.none}<b>${(100 * holes).toFixed(1)} %</b></div>` : "");
   const canvas = box.firstChild, c = fitCanvas(canvas), w = canvas.clientWidth - 24;
   for (let p = 0; p < w; p++) {
     const [low, high] = layer.limits;
@@ -280,13 +283,29 @@ function legend() {
   }
   const [low, high] = layer.limits, log = view.layer === "cells";
   c.fillStyle = "#222"; c.font = "11px sans-serif"; c.textBaseline = "top";
-  const ticks = layer.mark === undefined ? [low, (low + high) / 2, high] : [low, layer.mark, high];
-  for (const v of ticks) {
+  for (const v of ticks(layer)) {
     const p = 12 + w * (v - low) / (high - low || 1);
+    const text = log ? short(2 ** v) : short(v), half = c.measureText(text).width / 2;
     c.fillRect(p - 0.5, 14, 1, 4);
-    c.textAlign = v === low ? "left" : v === high ? "right" : "center";
-    c.fillText(short(log ? 2 ** v : v), p + (v === low ? -10 : v === high ? 10 : 0), 20);
+    c.textAlign = "center";
+    c.fillText(text, Math.min(Math.max(p, half), w + 24 - half), 20);
   }
+}
+function ticks(layer) { // round numbers; of sizes, powers of two
+  const [low, high] = layer.limits;
+  if (layer.mark !== undefined) return [low, layer.mark, high];
+  const step = view.layer === "cells" ? Math.ceil((high - low) / 6) || 1 : nice((high - low) / 4);
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) {
+    found.push(k * step);
+  }
+  return found.length > 1 ? found : [low, high];
+}
+function holesOf(layer) {
+  let count = 0;
+  const n = grid.nx * grid.ny;
+  for (let i = 0; i < n; i++) count += Number.isNaN(layer.value(i));
+  return count / n;
 }
 const short = v => (Number.isNaN(v) ? "–" : Math.abs(v) >= 100 ? v.toFixed(0) :
   String(parseFloat(v.toPrecision(3))));

@@ -45,6 +45,7 @@ tr[data-site]:hover { background: #e8f1fa; } tr.changed td { background: #eef6ec
 .charts canvas { width: 100%; height: 15rem; display: block; }
 .columns { display: grid; grid-template-columns: repeat(auto-fit, minmax(24rem, 1fr)); gap: 2rem; }
 .bar { display: inline-block; height: .6rem; background: #0072b2; }
-.note { color: #5a6472; font-size: .9rem; } input[type=search] { font: inherit; width: 18rem; }
+.note { color: #5a6472; font-size: .9rem; } #legend .note { margin: .3rem 0 0; line-height: 1.3; }
+input[type=search] { font: inherit; width: 18rem; }
 @media print { .buttons, fieldset { display: none; } .view { grid-template-columns: 1fr; } }
 """

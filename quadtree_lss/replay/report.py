@@ -57,7 +57,7 @@ def write_report(result: ReplayResult, config: Config) -> None:
     drawn = {
         "elevation": figures.elevation_figure(result.cells, result.assessment),
         "slope": figures.slope_figure(result.assessment, config),
-        "hazards": figures.hazard_figure(result.assessment),
+        "hazards": figures.hazard_figure(result.assessment, config),
         "score": figures.score_figure(result.assessment, config),
     }
     if result.timings:
