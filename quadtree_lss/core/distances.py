@@ -51,6 +51,8 @@ def _near_distance(marked: Mask, steps: int) -> Array:
     square = column * column
     out = square.copy()
     for row in range(1, min(steps, len(marked) - 1) + 1):
+        if row % 8 == 0 and row * row >= out.max():
+            break
         part = square + np.int16(row * row)
         np.minimum(out[row:], part[:-row], out=out[row:])
         np.minimum(out[:-row], part[row:], out=out[:-row])

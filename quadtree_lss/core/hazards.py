@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,8 @@ from quadtree_lss.core.config import LssConfig
 from quadtree_lss.core.quadtree import CellMap
 
 Array = NDArray[np.float64]
+Bits = NDArray[np.uint8]
+Index = NDArray[np.intp]
 
 SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNSEEN = 1, 2, 4, 8, 128
 
@@ -55,7 +59,7 @@ def elevation_deviation(cells: CellMap, level: int) -> Array:
     return out
 
 
-def avoided_features(cells: CellMap, config: LssConfig) -> NDArray[np.uint8]:
+def avoided_features(cells: CellMap, config: LssConfig) -> Bits:
     """Bits (M,) of the avoided features each leaf contains; unmeasured leaves have none."""
     level = reference_level(cells, config.elevation_reference_size)
     with np.errstate(invalid="ignore"):
@@ -64,3 +68,77 @@ def avoided_features(cells: CellMap, config: LssConfig) -> NDArray[np.uint8]:
         excepted = cells.exception_fraction > config.max_exception_fraction
     bits = SLOPE * steep + ELEVATION * raised + EXCEPTION * excepted
     return np.where(cells.measured, bits, 0).astype(np.uint8)
+
+
+class LeafHazards:
+    """Avoided features of maps of a growing terrain; finds anew only those that may have changed.
+
+    A leaf's features depend on the leaves that its ancestor of the reference level covers. Where
+    none of these changed, the bits are the ones of before, bit for bit.
+    """
+
+    def __init__(self, config: LssConfig) -> None:
+        self.config = config
+        self._cells: CellMap | None = None
+        self._bits: Bits = np.zeros(0, dtype=np.uint8)
+
+    def of(self, cells: CellMap) -> Bits:
+        """``avoided_features`` (M,) of a map."""
+        bits = np.zeros(len(cells.level), dtype=np.uint8)
+        due = np.ones(len(bits), dtype=np.bool_)
+        if self._cells is not None and self._cells.domain == cells.domain:
+            level = reference_level(cells, self.config.elevation_reference_size)
+            now, before = _unchanged(cells, self._cells, level)
+            bits[now], due[now] = self._bits[before], False
+        rows = np.flatnonzero(due)
+        if len(rows):
+            bits[rows] = avoided_features(_part(cells, rows), self.config)
+        self._cells, self._bits = cells, bits
+        return bits
+
+
+def _unchanged(cells: CellMap, other: CellMap, level: int) -> tuple[Index, Index]:
+    """Rows of leaves in either map whose ancestor of ``level`` covers the same leaves in both."""
+    number = 1 << 2 * level
+    key, other_key = _ancestor(cells, level), _ancestor(other, level)
+    count = np.bincount(key, minlength=number)
+    other_count = np.bincount(other_key, minlength=number)
+    same = count == other_count
+    order, other_order = np.argsort(key, kind="stable"), np.argsort(other_key, kind="stable")
+    rows = order[same[key[order]]]
+    other_rows = other_order[same[other_key[other_order]]]
+    differs = (_estimates(cells)[rows] != _estimates(other)[other_rows]).any(axis=1)
+    same[key[rows[differs]]] = False
+    kept = same[key[rows]]
+    return rows[kept], other_rows[kept]
+
+
+def _ancestor(cells: CellMap, level: int) -> Index:
+    """Number (M,) of each leaf's ancestor of ``level``, the first one below for larger leaves."""
+    down = cells.level.astype(np.intp) - level
+    ix, iy = (
+        np.where(down < 0, v.astype(np.intp) << np.maximum(-down, 0), v >> np.maximum(down, 0))
+        for v in (cells.ix, cells.iy)
+    )
+    return np.asarray((iy << level) + ix, dtype=np.intp)
+
+
+def _estimates(cells: CellMap) -> NDArray[np.int64]:
+    """What a leaf's features are found from, (M, 18); the same bits are the same numbers."""
+    columns = (cells.level, cells.ix, cells.iy, cells.z, cells.count, cells.measured)
+    table = np.column_stack(
+        [
+            *columns,
+            cells.exception_fraction,
+            cells.normal,
+            cells.covariance_range.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]],
+        ]
+    )
+    return np.ascontiguousarray(table, dtype=np.float64).view(np.int64)
+
+
+def _part(cells: CellMap, rows: Index) -> CellMap:
+    """A map of some leaves alone."""
+    whole = {"stamp_ns", "domain", "observed"}
+    names = [f.name for f in fields(cells) if f.name not in whole]
+    return replace(cells, **{name: getattr(cells, name)[rows] for name in names})

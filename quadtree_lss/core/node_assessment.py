@@ -56,7 +56,7 @@ class Clearance:
     ) -> Clearance:
         """Distances up to a cap."""
         near = np.minimum(distance_from(marked, side, cap) + beyond, cap)
-        np.minimum(near, seen_about(unseen, side, cap), out=near)
+        np.minimum(near, seen_about(unseen, side, float(near.max())), out=near)
         return cls(marked, beyond, unseen, side, cap, near)
 
     def of_nodes(self, rows: Index, columns: Index) -> Array:
@@ -103,14 +103,17 @@ class NodeAssessment:
 
 
 def assess_nodes(
-    cells: CellMap, raster: TerrainRaster, lss: LssConfig, touchdown: TouchdownCheck
+    cells: CellMap,
+    raster: TerrainRaster,
+    lss: LssConfig,
+    leaf_hazards: hazards.LeafHazards,
+    touchdown: TouchdownCheck,
 ) -> NodeAssessment:
     """Hazards, safety and score on the finest lattice."""
     side = cells.domain.finest_size
     radius = 0.5 * lss.vehicle_diameter
     zone = radius + lss.margin
-    leaf_bits = hazards.avoided_features(cells, lss)
-    bits = np.where(raster.seen, leaf_bits.take(raster.leaf), np.uint8(0))
+    bits = np.where(raster.seen, leaf_hazards.of(cells).take(raster.leaf), np.uint8(0))
     planes = node_planes(raster, 0.75 * radius)
     slope = np.arctan(np.sqrt(planes.slope_x**2 + planes.slope_y**2))
     unseen = touching((~raster.seen).view(np.uint8)) > 0
@@ -121,7 +124,7 @@ def assess_nodes(
         unsafe = touchdown.unsafe_nodes(raster, landable)
         unsafe |= landable & grown(touching(bits & np.uint8(hazards.EXCEPTION)) > 0, radius, side)
         unsafe |= landable & grown(unsafe, lss.hazard_growth, side)
-        hazard[unsafe] |= hazards.TOUCHDOWN
+        hazard |= unsafe * np.uint8(hazards.TOUCHDOWN)
         # Ground that spoils a landing lies about a radius from the nodes it makes unsafe.
         clearance = Clearance.measure(unsafe, radius, unseen, side, cap)
         safe = ~grown(unsafe, lss.margin, side) & (inside >= zone - 1e-9)
@@ -130,7 +133,7 @@ def assess_nodes(
         clearance = Clearance.measure(hazard > 0, 0.0, unseen, side, cap)
         safe = ~grown(clearance.marked, zone, side) & (inside >= zone - 1e-9)
         density_slope = hazards.slope(cells.normal).take(raster.leaf)
-    hazard[unseen] |= hazards.UNSEEN
+    hazard |= unseen * np.uint8(hazards.UNSEEN)
     over = disc(zone, side)
     rough = np.nan_to_num(cells.roughness).take(raster.leaf)
     score = _score(raster, density_slope, rough, clearance.near, over, lss)

@@ -102,24 +102,22 @@ def node_planes(raster: TerrainRaster, radius: float) -> NodePlanes:
     reach, level = over.reach, float(np.nanmean(raster.elevation))
     z = np.pad(raster.elevation - level, reach, mode="edge")
     # Sums over centred runs of cells of z and of x z; then rows above and below the node in pairs.
-    run, moment = np.zeros((2, len(z), n + 1))
+    run, moment, work = np.zeros((3, len(z), n + 1))
     sums, along_x, along_y = np.zeros((3, n + 1, n + 1))
     for half, rows in over.runs:
         west = z[:, reach - half : reach - half + n + 1]
         east = z[:, reach + half - 1 : reach + half + n]
         run += west
         run += east
-        moment += (east - west) * (half - 0.5)
+        np.subtract(east, west, out=work)
+        work *= half - 0.5
+        moment += work
         for row in rows:
-            if row < 0:
-                continue
-            north, south = reach + row, reach - 1 - row
-            above, below = run[north : north + n + 1], run[south : south + n + 1]
-            sums += above
-            sums += below
-            along_y += (above - below) * (row + 0.5)
-            along_x += moment[north : north + n + 1]
-            along_x += moment[south : south + n + 1]
+            here = slice(reach + row, reach + row + n + 1)
+            sums += run[here]
+            along_x += moment[here]
+            np.multiply(run[here], row + 0.5, out=work[: n + 1])
+            along_y += work[: n + 1]
     sums /= len(over.x)
     sums += level
     scale = side / np.sum(over.x**2)

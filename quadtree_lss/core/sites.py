@@ -82,15 +82,17 @@ class LandingAssessment:
 class LandingSiteSelector:
     """Assesses maps.
 
-    Keeps the last first-ranked site, for ``lss.hysteresis``, and what the touchdown check found on
-    the last map, to repeat only what changed.
+    Keeps the last first-ranked site, for ``lss.hysteresis``, and what was found of the last map's
+    leaves and by the touchdown check, to repeat only what changed.
     """
 
     config: Config
     _last_first: Array | None = field(default=None, init=False)
+    _leaf_hazards: hazards.LeafHazards = field(init=False)
     _touchdown: TouchdownCheck = field(init=False)
 
     def __post_init__(self) -> None:
+        self._leaf_hazards = hazards.LeafHazards(self.config.lss)
         self._touchdown = TouchdownCheck(self.config.lss)
 
     def assess(
@@ -117,7 +119,7 @@ class LandingSiteSelector:
         raster = rasterise(cells, lss.max_gap)
         if not raster.seen.any():
             return _nothing(cells.stamp_ns, x, y, "nothing is mapped yet")
-        nodes = assess_nodes(cells, raster, lss, self._touchdown)
+        nodes = assess_nodes(cells, raster, lss, self._leaf_hazards, self._touchdown)
         at = GridSampler(domain, x, y)
         safe = at.everywhere(nodes.safe)
         score = np.where(safe, at.nearest(nodes.score), np.nan)

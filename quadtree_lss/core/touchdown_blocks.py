@@ -177,15 +177,12 @@ def _by_bounds(
     moved = np.sqrt(_square(east, north, gap_east, gap_north))
     moved *= far
     doubt: Mask = over + moved > -ROUNDING
-    # The other plane of the heading is the nearer one.
-    moved = np.sqrt(_square(east, north, -gap_east, -gap_north))
-    moved *= far
     failed |= (over - moved > ROUNDING).any(axis=0)
     return doubt
 
 
 def _square(east: Single, north: Single, gap_east: Single, gap_north: Single) -> Single:
-    """Square of a heading's longer slope; with negative gaps, of its shorter one."""
+    """Square of the longer one of each heading's two slopes, times a diameter."""
     x, y = np.abs(east), np.abs(north)
     x += gap_east
     y += gap_north

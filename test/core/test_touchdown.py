@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, leaf_by_descent, mapped, slope
 
-from quadtree_lss.core import hazards
+from quadtree_lss.core import hazards, touchdown_blocks, touchdown_planes
+from quadtree_lss.core.bump import height
 from quadtree_lss.core.config import LssConfig
-from quadtree_lss.core.features import height
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.sites import LandingSiteSelector
 
@@ -208,3 +208,18 @@ def test_a_step_under_the_pads_fails_by_its_slope():
     assert touchdown_bits(cells, config)[8, 8]
     cells = mapped(config, flat(), density=60.0).snapshot()
     assert not touchdown_bits(cells, config).any()
+
+
+@pytest.mark.parametrize("yaws", [1, 4, 7])
+@pytest.mark.parametrize("diameter", [0.4, 2.0, 3.7])
+def test_bounds_save_work_and_change_nothing(monkeypatch, yaws, diameter):
+    """With bounds that settle nothing, every plane is compared with every cell."""
+    config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, yaws, vehicle_diameter=diameter)
+    ground = bumpy(np.random.default_rng(9), 16.0, 40)
+    cells = mapped(config, ground, density=150.0, scans=1).snapshot()
+    found = touchdown_bits(cells, config)
+    for module in (touchdown_blocks, touchdown_planes):
+        monkeypatch.setattr(module, "ROUNDING", np.float32(1e6))
+    np.testing.assert_array_equal(touchdown_bits(cells, config), found)
+    assert found.any()
+    assert not found.all()
