@@ -130,41 +130,50 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
 def _alone(points: Array, gate: float) -> Mask:
     """Points (N, 3) farther from any other than the gate, widened as in ``isolated_returns``.
 
-    Most points share a cube with another whose diagonal is the gate; only the others look for
-    their nearest neighbour.
+    Most points share a cube with another whose diagonal is the gate, in one grid of cubes or in
+    a second one half a side away; only the others look for their nearest neighbour.
     """
-    usual = _usual_spacing(points)
-    limit = max(gate, 5.0 * usual)
-    columns = [np.ascontiguousarray(points[:, axis]) for axis in range(3)]
-    cubes = [((column - column.min()) * (1.7321 / limit)).astype(np.int64) for column in columns]
-    span = [int(cube.max()) + 1 for cube in cubes]
-    single = np.arange(len(points))
-    if span[0] * span[1] * span[2] < 1 << 62:
-        key = (cubes[0] * span[1] + cubes[1]) * span[2] + cubes[2]
-        order = np.argsort(key)
-        ordered = key[order]
-        differs = np.concatenate([[True], ordered[1:] != ordered[:-1], [True]])
-        single = np.sort(order[differs[1:] & differs[:-1]])
+    limit = max(gate, 5.0 * _usual_spacing(points))
+    axes = np.ascontiguousarray(points.T)
+    alone = _alone_in_cube(axes, limit / 1.7321, 0.0)
+    if len(alone):
+        alone = np.intersect1d(alone, _alone_in_cube(axes, limit / 1.7321, 0.5))
     out = np.zeros(len(points), dtype=np.bool_)
-    if len(single):
-        near = _around(points, points[single], limit)
+    if len(alone):
+        near = _around(axes, alone, limit)
         tree = cKDTree(points[near], balanced_tree=False, compact_nodes=False)
-        out[single] = np.asarray(tree.query(points[single], k=2)[0])[:, 1] > limit
+        out[alone] = np.asarray(tree.query(points[alone], k=2)[0])[:, 1] > limit
     return out
 
 
-def _around(points: Array, places: Array, reach: float) -> NDArray[np.intp]:
-    """Points (N, 3) that may lie within ``reach`` of one of the places (K, 3): columns that do."""
-    x, y = points[:, 0].copy(), points[:, 1].copy()
-    low = np.array([x.min(), y.min()])
-    if max(np.ptp(x), np.ptp(y)) / reach > 8192.0:
-        return np.arange(len(points))
-    column, row = ((x - low[0]) / reach).astype(np.intp), ((y - low[1]) / reach).astype(np.intp)
+def _alone_in_cube(axes: Array, side: float, shift: float) -> NDArray[np.intp]:
+    """Which points (3, N) share their cube with no other; cubes start ``shift`` sides off."""
+    low = axes.min(axis=1)
+    spans = [int(span) + 2 for span in (axes.max(axis=1) - low) / side]
+    if spans[0] * spans[1] * spans[2] >= 1 << 62:
+        return np.arange(axes.shape[1])
+    key = np.zeros(axes.shape[1], dtype=np.int64)
+    for axis, span in enumerate(spans):
+        key *= span
+        key += ((axes[axis] - low[axis]) / side + shift).astype(np.int64)
+    order = np.argsort(key)
+    ordered = key[order]
+    differs = np.concatenate([[True], ordered[1:] != ordered[:-1], [True]])
+    alone: NDArray[np.intp] = order[differs[1:] & differs[:-1]]
+    return alone
+
+
+def _around(axes: Array, chosen: NDArray[np.intp], reach: float) -> NDArray[np.intp]:
+    """Points (3, N) that may lie within ``reach`` of a chosen one: those in columns next to its."""
+    low = axes[:2].min(axis=1)
+    if float(np.ptp(axes[:2], axis=1).max()) / reach > 8192.0:
+        return np.arange(axes.shape[1])
+    column = ((axes[0] - low[0]) / reach).astype(np.intp)
+    row = ((axes[1] - low[1]) / reach).astype(np.intp)
     mark = np.zeros((int(column.max()) + 3, int(row.max()) + 3), dtype=np.bool_)
-    at = ((places[:, :2] - low) / reach).astype(np.intp)
     for dx in (0, 1, 2):
         for dy in (0, 1, 2):
-            mark[at[:, 0] + dx, at[:, 1] + dy] = True
+            mark[column[chosen] + dx, row[chosen] + dy] = True
     return np.flatnonzero(mark[column + 1, row + 1])
 
 
