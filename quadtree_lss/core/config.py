@@ -281,10 +281,30 @@ class LssConfig:
         high=1000.0,
         live=True,
     )
-    max_slope_deg: float = _p(10.0, "slope tolerance", unit="deg", low=0.1, high=89.0, live=True)
-    max_roughness: float = _p(0.3, "roughness tolerance", unit="m", low=0.01, high=100.0, live=True)
+    max_slope_deg: float = _p(
+        10.0,
+        "slope tolerance of leaves: decides with assessment paper, only shown with touchdown",
+        unit="deg",
+        low=0.1,
+        high=89.0,
+        live=True,
+    )
+    max_roughness: float = _p(
+        0.3,
+        "elevation tolerance of leaves: decides with assessment paper, only shown with touchdown",
+        unit="m",
+        low=0.01,
+        high=100.0,
+        live=True,
+    )
     max_exception_fraction: float = _p(
-        0.05, "more exceptions than this make a cell hazardous", low=0.0, high=1.0, live=True
+        0.05,
+        "a leaf with a larger share of exceptions is a hazard, with either assessment; since rocks "
+        "divide leaves, few are left: finest ones, all at mapping.max_cells, and with "
+        "mapping.divide_exceptions 0",
+        low=0.0,
+        high=1.0,
+        live=True,
     )
     elevation_reference_size: float = _p(
         4.0,

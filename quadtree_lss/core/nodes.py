@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +15,9 @@ from quadtree_lss.core.terrain_raster import TerrainRaster
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+#: Rows of nodes whose discs are summed at once.
+STRIP = 96
 
 
 @dataclass(frozen=True)
@@ -63,17 +67,24 @@ def node_means(values: Array, over: Disc) -> Array:
     """Means over the disc of each node: (n, n) cells, 0 outside, to (n + 1, n + 1) nodes."""
     n = len(values)
     padded = np.pad(values, over.reach)
-    run = np.zeros((len(padded), n + 1))
     out = np.zeros((n + 1, n + 1))
     # A disc is a stack of centred runs of cells.
-    for half, rows in over.runs:
-        left, right = over.reach - half, over.reach + half - 1
-        run += padded[:, left : left + n + 1]
-        run += padded[:, right : right + n + 1]
-        for row in rows:
-            out += run[over.reach + row : over.reach + row + n + 1]
+    for rows, strip in _strips(out, padded, over):
+        run = np.zeros((len(strip), n + 1))
+        for half, offsets in over.runs:
+            run += strip[:, over.reach - half :][:, : n + 1]
+            run += strip[:, over.reach + half - 1 :][:, : n + 1]
+            for row in offsets:
+                rows += run[over.reach + row :][: len(rows)]
     out /= len(over.x)
     return out
+
+
+def _strips(nodes: Array, padded: Array, over: Disc) -> Iterator[tuple[Array, Array]]:
+    """Rows of nodes, few enough for the cache, with the rows of padded cells in their discs."""
+    for first in range(0, len(nodes), STRIP):
+        rows = nodes[first : first + STRIP]
+        yield rows, padded[first : first + len(rows) + 2 * over.reach - 1]
 
 
 @dataclass(frozen=True)
@@ -101,29 +112,34 @@ def node_planes(raster: TerrainRaster, radius: float) -> NodePlanes:
     over = disc(radius, side)
     reach, level = over.reach, float(np.nanmean(raster.elevation))
     z = np.pad(raster.elevation - level, reach, mode="edge")
-    # Sums over centred runs of cells of z and of x z; then rows above and below the node in pairs.
-    run, moment, work = np.zeros((3, len(z), n + 1))
-    sums, along_x, along_y = np.zeros((3, n + 1, n + 1))
-    for half, rows in over.runs:
-        west = z[:, reach - half : reach - half + n + 1]
-        east = z[:, reach + half - 1 : reach + half + n]
-        run += west
-        run += east
-        np.subtract(east, west, out=work)
-        work *= half - 0.5
-        moment += work
-        for row in rows:
-            here = slice(reach + row, reach + row + n + 1)
-            sums += run[here]
-            along_x += moment[here]
-            np.multiply(run[here], row + 0.5, out=work[: n + 1])
-            along_y += work[: n + 1]
-    sums /= len(over.x)
-    sums += level
-    scale = side / np.sum(over.x**2)
-    along_x *= scale
-    along_y *= scale
-    return NodePlanes(sums, along_x, along_y)
+    out = NodePlanes(*np.zeros((3, n + 1, n + 1)))
+    columns = zip(
+        _strips(out.elevation, z, over),
+        _strips(out.slope_x, z, over),
+        _strips(out.slope_y, z, over),
+        strict=True,
+    )
+    # Sums over centred runs of cells of z and of x z.
+    for (height, strip), (slope_x, _), (slope_y, _) in columns:
+        run, moment, work = np.zeros((3, len(strip), n + 1))
+        for half, rows in over.runs:
+            west = strip[:, reach - half :][:, : n + 1]
+            east = strip[:, reach + half - 1 :][:, : n + 1]
+            run += west
+            run += east
+            np.subtract(east, west, out=work)
+            work *= half - 0.5
+            moment += work
+            for row in rows:
+                here = slice(reach + row, reach + row + len(height))
+                height += run[here]
+                slope_x += moment[here]
+                slope_y += np.multiply(run[here], row + 0.5, out=work[here])
+    np.divide(out.elevation, len(over.x), out=out.elevation)
+    np.add(out.elevation, level, out=out.elevation)
+    for slope in (out.slope_x, out.slope_y):
+        slope *= side / np.sum(over.x**2)
+    return out
 
 
 def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -109,6 +109,37 @@ def test_the_papers_rule_keeps_the_zone_off_every_hazardous_cell(cells, margin):
     np.testing.assert_array_equal(np.isfinite(found.score), found.safe)
 
 
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_leaves_with_many_exceptions_are_kept_off(level_ground, assessment):
+    """Level ground with exceptions in the leaf from (8, 8) to (16, 16)."""
+    share = np.where((level_ground.x > 8.0) & (level_ground.y > 8.0), 0.1, 0.0)
+    cells = dataclasses.replace(level_ground, exception_fraction=share)
+    for limit, hazardous in ((0.05, True), (0.15, False), (1.0, False)):
+        config = small(assessment=assessment, max_exception_fraction=limit, hazard_growth=0.0)
+        found = assess(cells, config)
+        for row, y in enumerate(found.y):
+            for column, x in enumerate(found.x):
+                inside = min(x, y, 16.0 - x, 16.0 - y) > RADIUS
+                away = np.hypot(max(8.0 - x, 0.0), max(8.0 - y, 0.0))
+                meets = hazardous and away <= RADIUS
+                assert found.safe[row, column] == (inside and not meets), (x, y)
+
+
+def test_leaves_with_exceptions_divide_rather_than_stay_hazards():
+    """The same block, divided over: no leaf but finest ones is left with many exceptions."""
+    config = small()
+
+    def ground(x, y):
+        return 0.4 * ((np.abs(x - 9.0) < 0.3) & (np.abs(y - 9.0) < 0.3))
+
+    cells = mapped(config, ground, density=100.0).snapshot()
+    often = np.nan_to_num(cells.exception_fraction) > config.lss.max_exception_fraction
+    assert (cells.level[often] == cells.domain.max_level).all()
+    for limit in (config.lss.max_exception_fraction, 1.0):
+        found = assess(cells, with_lss(config, max_exception_fraction=limit))
+        assert not found.safe[17:20, 17:20].any()
+
+
 @pytest.mark.parametrize("margin", [0.0, 0.7, 1.3])
 def test_the_margin_keeps_off_nodes_that_fail_the_touchdown_check(cells, margin):
     config = small(margin=margin)
