@@ -22,11 +22,12 @@ from quadtree_lss.errors import QuadtreeLssError
 STOP_PERIOD_S = 0.2
 """How often an idle node looks whether it was asked to end."""
 
-TRANSPORTS = "UDPv4"
-"""Of Fast DDS, unless the environment says otherwise: no shared memory.
+TRANSPORTS = "UDPv4?sockets_size=16MB"
+"""Of Fast DDS, unless the environment says otherwise: no shared memory, and room for many scans.
 
-What a killed process leaves behind there can keep its successor, which gets the same port, from
-hearing the sensors for ten seconds or for good; see docs/onboard.md for what was measured.
+What a killed process leaves behind in shared memory can keep its successor, which gets the same
+port, from hearing the sensors for ten seconds or for good. The kernel cuts the size to what
+net.core.rmem_max allows; docs/onboard.md says what was measured.
 """
 
 

@@ -24,6 +24,8 @@ LOCAL_PROFILE = """\
     <transport_descriptor>
       <transport_id>udp</transport_id>
       <type>UDPv4</type>
+      <sendBufferSize>16000000</sendBufferSize>
+      <receiveBufferSize>16000000</receiveBufferSize>
       <maxInitialPeersRange>32</maxInitialPeersRange>
     </transport_descriptor>
   </transport_descriptors>
