@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: Coordinates over this are no place to land at, and their squares would overflow, m.
+FARTHEST = 1e12
+
 
 def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
     """Distance in m of points from a polygon's edge, positive inside.
@@ -18,15 +21,15 @@ def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
         x, y: Coordinates of any one shape.
 
     Raises:
-        ValueError: fewer than three vertices, or one that is not finite.
+        ValueError: fewer than three vertices, or one not finite or farther out than ``FARTHEST``.
     """
     corners = np.asarray(polygon, dtype=np.float64)
     if corners.ndim != 2 or len(corners) < 3 or corners.shape[1] < 2:
         msg = f"a polygon needs three or more (x, y) vertices, got shape {corners.shape}"
         raise ValueError(msg)
     corners = corners[:, :2]
-    if not np.isfinite(corners).all():
-        msg = "a polygon has a vertex that is not finite"
+    if not (np.abs(corners) <= FARTHEST).all():
+        msg = "a polygon has a vertex that is not finite or is off this world"
         raise ValueError(msg)
     inside = np.zeros(x.shape, dtype=np.bool_)
     square = np.full(x.shape, np.inf)

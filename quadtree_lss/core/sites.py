@@ -111,8 +111,9 @@ class LandingSiteSelector:
             keep_out: (V, 2) polygon that the zone must not touch.
             target: (2,) or (3,) place to be near to.
 
-        Raises:
-            ValueError: a polygon with fewer than three finite vertices, a target not finite.
+        A polygon that crosses itself is inside where a ray to it crosses it an odd number of
+        times. With one of fewer than three or not finite vertices, or a target that is not finite,
+        nobody knows where landing is wanted: no site is given out and the explanation says why.
         """
         lss, domain = self.config.lss, cells.domain
         x, y = (_grid(low, domain.size, lss.grid_spacing) for low in (domain.xmin, domain.ymin))
@@ -126,20 +127,14 @@ class LandingSiteSelector:
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid nodes are safe"
         if not safe.any():
             explanation = _why_none(nodes, raster, lss)
-        zone = 0.5 * lss.vehicle_diameter + lss.margin
-        grid_x, grid_y = np.meshgrid(x, y)
-        if area is not None:
-            score[signed_distance(area, grid_x, grid_y) < zone] = np.nan
-        if keep_out is not None:
-            score[signed_distance(keep_out, grid_x, grid_y) > -zone] = np.nan
-        if target is not None:
-            goal = np.asarray(target, dtype=np.float64)
-            if goal.shape not in ((2,), (3,)) or not np.isfinite(goal).all():
-                msg = f"a landing target needs two or three finite coordinates, got {target!r}"
-                raise ValueError(msg)
-            score += lss.weight_target * np.hypot(grid_x - goal[0], grid_y - goal[1])
-        if safe.any() and not np.isfinite(score).any():
-            explanation = "no safe ground within the landing area and outside the keep-out"
+        try:
+            _restrict(score, x, y, lss, area, keep_out, target)
+        except (TypeError, ValueError) as error:
+            score[...] = np.nan
+            explanation = f"no site is given out: {error}"
+        else:
+            if safe.any() and not np.isfinite(score).any():
+                explanation = "no safe ground within the landing area and outside the keep-out"
         sites = self._rank(nodes, at, score, x, y)
         hazard = at.any(nodes.hazard)
         unseen = (hazard & hazards.UNSEEN) > 0
@@ -191,6 +186,37 @@ class LandingSiteSelector:
         if score[row[0], column[0]] - np.nanmin(score) > lss.hysteresis:
             return None
         return int(row[0]), int(column[0])
+
+
+def _restrict(
+    score: Array,
+    x: Array,
+    y: Array,
+    lss: LssConfig,
+    area: ArrayLike | None,
+    keep_out: ArrayLike | None,
+    target: ArrayLike | None,
+) -> None:
+    """Exclude nodes (ny, nx) by area and keep-out and add what the way to the target costs.
+
+    Raises:
+        ValueError, TypeError: a polygon with fewer than three finite vertices, a target that is
+            not finite, or not numbers.
+    """
+    if area is None and keep_out is None and target is None:
+        return
+    zone = 0.5 * lss.vehicle_diameter + lss.margin
+    grid_x, grid_y = np.meshgrid(x, y)
+    if area is not None:
+        score[signed_distance(area, grid_x, grid_y) < zone] = np.nan
+    if keep_out is not None:
+        score[signed_distance(keep_out, grid_x, grid_y) > -zone] = np.nan
+    if target is not None:
+        goal = np.asarray(target, dtype=np.float64)
+        if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
+            msg = f"a landing target needs two or three finite coordinates, got {target!r}"
+            raise ValueError(msg)
+        score += lss.weight_target * np.hypot(grid_x - goal[0], grid_y - goal[1])
 
 
 def _grid(low: float, size: float, spacing: float) -> Array:

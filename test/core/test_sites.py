@@ -444,9 +444,66 @@ def test_no_room_is_an_empty_result_that_says_so(level_ground, where):
     assert found.safe.any()
 
 
-def test_bad_polygons_are_refused(level_ground):
-    with pytest.raises(ValueError, match="polygon"):
-        assess(level_ground, small(), area=[(0.0, 0.0), (1.0, 1.0)])
+TRIANGLE = [(1.0, 1.0), (15.0, 1.0), (8.0, 15.0)]
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        ({"area": [(0.0, 0.0), (1.0, 1.0)]}, "polygon"),
+        ({"area": []}, "polygon"),
+        ({"area": [(0.0, 0.0), (9.0, np.nan), (9.0, 9.0)]}, "polygon"),
+        ({"keep_out": [(0.0, 0.0), (np.inf, 1.0), (9.0, 9.0)]}, "polygon"),
+        ({"keep_out": [(0.0, 0.0), (1.0, 1.0)], "area": TRIANGLE}, "polygon"),
+        ({"area": [(-1e300, -1e300), (1e300, 0.0), (0.0, 1e300)]}, "polygon"),
+        ({"area": [(0.0, 0.0), (1.0,), (3.0, 3.0)]}, "no site"),
+        ({"target": (np.nan, 1.0)}, "target"),
+        ({"target": (1.0, np.inf)}, "target"),
+        ({"target": (1.0,)}, "target"),
+        ({"target": (None, 1.0)}, "no site"),
+    ],
+)
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_what_nobody_can_land_by_gives_no_site_and_says_so(level_ground, assessment, where, said):
+    """Ignoring an area or a keep-out that cannot be read could land the vehicle in it."""
+    selector = LandingSiteSelector(small(assessment=assessment, hysteresis=1.0))
+    before = selector.assess(level_ground)
+    found = selector.assess(level_ground, **where)
+    assert_empty_but_explained(found)
+    assert said in found.explanation
+    np.testing.assert_array_equal(found.safe, before.safe)
+    assert len(selector.assess(level_ground).sites.score) == 5
+
+
+def test_a_polygon_that_crosses_itself_has_both_its_lobes_inside(level_ground):
+    bow_tie = [(0.5, 0.5), (15.5, 15.5), (15.5, 0.5), (0.5, 15.5)]
+    found = assess(level_ground, small(), area=bow_tie)
+    allowed = np.isfinite(found.score)
+    assert allowed[16, 5]  # west of the crossing
+    assert allowed[16, 27]  # east of it
+    assert not allowed[5, 16]
+    assert not allowed[16, 16]
+    kept = np.isfinite(assess(level_ground, small(), keep_out=bow_tie).score)
+    assert kept[5, 16]
+    assert not kept[16, 5]
+
+
+@pytest.mark.parametrize("far", [1e3, 1e7, 1e12])
+def test_a_target_far_outside_is_flown_towards(level_ground, far):
+    found = assess(level_ground, small(weight_target=1.0, sites=1), target=(far, 8.0))
+    assert found.sites.position[0, 0] == 15.0
+    assert np.isfinite(found.sites.score).all()
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("name", ["measured", "observed"])
+def test_planes_without_a_measurement_are_no_ground(level_ground, assessment, name):
+    """Inherited planes alone, or planes but no finest cell in which a point fell."""
+    nothing = np.zeros_like(getattr(level_ground, name))
+    cells = dataclasses.replace(level_ground, **{name: nothing})
+    found = assess(cells, small(assessment=assessment))
+    assert_empty_but_explained(found)
+    assert (found.hazard & hazards.UNSEEN).all()
 
 
 def test_a_vehicle_larger_than_the_domain_has_no_site(level_ground):
@@ -459,9 +516,3 @@ def test_a_vehicle_smaller_than_a_cell_is_assessed(level_ground):
     for assessment in ("paper", "touchdown"):
         config = small(vehicle_diameter=0.1, assessment=assessment)
         assert len(assess(level_ground, config).sites.score) > 0
-
-
-@pytest.mark.parametrize("target", [(np.nan, 1.0), (1.0, np.inf)])
-def test_a_target_that_is_not_finite_is_refused(level_ground, target):
-    with pytest.raises(ValueError, match="target"):
-        assess(level_ground, small(), target=target)
