@@ -15,7 +15,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 ROS := $(shell test -n "$${ROS_DISTRO-}" && $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced || echo wheels)
 DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
 PACKAGE := $(VENV)/.package
-SOURCES := $(shell find quadtree_lss launch config scripts resource -type f \
+SOURCES := $(shell find quadtree_lss launch rviz foxglove config scripts resource -type f \
     -not -path '*/__pycache__/*') package.xml setup.py setup.cfg
 
 # The installed package, not the checkout, is what every target runs.

@@ -31,6 +31,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{NAME}/rviz", sorted(glob("rviz/*.rviz"))),
+        (f"share/{NAME}/foxglove", sorted(glob("foxglove/*.json"))),
         (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
         # pip puts console scripts into bin/ only; these start them from where ROS looks.
         (f"lib/{NAME}", [f"scripts/{name}" for name in ROS_EXECUTABLES]),

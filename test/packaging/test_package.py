@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import importlib.metadata
 import importlib.util
+import json
 import os
 import re
 import stat
@@ -13,11 +14,13 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from quadtree_lss.configuration import load_config
 from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS
+from quadtree_lss.messages.outputs import SITE_TABLE, TOPIC_TYPES
 
 ROOT = Path(__file__).parents[2]
 PREFIX = Path(sys.prefix)
@@ -38,6 +41,7 @@ def test_installed_files_are_those_of_the_checkout():
         copy = installed / source.relative_to(ROOT / "quadtree_lss")
         assert copy.read_bytes() == source.read_bytes(), f"{copy} is stale: make setup"
     shared = (("launch", "*.launch.py"), ("config", "*.yaml"), ("rviz", "*.rviz"))
+    shared += (("foxglove", "*.json"),)
     for folder, pattern in shared:
         names = {path.name for path in (ROOT / folder).glob(pattern)}
         assert names and names == {path.name for path in (SHARE / folder).glob(pattern)}
@@ -131,6 +135,22 @@ def test_launch_file_starts_both_nodes_with_its_arguments():
         if keyword.arg == "executable" and isinstance(keyword.value, ast.Constant)
     }
     assert started == set(NODES)
+
+
+def test_the_foxglove_layout_shows_topics_and_fields_that_there_are():
+    layout = json.loads((SHARE / "foxglove" / "quadtree_lss.json").read_text(encoding="utf-8"))
+    panels = layout["configById"]
+
+    def shown(part: str | dict[str, Any]) -> set[str]:
+        return {part} if isinstance(part, str) else shown(part["first"]) | shown(part["second"])
+
+    assert shown(layout["layout"]) == set(panels)
+    documents = "".join(path.read_text() for path in (ROOT / "msg_docs").glob("*.md"))
+    topics = {topic: view for p in panels.values() for topic, view in p.get("topics", {}).items()}
+    assert set(topics) >= {f"/{name}" for name in TOPIC_TYPES if name != SITE_TABLE}
+    for topic in topics:
+        assert f"`{topic[1:]}`" in documents, topic
+    assert topics["/map/cells"]["colorField"] in dict(CELL_FIELDS)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)
