@@ -122,5 +122,7 @@ def load_terrain(path: str | Path) -> Terrain:
         msg = f"terrain file {file}: no array {error.args[0]!r}; needed are x, y, elevation"
         raise SimulationError(msg) from error
     except (OSError, ValueError, TypeError, AttributeError) as error:
-        msg = f"terrain file {file} is not a DEM in .npz form with x, y, elevation: {error}"
+        msg = (
+            f"terrain file {file} is not a DEM in .npz form with arrays of numbers x, y, elevation"
+        )
         raise SimulationError(msg) from error

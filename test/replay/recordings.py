@@ -12,6 +12,18 @@ SECOND = 10**9
 START = 1_700_000_000 * SECOND
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+GROUND = {
+    "domain.xmin": -16.0,
+    "domain.ymin": -16.0,
+    "domain.size": 32.0,
+    "domain.min_level": 3,
+    "domain.max_level": 6,
+    "lidar.range_noise": 0.03,
+    "lidar.outlier_gate": 0.0,
+    "lss.max_gap": 3.0,
+}
+"""Configuration that fits the ground these bags show."""
+
 LOOKING_DOWN = (1.0, 0.0, 0.0, 0.0)  # quaternion of a half turn about x: z down, y south
 
 

@@ -9,6 +9,7 @@ import replay.recordings
 import yaml
 from replay.recordings import (
     CLOUD,
+    GROUND,
     POSE,
     SECOND,
     Recorder,
@@ -24,16 +25,7 @@ from quadtree_lss.core.config import config_from_values
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.replay import replay as run_replay
 
-VALUES = {
-    "domain.xmin": -16.0,
-    "domain.ymin": -16.0,
-    "domain.size": 32.0,
-    "domain.min_level": 3,
-    "domain.max_level": 5,
-    "lidar.range_noise": 0.03,
-    "lidar.outlier_gate": 0.0,
-    "lss.max_gap": 3.0,
-}
+VALUES = {**GROUND, "domain.max_level": 5}
 CONFIG = config_from_values(VALUES)
 
 

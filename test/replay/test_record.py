@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import write_ros2
+from replay.recordings import GROUND, write_ros2
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -16,20 +16,7 @@ from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.info import inspect_bag
 from quadtree_lss.replay.replay import ReplayError, replay
 
-CONFIG = config_from_values(
-    {
-        "domain.xmin": -16.0,
-        "domain.ymin": -16.0,
-        "domain.size": 32.0,
-        "domain.min_level": 3,
-        "domain.max_level": 6,
-        "lidar.range_noise": 0.03,
-        "lidar.outlier_gate": 0.0,
-        "lss.max_gap": 3.0,
-        "publish.rate": 5.0,
-        "publish.lss_rate": 2.0,
-    }
-)
+CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MAPS = {"/map/cells", "/map/observed"}
 LANDING = {"/landing/sites", "/landing/site_table", "/landing/hazards", "/landing/score"}
 

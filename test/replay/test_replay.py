@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from replay.recordings import (
     CLOUD,
+    GROUND,
     POSE,
     SECOND,
     START,
@@ -25,18 +26,7 @@ from quadtree_lss.messages.intake import Intake
 from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
 from quadtree_lss.replay.replay import ReplayError, replay
 
-CONFIG = config_from_values(
-    {
-        "domain.xmin": -16.0,
-        "domain.ymin": -16.0,
-        "domain.size": 32.0,
-        "domain.min_level": 3,
-        "domain.max_level": 6,
-        "lidar.range_noise": 0.03,
-        "lidar.outlier_gate": 0.0,
-        "lss.max_gap": 3.0,
-    }
-)
+CONFIG = config_from_values(GROUND)
 FILES = {"sites.csv", "cells.npz", "grid.npz", "timing.csv", "summary.json", "config.yaml"}
 SUMMARY = {
     "scans",

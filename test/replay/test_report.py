@@ -11,24 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from replay.recordings import write_ros2
+from replay.recordings import GROUND, write_ros2
 
 from quadtree_lss.core.config import config_from_values
 from quadtree_lss.replay import page_data
 from quadtree_lss.replay.replay import replay
 
-CONFIG = config_from_values(
-    {
-        "domain.xmin": -16.0,
-        "domain.ymin": -16.0,
-        "domain.size": 32.0,
-        "domain.min_level": 3,
-        "domain.max_level": 6,
-        "lidar.range_noise": 0.03,
-        "lidar.outlier_gate": 0.0,
-        "lss.max_gap": 3.0,
-    }
-)
+CONFIG = config_from_values(GROUND)
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
