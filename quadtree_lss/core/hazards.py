@@ -91,7 +91,9 @@ class LeafHazards:
             now, before = _unchanged(cells, self._cells, level)
             bits[now], due[now] = self._bits[before], False
         rows = np.flatnonzero(due)
-        if len(rows):
+        if len(rows) == len(due):
+            bits = avoided_features(cells, self.config)
+        elif len(rows):
             bits[rows] = avoided_features(_part(cells, rows), self.config)
         self._cells, self._bits = cells, bits
         return bits

@@ -35,6 +35,7 @@ class LanderGround:
         pad: Height of a pad at each cell's centre: it stands on the highest ground within its
             radius.
         slope_x, slope_y: dz/dx, dz/dy of each cell.
+        rise: Of each cell's plane from its centre to the highest corner.
         top: Highest ground of each cell: plane, its rise to the corner, subscale feature (a bell
             fitted to part of a rock is low, so its own peak counts and not the boulder's).
         under: Cells under the lander, relative to its node.
@@ -55,6 +56,7 @@ class LanderGround:
         self.pad = self._bordered(height + config.pad_radius * tilt)
         self.slope_x = self._bordered(raster.slope_x)
         self.slope_y = self._bordered(raster.slope_y)
+        self.rise = self._bordered(rise)
         self.top = self._bordered(height + rise + SHAPE * raster.subscale)
         self.under = disc(self.radius, self.side)
         self.farthest = max(self.radius, float(np.hypot(self.under.x, self.under.y).max()))

@@ -16,6 +16,7 @@ from quadtree_lss.core.config import LssConfig
 from quadtree_lss.core.lander_ground import BLOCK, LanderGround
 from quadtree_lss.core.terrain_raster import TerrainRaster
 from quadtree_lss.core.touchdown_blocks import fails
+from quadtree_lss.core.touchdown_bounds import surely_safe
 
 Mask = NDArray[np.bool_]
 
@@ -50,7 +51,8 @@ class TouchdownCheck:
             kept = candidates & self._checked & ~_near(self._ground.differs(ground), ground.reach)
             unsafe[kept] = self._unsafe[kept]
             due = candidates & ~kept
-        unsafe |= _check(ground, due, self.config)
+        if due.any():
+            unsafe |= _check(ground, due, self.config)
         self._ground, self._checked, self._unsafe = ground, candidates, unsafe
         return unsafe.copy()
 
@@ -74,6 +76,8 @@ def _check(ground: LanderGround, due: Mask, config: LssConfig) -> Mask:
     spare = count * BLOCK - len(due)
     by_block = np.pad(due, ((0, spare), (0, spare))).reshape(count, BLOCK, count, BLOCK)
     rows, columns = np.nonzero(by_block.any(axis=(1, 3)))
+    doubtful = ~surely_safe(ground, rows * BLOCK, columns * BLOCK, config)
+    rows, columns = rows[doubtful], columns[doubtful]
     unsafe = np.zeros(by_block.shape, dtype=np.bool_)
     at_once = max(WORKING_SET // ground.window**2, 1)
     for begin in range(0, len(rows), at_once):

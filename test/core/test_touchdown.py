@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, leaf_by_descent, mapped, slope
 
-from quadtree_lss.core import hazards, touchdown_blocks, touchdown_planes
+from quadtree_lss.core import hazards, touchdown_blocks, touchdown_bounds, touchdown_planes
 from quadtree_lss.core.bump import height
 from quadtree_lss.core.config import LssConfig
+from quadtree_lss.core.lander_ground import LanderGround
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.sites import LandingSiteSelector
+from quadtree_lss.core.terrain_raster import rasterise
 
 SMALL = {"size": 8.0, "min_level": 1, "max_level": 4}
 #: A feature's bell peaks a quarter above the boulder whose height is published (SPEC 1, Eq. 49).
@@ -218,8 +220,27 @@ def test_bounds_save_work_and_change_nothing(monkeypatch, yaws, diameter):
     ground = bumpy(np.random.default_rng(9), 16.0, 40)
     cells = mapped(config, ground, density=150.0, scans=1).snapshot()
     found = touchdown_bits(cells, config)
-    for module in (touchdown_blocks, touchdown_planes):
+    for module in (touchdown_blocks, touchdown_planes, touchdown_bounds):
         monkeypatch.setattr(module, "ROUNDING", np.float32(1e6))
     np.testing.assert_array_equal(touchdown_bits(cells, config), found)
     assert found.any()
     assert not found.all()
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.05])
+def test_smooth_ground_is_settled_without_trying_a_heading(tilt):
+    """Blocks away from a rock; a bound that never settled anything would go unnoticed otherwise."""
+    config = lander({"size": 32.0, "min_level": 3, "max_level": 7}, 6)
+
+    def ground(x, y):
+        return tilt * x + 0.5 * ((np.abs(x - 6.0) < 0.4) & (np.abs(y - 6.0) < 0.4))
+
+    cells = mapped(config, ground, density=60.0, scans=1).snapshot()
+    raster = rasterise(cells, config.lss.max_gap)
+    standing = LanderGround(raster, config.lss)
+    first = np.arange(8, 113, 8)
+    rows, columns = (v.ravel() for v in np.meshgrid(first, first))
+    safe = touchdown_bounds.surely_safe(standing, rows, columns, config.lss)
+    away = np.hypot(rows * 0.25 + 1.0 - 6.0, columns * 0.25 + 1.0 - 6.0)
+    assert safe[away > 6.0].all()
+    assert not safe[away < 1.5].any()
