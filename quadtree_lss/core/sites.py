@@ -233,7 +233,7 @@ def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
         bump = sites.subscale_height[k]
         lines.append(
             f"slope {sites.slope_deg[k]:.1f} deg of {lss.max_slope_deg:g}, {nearest}, "
-            f"roughness {sites.roughness[k]:.3f} m^3, "
+            f"roughness {sites.roughness[k]:.3f} m³, "
             + (f"features up to {bump:.2f} m" if bump >= 0.005 else "no subscale feature")
         )
     return Sites(

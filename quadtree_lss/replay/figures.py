@@ -71,7 +71,7 @@ def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
         vmin=0.0,
         vmax=top,
     )
-    label = "slope, deg (grey: no estimate)"
+    label = "slope, deg (grey: unseen)"
     bar = figure.colorbar(image, ax=axes, label=label, shrink=0.85, extend="max")
     bar.ax.axhline(config.lss.max_slope_deg, color="white")
     axes.set_facecolor(NONE_COLOUR)

@@ -79,8 +79,8 @@ const onNodes = (title, unit, name, lut, none, reversed) =>
 const onLeaves = (title, unit, value, limits, lut) =>
   ({ title, unit, of: "leaf", value, limits, lut, none: "no estimate" });
 const LAYERS = {
-  elevation: onNodes("Elevation", "m", "elevation", "viridis", "no estimate"),
-  slope: onNodes("Slope at the lander's scale", "deg", "slope", "cividis", "no estimate"),
+  elevation: onNodes("Elevation", "m", "elevation", "viridis", "unseen"),
+  slope: onNodes("Slope at the lander's scale", "deg", "slope", "cividis", "unseen"),
   hazards: { title: "Hazards by kind", of: "node", classes: hazardClasses,
              note: data.hazard_note, value: i => hazardClass(nodes.hazard.raw[i]) },
   allowed: { title: "Where landing is allowed", of: "node", classes: allowedClasses,

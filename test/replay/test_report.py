@@ -170,6 +170,12 @@ def test_a_browser_draws_it_and_tells_values(result, tmp_path):
     }}
     tellTest("layers", document.querySelectorAll("input[name=layer]").length);
     tellTest("colours", colours.size);
+    const legends = {{}};
+    for (const name of ["hazards", "score", "cells"]) {{
+      view.layer = name; legend();
+      legends[name] = [byId("legend").textContent, LAYERS[name].limits && ticks(LAYERS[name])];
+    }}
+    tellTest("legends", JSON.stringify(legends));
     document.querySelector("#show-relief").click();
     document.querySelector("tr[data-site]").click();
     tellTest("centre", JSON.stringify([view.x, view.y]));
@@ -195,6 +201,10 @@ def test_a_browser_draws_it_and_tells_values(result, tmp_path):
     assert float(values["score"]) == pytest.approx(result.assessment.sites.score[0], abs=2e-4)
     assert values["leaf"].endswith(tuple(f"level {level}" for level in range(3, 7)))
     assert told("layers") == 8 and told("colours") >= 4
+    legends = told("legends")
+    assert "slope and elevation of leaves do not exclude" in legends["hazards"][0]
+    assert "excluded" in legends["score"][0] and len(legends["score"][1]) > 2
+    assert legends["cells"][1] == [-1, 0, 1, 2]  # binary logarithms of 0.5 m to 4 m
     np.testing.assert_allclose(told("centre"), [x, y])
     assert told("zoomed") is True and told("dragged") is True
     assert told("rows") == 1
