@@ -15,8 +15,8 @@ Single = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
-#: Planes compared with every cell at once, so that the working set stays small.
-PLANES = 512
+#: Nodes or planes compared with every cell at once, so that the working set stays small.
+NODES = 256
 #: Bounds settle a pair only by more than single precision can err, m.
 ROUNDING = np.float32(1e-4)
 
@@ -117,30 +117,37 @@ def _compare(
     high the node fails, where its height plus the planes' distance is not, the plane is cleared.
     What is left is compared with every cell.
     """
-    of_all = np.bincount(node, minlength=len(cell))
-    chosen = np.flatnonzero(of_all)
-    place = np.zeros(len(cell), dtype=np.intp)
-    place[chosen] = np.arange(len(chosen))
-    local, count = place[node], of_all[chosen]
+    order = np.argsort(node, kind="stable")
+    node, planes = node[order], planes[:, order]
+    nodes = np.flatnonzero(np.bincount(node))
+    first = np.append(np.searchsorted(node, nodes), len(node))
     under = ground.under
     x, y = under.x.astype(np.float32), under.y.astype(np.float32)
-    cells = cell[chosen, None] + (under.row * ground.stride + under.column)
-    tops = ground.top.ravel().take(cells)
-    mean = np.stack([np.bincount(local, part) / count for part in planes]).astype(np.float32)
-    over_mean = _above(tops, mean, x, y)
-    best = np.argmax(over_mean, axis=1)
-    each = np.arange(len(chosen))
-    high = tops[each, best][local] - planes[0]
-    high -= planes[1] * x[best][local] + planes[2] * y[best][local]
-    failed[node[high > limit + ROUNDING]] = True
-    apart = mean[:, local] - planes
-    bound = np.float32(ground.farthest) * np.sqrt(apart[1] ** 2 + apart[2] ** 2)
-    bound += over_mean[each, best][local] + apart[0]
-    left = np.flatnonzero((bound > limit - ROUNDING) & ~failed[node])
-    for begin in range(0, len(left), PLANES):
-        pick = left[begin : begin + PLANES]
-        above = _above(tops[local[pick]], planes[:, pick], x, y)
-        failed[node[pick[above.max(axis=1) > limit]]] = True
+    offset = under.row * ground.stride + under.column
+    for begin in range(0, len(nodes), NODES):
+        chosen = nodes[begin : begin + NODES]
+        start = first[begin : begin + len(chosen) + 1]
+        count = np.diff(start)
+        of_plane = np.repeat(np.arange(len(chosen)), count)
+        some = planes[:, start[0] : start[-1]]
+        tops = ground.top.ravel().take(cell[chosen, None] + offset)
+        mean = np.add.reduceat(some, start[:-1] - start[0], axis=1) / count.astype(np.float32)
+        over_mean = _above(tops, mean, x, y)
+        best = np.argmax(over_mean, axis=1)
+        each = np.arange(len(chosen))
+        high = tops[each, best][of_plane] - some[0]
+        high -= some[1] * x[best][of_plane] + some[2] * y[best][of_plane]
+        too_high = np.zeros(len(chosen), dtype=np.bool_)
+        too_high[of_plane[high > limit + ROUNDING]] = True
+        apart = mean[:, of_plane] - some
+        bound = np.float32(ground.farthest) * np.sqrt(apart[1] ** 2 + apart[2] ** 2)
+        bound += over_mean[each, best][of_plane] + apart[0]
+        left = np.flatnonzero((bound > limit - ROUNDING) & ~too_high[of_plane])
+        for part in range(0, len(left), NODES):
+            pick = left[part : part + NODES]
+            above = _above(tops[of_plane[pick]], some[:, pick], x, y)
+            too_high[of_plane[pick[above.max(axis=1) > limit]]] = True
+        failed[chosen[too_high]] = True
 
 
 def _above(tops: Single, plane: Single, x: Single, y: Single) -> Single:
