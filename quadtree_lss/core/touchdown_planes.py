@@ -131,7 +131,8 @@ def _compare(
         of_plane = np.repeat(np.arange(len(chosen)), count)
         some = planes[:, start[0] : start[-1]]
         tops = ground.top.ravel().take(cell[chosen, None] + offset)
-        mean = np.add.reduceat(some, start[:-1] - start[0], axis=1) / count.astype(np.float32)
+        total = np.add.reduceat(some, start[:-1] - start[0], axis=1)
+        mean: Single = (total / count).astype(np.float32)
         over_mean = _above(tops, mean, x, y)
         best = np.argmax(over_mean, axis=1)
         each = np.arange(len(chosen))
