@@ -24,6 +24,7 @@ from quadtree_lss.ros.monitor import Arrivals, Durations
 from quadtree_lss.ros.node_runner import run
 from quadtree_lss.ros.parameters import NodeParameters
 from quadtree_lss.ros.problems import Problems
+from quadtree_lss.ros.publishers import Publishers
 from quadtree_lss.ros.qos import advertise, latched, subscribe
 from quadtree_lss.ros.rate_limit import ChangePublisher
 
@@ -40,17 +41,18 @@ class LssNode(Node):
         super().__init__("lss_node", automatically_declare_parameters_from_overrides=True)
         self._settings = NodeParameters(self, self._reconfigure)
         config = self._settings.config
-        subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._on_publishers)
-        subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
         self._problems = Problems(self.get_logger())
         self._map_topic = self.resolve_topic_name(CELLS)
+        effect = "maps of either are assessed"
+        self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
+        subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._map_publishers.changed)
+        subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
         self._newest: dict[str, Any] = {}
         self._cells: CellMap | None = None
         self._result: LandingAssessment | None = None
         self._frame = config.frames.map
         self._assessments = 0
         self._maps = Arrivals()
-        self._publishers_of_map = 0
         self._lss_ms, self._latency_ms = Durations(), Durations()
         self._diagnostics = Diagnostics(
             self, config.publish.diagnostics_rate, self._problems, self._collect
@@ -83,15 +85,6 @@ class LssNode(Node):
     def _reconfigure(self, config: Config) -> None:
         self._selector.config = config
         self._output.changed()
-
-    def _on_publishers(self, number: int) -> None:
-        self._publishers_of_map = number
-        if number > 1:
-            text = (
-                f"{number} publishers on '{self._map_topic}': maps of either are assessed (one that"
-                " was killed counts until its lease ends)"
-            )
-            self._problems.report("map_publishers", text)
 
     def _on_cells(self, message: Any) -> None:
         self._newest["cells"] = message
@@ -152,7 +145,7 @@ class LssNode(Node):
         status.judge_age("map", self._map_topic, self._maps, self._settings.config.diagnostics)
         status.add(
             {
-                "map.publishers": self._publishers_of_map,
+                "map.publishers": self._map_publishers.number,
                 "assessments": self._assessments,
                 "lss_ms": self._lss_ms.take(),
                 "latency_ms": self._latency_ms.take(),

@@ -28,6 +28,7 @@ from quadtree_lss.ros.monitor import Arrivals, Durations
 from quadtree_lss.ros.node_runner import run
 from quadtree_lss.ros.parameters import NodeParameters
 from quadtree_lss.ros.problems import Problems
+from quadtree_lss.ros.publishers import Publishers
 from quadtree_lss.ros.qos import advertise, latched, stream, subscribe
 from quadtree_lss.ros.rate_limit import ChangePublisher
 from quadtree_lss.ros.scan_gaps import ScanGaps
@@ -75,6 +76,10 @@ class MappingNode(Node):
         )
         self._problems = Problems(self.get_logger())
         self._gaps = ScanGaps(self._topics[SCANS], self._problems)
+        effect = "they are taken as one's; scans are mapped between poses of different ones"
+        self._pose_publishers = Publishers(
+            self._topics[POSES], "pose_publishers", effect, self._problems
+        )
         self._arrived = {"scan": Arrivals(), "pose": Arrivals()}
         if config.mount.gimbal:
             self._arrived["gimbal"] = Arrivals()
@@ -239,6 +244,8 @@ class MappingNode(Node):
 
     def _collect(self, status: Status) -> None:
         config, report = self._settings.config, self._report
+        # Not by an event: those of poses are looked at only while a scan waits.
+        self._pose_publishers.changed(self.count_publishers(self._topics[POSES]))
         for what, name in (("scan", SCANS), ("pose", POSES), ("gimbal", GIMBAL)):
             if what in self._arrived:
                 status.judge_age(what, self._topics[name], self._arrived[what], config.diagnostics)

@@ -12,12 +12,19 @@ from types import FrameType
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from quadtree_lss.core.config import parameters
 from quadtree_lss.errors import QuadtreeLssError
+
+ARGUMENT_ERRORS = (
+    rclpy_implementation.RCLInvalidROSArgsError,
+    rclpy_implementation.UnknownROSArgsError,
+    rclpy_implementation.RCLError,
+)
 
 STOP_PERIOD_S = 0.2
 """How often an idle node looks whether it was asked to end."""
@@ -43,7 +50,10 @@ def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | N
         Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong usage.
     """
     argv = list(sys.argv if args is None else args)
-    own = remove_ros_args(argv)[1:]
+    try:
+        own = remove_ros_args(argv)[1:]
+    except ARGUMENT_ERRORS as error:
+        return _wrong_arguments(error)
     if "-h" in own or "--help" in own:
         print(_help(os.path.basename(argv[0]), description))
         return 0
@@ -62,6 +72,9 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
     stop = _StopOnSignal()
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    except ARGUMENT_ERRORS as error:
+        return _wrong_arguments(error)
+    try:
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -79,6 +92,16 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _wrong_arguments(error: Exception) -> int:
+    """One line of what rcl says to arguments or ROS_… variables it does not understand."""
+    if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+        text = f"unknown ROS arguments {error}"
+    else:
+        text = " ".join(str(error).split(", at /")[0].split())
+    print(f"error: {text}", file=sys.stderr)
+    return 2
 
 
 class _StopOnSignal:

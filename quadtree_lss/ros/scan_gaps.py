@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from quadtree_lss.ros.problems import Problems
+from quadtree_lss.ros.publishers import Publishers
 
 
 class ScanGaps:
@@ -20,25 +21,20 @@ class ScanGaps:
     def __init__(self, topic: str, problems: Problems) -> None:
         self._topic = topic
         self._problems = problems
-        self._publishers = 0
+        effect = "their scans are mapped as they come, as if of one lidar"
+        self._publishers = Publishers(topic, "scan_publishers", effect, problems)
         self._last = 0
 
     def on_publishers(self, number: int) -> None:
         """Publishers came or went."""
-        if number > max(self._publishers, 1):
-            text = (
-                f"{number} publishers on '{self._topic}': their scans are mapped as they come, as"
-                " if of one lidar (one that was killed counts until its lease ends)"
-            )
-            self._problems.report("scan_publishers", text)
-        self._publishers = number
+        self._publishers.changed(number)
         self._last = 0
 
     def on_scan(self, number: int) -> None:
         """A scan arrived with this number."""
         last, self._last = self._last, number
         missing = number - last - 1
-        if last > 0 and missing > 0 and self._publishers <= 1:
+        if last > 0 and missing > 0 and self._publishers.number <= 1:
             text = (
                 f"{missing} scans on '{self._topic}' were lost before number {number}: best"
                 " effort, or more than qos.scan_depth were waiting"

@@ -168,7 +168,9 @@ def test_a_second_publisher_is_told_and_no_loss_invented(flight):
     listener, sensors, mapping = flight
     sensors.publish(SCANS)
     second = Sensors(listener)
-    assert listener.wait_for(lambda: at_least(listener, "problems.scan_publishers", 1))
+    for problem in ("scan_publishers", "pose_publishers"):
+        told = functools.partial(at_least, listener, f"problems.{problem}", 1)
+        assert listener.wait_for(told), mapping.output()
     for k in (1, 2, 3):
         (sensors, second)[k % 2].publish(2, offset_ns=k * TEN_SECONDS_NS)
     total = functools.partial(has, listener, "scans", SCANS + 6)

@@ -240,6 +240,11 @@ def test_wrong_usage_and_missing_home(ros):
         [program("lss_node"), "--rate", "5"], env=env, capture_output=True, text=True, check=False
     )
     assert wrong.returncode == 2 and "--rate" in wrong.stderr
+    for arguments in (["--params-file", "none.yaml"], ["-r", "a:b"], ["--wrong"]):
+        command = [program("lss_node"), "--ros-args", *arguments]
+        wrong = subprocess.run(command, env=ros.env, capture_output=True, text=True, check=False)
+        assert wrong.returncode == 2 and arguments[-1] in wrong.stderr
+        assert "Traceback" not in wrong.stderr and wrong.stderr.splitlines()[-1][:6] == "error:"
     del ros.env["HOME"], ros.env["ROS_LOG_DIR"]
     node = ros.start("lss_node")
     listener = ros.listen()
