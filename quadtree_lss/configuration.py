@@ -64,13 +64,17 @@ _Loader.add_implicit_resolver(
 
 
 def load_config(
-    paths: Iterable[str | os.PathLike[str]] = (), overrides: Mapping[str, object] | None = None
+    paths: Iterable[str | os.PathLike[str]] = (),
+    overrides: Mapping[str, object] | None = None,
+    *,
+    origin: str = "overrides",
 ) -> Config:
     """The defaults with each file and then ``overrides`` laid over them.
 
     Args:
         paths: Files, or names of shipped ones (see `find_config`).
         overrides: Dotted or nested values that win over every file.
+        origin: Where the overrides come from, for messages.
 
     Raises:
         ConfigError: names the file, and for an unknown key the nearest known one.
@@ -84,11 +88,11 @@ def load_config(
         values |= read
         files.append(str(found))
     wanted = flatten(overrides or {})
-    _check_keys(wanted, "overrides")
+    _check_keys(wanted, origin)
     try:
         return config_from_values(values | wanted)
     except ConfigError as error:  # values that contradict one another
-        where = ", ".join(files + ["overrides"] * bool(wanted))
+        where = ", ".join(files + [origin] * bool(wanted))
         msg = f"{where}: {error}" if where else str(error)
         raise ConfigError(msg) from None
 

@@ -77,7 +77,7 @@ def chosen_config(options: argparse.Namespace) -> Config:
             overrides[key.strip()] = yaml.safe_load(value)
         except yaml.YAMLError:
             options.parser.error(f"--set {item}: not a value")
-    return load_config(options.config, overrides)
+    return load_config(options.config, overrides, origin="--set")
 
 
 def print_json(content: Mapping[str, Any]) -> None:

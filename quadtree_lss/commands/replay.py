@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 from quadtree_lss.commands.common import (
@@ -115,7 +116,10 @@ def _publish(options: argparse.Namespace) -> int:
         duration=options.duration,
         progress=wants_progress(options.verbose),
     )
-    print(f"{report.scans} scans and {report.poses} poses sent in {report.duration:.1f} s")
+    if options.json:
+        print_json(asdict(report))
+    else:
+        print(f"{report.scans} scans and {report.poses} poses sent in {report.duration:.1f} s")
     for line in report.losses:
         warn(f"damaged: {line}")
     return IN_PART if report.losses else DONE

@@ -57,7 +57,7 @@ def test_a_damaged_bag_gives_exit_code_3(tmp_path, capsys):
     [
         (["replay", "{none}", "--out", "{out}"], "no such bag"),
         (["replay", "{bag}", "--out", "{out}", "--config", "{none}"], "no configuration file"),
-        (["replay", "{bag}", "--out", "{out}", "--set", "domain.sise=3"], "domain.size"),
+        (["replay", "{bag}", "--out", "{out}", "--set", "domain.sise=3"], "--set: unknown"),
         (["replay", "{bag}", "--out", "{out}", "--scan-topic", "/x"], "/lidar/points"),
         (["replay", "{bag}", "--out", "{out}", "--start", "1e9"], "--start"),
         (["replay", "{bag}", "--out", "{bag}/metadata.yaml"], "metadata.yaml"),
