@@ -226,13 +226,16 @@ def _grid(low: float, size: float, spacing: float) -> Array:
 
 
 def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
+    """A sentence for each site: its figures, and the slope limit that decided."""
     lines = []
+    touchdown = lss.assessment == "touchdown"
+    limit = lss.touchdown_slope_deg if touchdown else lss.max_slope_deg
     for k in range(len(sites.score)):
         clear = sites.hazard_distance[k]
         nearest = f"{clear:.1f} m clear of hazards and unseen ground"
         bump = sites.subscale_height[k]
         lines.append(
-            f"slope {sites.slope_deg[k]:.1f} deg of {lss.max_slope_deg:g}, {nearest}, "
+            f"slope {sites.slope_deg[k]:.1f} deg of {limit:g}, {nearest}, "
             f"roughness {sites.roughness[k]:.3f} m³, "
             + (f"features up to {bump:.2f} m" if bump >= 0.005 else "no subscale feature")
         )

@@ -242,6 +242,20 @@ def test_sites_are_described_by_the_ground_in_their_zone(cells):
         assert sites.slope_deg[k] == pytest.approx(angle, abs=1e-6)
 
 
+@pytest.mark.parametrize(("assessment", "limit"), [("paper", 11), ("touchdown", 8)])
+def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessment, limit):
+    config = small(assessment=assessment, max_slope_deg=11.0, touchdown_slope_deg=8.0)
+    sites = assess(cells, config).sites
+    assert len(sites.reasons) == len(sites.score) > 0
+    for k, reason in enumerate(sites.reasons):
+        assert f"slope {sites.slope_deg[k]:.1f} deg of {limit}," in reason
+        assert f"{sites.hazard_distance[k]:.1f} m clear" in reason
+        assert f"{sites.roughness[k]:.3f} m" in reason
+        high = sites.subscale_height[k]
+        said = f"features up to {high:.2f} m" if high >= 0.005 else "no subscale feature"
+        assert said in reason
+
+
 def test_the_same_map_gives_the_same_sites(cells):
     a, b = (assess(cells, small()) for _ in range(2))
     np.testing.assert_array_equal(a.score, b.score)
