@@ -37,6 +37,9 @@ def generate_launch_description() -> LaunchDescription:
             default_value="lidar/gimbal",
             description="topic of the gimbal, with mount.gimbal",
         ),
+        DeclareLaunchArgument(
+            "respawn", default_value="true", description="start a node that has ended again"
+        ),
     ]
     sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     shared = {
@@ -44,6 +47,8 @@ def generate_launch_description() -> LaunchDescription:
         "namespace": LaunchConfiguration("namespace"),
         "parameters": [LaunchConfiguration("params_file"), {"use_sim_time": sim_time}],
         "output": "screen",
+        "respawn": LaunchConfiguration("respawn"),
+        "respawn_delay": 1.0,
     }
     mapping = Node(
         executable="mapping_node",

@@ -9,6 +9,7 @@ import importlib.util
 import json
 import os
 import re
+import runpy
 import stat
 import subprocess
 import sys
@@ -108,6 +109,15 @@ def _imports(path: Path) -> set[str]:
     return names
 
 
+def test_launch_file_describes_both_nodes_to_a_real_launch():
+    """Where ROS itself is installed; the wheels have no launch."""
+    pytest.importorskip("launch_ros")
+    path = SHARE / "launch" / "quadtree_lss.launch.py"
+    description = runpy.run_path(str(path))["generate_launch_description"]()
+    nodes = [entity for entity in description.entities if hasattr(entity, "node_executable")]
+    assert len(nodes) == len(NODES)
+
+
 def test_launch_file_starts_both_nodes_with_its_arguments():
     path = SHARE / "launch" / "quadtree_lss.launch.py"
     tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -125,7 +135,7 @@ def test_launch_file_starts_both_nodes_with_its_arguments():
 
     declared = first_words("DeclareLaunchArgument")
     topics = {"lidar_points", "nav_pose", "lidar_gimbal"}
-    assert declared == {"params_file", "namespace", "use_sim_time"} | topics
+    assert declared == {"params_file", "namespace", "use_sim_time", "respawn"} | topics
     assert first_words("LaunchConfiguration") == declared
     started = {
         keyword.value.value
