@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core import division, statistics
+from quadtree_lss.core.alignment import ScanAlignment
 from quadtree_lss.core.bump import as_boulder
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.features import FeatureEstimator
@@ -69,6 +70,7 @@ class Mapper:
         )
         self._features = FeatureEstimator(config.features)
         self._noise = statistics.NoiseCheck()
+        self._alignment = ScanAlignment(config.mapping)
         self.observed = np.zeros(self.domain.finest_count**2, dtype=np.bool_)
         self.stamp_ns = 0
 
@@ -77,15 +79,15 @@ class Mapper:
         self.leaves.plant()
         self._stored.clear()
         self._noise = statistics.NoiseCheck()
+        self._alignment.reset()
         self.observed[:] = False
         self.stamp_ns = 0
 
     def export_state(self) -> dict[str, NDArray[Any]]:
         """All that a mapper must know to go on, by name; copies (see ``core.checkpoint``)."""
-        leaves, stored = self.leaves.export_state(), self._stored.export_state()
+        parts = {name: part.export_state() for name, part in self._parts().items()}
         return {
-            **{f"leaves.{name}": values for name, values in leaves.items()},
-            **{f"stored.{name}": values for name, values in stored.items()},
+            **{f"{name}.{key}": value for name, of in parts.items() for key, value in of.items()},
             "observed": self.observed.copy(),
             "stamp_ns": np.array(self.stamp_ns),
         }
@@ -93,10 +95,14 @@ class Mapper:
     def import_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from `export_state` of a mapper of the same domain (not checked here)."""
         self.reset()
-        for start, part in (("leaves.", self.leaves), ("stored.", self._stored)):
+        for name, part in self._parts().items():
+            start = f"{name}."
             part.import_state({k[len(start) :]: v for k, v in state.items() if k.startswith(start)})
         self.observed[:] = state["observed"]
         self.stamp_ns = int(state["stamp_ns"])
+
+    def _parts(self) -> dict[str, Leaves | StoredPoints | ScanAlignment]:
+        return {"leaves": self.leaves, "stored": self._stored, "alignment": self._alignment}
 
     def update(self, points_lidar: Array, pose: Pose) -> ScanReport:
         """Map one scan.
@@ -106,13 +112,14 @@ class Mapper:
                 are not finite are no returns.
             pose: Lidar pose at the scan's stamp.
         """
+        pose = self._alignment.predicted(pose)
         scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain)
         refused_before = self._stored.refused
         divisions = refused = 0
         if len(scan.finest):
             self.observed[scan.finest] = True
             self.stamp_ns = max(self.stamp_ns, pose.stamp_ns)
-            change = ScanUpdate(self.leaves, self._stored, self.config, scan)
+            change = ScanUpdate(self.leaves, self._stored, self._alignment, self.config, scan)
             residuals = self._accumulate(change.run())
             while len(rocky := self._rocky(residuals.rows)):
                 below = change.divide(rocky)

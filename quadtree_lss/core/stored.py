@@ -105,6 +105,10 @@ class StoredPoints:
         self.points = np.concatenate([self.points, points[:, fits]], axis=1)
         np.add.at(self.per_row, rows[fits], 1)
 
+    def lift(self, height: float) -> None:
+        """Move all stored points and the places they were seen from up by ``height``, m."""
+        self.points[2] += height
+
     def of(self, rows: Index) -> Index:
         """Indices into the pool of the points of leaves ``rows``."""
         wanted = np.zeros(len(self.per_row), dtype=np.bool_)

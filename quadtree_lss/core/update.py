@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core import division, fitting, fusion, planes, sphere
+from quadtree_lss.core.alignment import ScanAlignment
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.division import GroupedPoints
 from quadtree_lss.core.fitting import Fit, SlopePrior
 from quadtree_lss.core.fusion import Planes
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.planes import Moments
+from quadtree_lss.core.rotations import skew
 from quadtree_lss.core.scan import RegisteredScan, compact
 from quadtree_lss.core.statistics import FinalGroups, Residuals
 from quadtree_lss.core.stored import StoredPoints
@@ -56,10 +58,16 @@ class ScanUpdate:
     """
 
     def __init__(
-        self, leaves: Leaves, stored: StoredPoints, config: Config, scan: RegisteredScan
+        self,
+        leaves: Leaves,
+        stored: StoredPoints,
+        alignment: ScanAlignment,
+        config: Config,
+        scan: RegisteredScan,
     ) -> None:
         self.leaves = leaves
         self.stored = stored
+        self.alignment = alignment
         self.config = config.mapping
         self.range_noise = config.lidar.range_noise
         self.scan = scan
@@ -79,7 +87,7 @@ class ScanUpdate:
         Returns:
             The residuals about the planes of the leaves in which the points came to rest.
         """
-        return self._settle(self.points, self.scan.finest)
+        return self._settle(self.points, self.scan.finest, first=True)
 
     def divide(self, rows: Index) -> Residuals | None:
         """Divide leaves ``rows`` that the scan's points came to rest in, and go on below them.
@@ -120,12 +128,13 @@ class ScanUpdate:
             self._known[fresh] = True
             self._shift[fresh] = self._shift[divided[known], None]
 
-    def _settle(self, points: Array, finest: Index) -> Residuals:
+    def _settle(self, points: Array, finest: Index, first: bool = False) -> Residuals:
         final = FinalGroups(points.shape[1], self.origin)
         current = self._round(np.arange(points.shape[1]), points, finest)
         while True:
             rows = current.rows
-            divided = self._divide(rows[self._fit(current)])
+            divided = self._divide(rows[self._fit(current, first)])
+            first = False
             moved = np.zeros(len(rows), dtype=np.bool_)
             moved[np.searchsorted(rows, divided)] = True
             final.add(rows, current.moment, moved, current.group, current.index)
@@ -147,7 +156,7 @@ class ScanUpdate:
         centre[:, 1] = self.leaves.y[rows] - self.origin[1]
         return Round(rows, group, index, points, moment, centre)
 
-    def _fit(self, current: Round) -> Mask:
+    def _fit(self, current: Round, first: bool) -> Mask:
         """Fit and fuse the cells of a round; which of them (M,) ask to be divided."""
         leaves, rows, moment = self.leaves, current.rows, current.moment
         size = leaves.domain.cell_size(leaves.level[rows])
@@ -166,6 +175,8 @@ class ScanUpdate:
             self.lidar,
             self.scan.pose_root,
         )
+        if first:
+            self._align(rows[fitted], measured[fitted], fit)
         statistic, mean_square = self._judge(current, fitted, fit, part)
         self._take(rows[fitted], measured[fitted], fit)
         leaves.points_fitted[rows[fitted]] += part.count
@@ -179,6 +190,24 @@ class ScanUpdate:
             leaves, rows[fitted], statistic, part.count, mean_square, self.config
         )
         return asks
+
+    def _align(self, rows: Index, measured: Mask, fit: Fit) -> None:
+        """Let the scan and the map meet at one height."""
+        leaves = self.leaves
+        again = rows[measured]
+        rise = fit.z[measured] + self.origin[2] - leaves.z[again]
+        own = fit.planes.parts[measured, 0, 2, 2] + leaves.parts[again, 0, 2, 2]
+        own += leaves.misfit[again]
+        down, lift = self.alignment.meet(rise, own, leaves.normal[again], self._ground_covariance())
+        self.origin[2] -= down
+        if lift != 0.0:
+            leaves.z[: leaves.count] += lift
+            self.stored.lift(lift)
+
+    def _ground_covariance(self) -> Array:
+        """Covariance (3, 3) that the pose error gives the middle of the scan's ground, m^2."""
+        moved = np.concatenate([np.eye(3), skew(self.lidar)], axis=1) @ self.scan.pose_root
+        return np.asarray(moved @ moved.T)
 
     def _prior(self, rows: Index, size: Array) -> SlopePrior:
         """An inherited plane tells its cell's slope, weakly."""
