@@ -174,6 +174,8 @@ def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
     node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
+    while not all(node.count_publishers(topic) for topic in (CELLS, SITES)):
+        executor.spin_once(timeout_sec=0.1)
     ready.set()
     while not stop.is_set():
         executor.spin_once(timeout_sec=0.2)
@@ -211,7 +213,9 @@ def fly(
             stack.enter_context(NodeProcess(name, args, env, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
         ]
-        ready.wait(30.0)
+        if not ready.wait(30.0):
+            msg = "the nodes' topics are not there after 30 s"
+            raise RuntimeError(msg)
         usage = {node.name: Usage(psutil.Process(node.process.pid)) for node in nodes}
         killed: list[tuple[str, int]] = []
 
