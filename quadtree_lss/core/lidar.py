@@ -17,6 +17,9 @@ from quadtree_lss.core.rotations import skew
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: One in so many pixels tells a scan's usual distance between neighbours.
+SAMPLED = 7
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -123,7 +126,7 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
     lonely = valid & (distance > gate)
     if not lonely.any():
         return lonely
-    usual = float(np.median(distance[valid]))
+    usual = float(np.median(distance[valid][::SAMPLED]))
     return lonely & (distance > 5.0 * usual) if np.isfinite(usual) else lonely
 
 
