@@ -16,6 +16,9 @@ from quadtree_lss.core.quadtree import Domain
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+#: So many points from different parts of the scan follow one another.
+LANES = 8
+
 
 @dataclass(frozen=True)
 class RegisteredScan:
@@ -69,9 +72,8 @@ def register(
     column = np.floor((points[0] - domain.xmin) * scale)
     row = np.floor((points[1] - domain.ymin) * scale)
     inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
-    if not inside.all():
-        within = np.flatnonzero(inside)
-        points, column, row = points.take(within, axis=1), column[within], row[within]
+    within = _apart(np.flatnonzero(inside))
+    points, column, row = points.take(within, axis=1), column[within], row[within]
     finest = (row * n + column).astype(np.intp)
     dropped = {
         "no_return": len(valid) - returns,
@@ -83,6 +85,18 @@ def register(
     pose = replace(pose, covariance=root @ root.T)
     scan = RegisteredScan(pose, root, points, finest)
     return scan, dropped
+
+
+def _apart(index: Index) -> Index:
+    """The same indices (N,) in an order that takes neighbours apart.
+
+    Sums over cells wait for the last addition to the same cell: neighbours in a row of pixels,
+    which mostly share theirs, take half as long again as points far apart.
+    """
+    rows = len(index) // LANES
+    return np.concatenate(
+        [index[: rows * LANES].reshape(LANES, rows).T.ravel(), index[rows * LANES :]]
+    )
 
 
 def compact(values: Index, bound: int) -> tuple[Index, Index]:
