@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,7 +78,6 @@ class LandingAssessment:
     explanation: str
 
 
-@dataclass
 class LandingSiteSelector:
     """Assesses maps.
 
@@ -86,14 +85,15 @@ class LandingSiteSelector:
     leaves and by the touchdown check, to repeat only what changed.
     """
 
-    config: Config
-    _last_first: Array | None = field(default=None, init=False)
-    _leaf_hazards: hazards.LeafHazards = field(init=False)
-    _touchdown: TouchdownCheck = field(init=False)
+    def __init__(self, config: Config) -> None:
+        self._last_first: Array | None = None
+        self.configure(config)
 
-    def __post_init__(self) -> None:
-        self._leaf_hazards = hazards.LeafHazards(self.config.lss)
-        self._touchdown = TouchdownCheck(self.config.lss)
+    def configure(self, config: Config) -> None:
+        """Go by these limits from now on; what was found by others is forgotten."""
+        self.config = config
+        self._leaf_hazards = hazards.LeafHazards(config.lss)
+        self._touchdown = TouchdownCheck(config.lss)
 
     def assess(
         self,

@@ -83,7 +83,7 @@ class LssNode(Node):
         )
 
     def _reconfigure(self, config: Config) -> None:
-        self._selector.config = config
+        self._selector.configure(config)
         self._output.changed()
 
     def _on_cells(self, message: Any) -> None:

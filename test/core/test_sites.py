@@ -406,6 +406,27 @@ def test_hysteresis_does_not_keep_a_site_that_became_unsafe(level_ground):
     assert np.hypot(*(second - first)[:2]) >= 1.0
 
 
+@pytest.mark.parametrize(
+    "limit",
+    [
+        {"touchdown_slope_deg": 0.5},
+        {"touchdown_roughness": 0.02},
+        {"max_slope_deg": 0.5},
+        {"max_roughness": 0.05},
+    ],
+    ids=lambda limit: next(iter(limit)),
+)
+def test_other_limits_hold_from_the_next_map_on(cells, limit):
+    """Those of a selector that has seen the map are the same as those of a new one."""
+    selector = LandingSiteSelector(small())
+    before = selector.assess(cells)
+    selector.configure(small(**limit))
+    after, anew = selector.assess(cells), assess(cells, small(**limit))
+    np.testing.assert_array_equal(after.hazard, anew.hazard)
+    np.testing.assert_array_equal(after.safe, anew.safe)
+    assert np.count_nonzero(after.hazard) > np.count_nonzero(before.hazard)
+
+
 def assert_empty_but_explained(found: LandingAssessment) -> None:
     assert len(found.sites.score) == len(found.sites.reasons) == 0
     assert found.sites.position.shape == found.sites.normal.shape == (0, 3)
