@@ -104,7 +104,7 @@ class ScanAlignment:
             self.map_variance = float(scan_covariance[2, 2])
             return 0.0, 0.0
         if not self.enabled or len(rise) < MIN_CELLS:
-            return float(self.offset[2] - self._applied[2]) if self.persists else 0.0, 0.0
+            return 0.0, 0.0
         left, noise = measured_offset(rise, variance + MODEL_VARIANCE, normal)
         noise += np.diag(FLOOR**2)
         innovation = self._applied + left - self.offset

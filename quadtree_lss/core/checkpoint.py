@@ -8,6 +8,7 @@ damaged is refused. Reading and writing files is the caller's.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
@@ -79,6 +80,7 @@ def restore(mapper: Mapper, state: State) -> None:
     _check_arrays(mapper.export_state(), state)
     _check_leaves(mapper, state)
     _check_stored(state)
+    _check_alignment(state)
     mapper.import_state({k: v for k, v in state.items() if k not in ("format", "domain")})
 
 
@@ -144,4 +146,19 @@ def _check_stored(state: State) -> None:
     known = np.isin(scan, keys).all() and (not len(keys) or keys.max() < state["stored.next_scan"])
     if not (inside and lengths and posed and known):
         msg = "has stored points without a leaf or a scan"
+        raise CheckpointError(msg)
+    if not all(np.isfinite(state[f"stored.{n}"]).all() for n in ("points", "positions", "roots")):
+        msg = "has a stored point that is not finite"
+        raise CheckpointError(msg)
+
+
+def _check_alignment(state: State) -> None:
+    offset, covariance = state["alignment.offset"], state["alignment.covariance"]
+    whole = offset.shape == (3,) and covariance.shape == (3, 3)
+    whole = whole and bool(np.isfinite(offset).all() and np.isfinite(covariance).all())
+    # NaN until the first scan.
+    variance = float(state["alignment.map_variance"])
+    possible = math.isnan(variance) or 0.0 <= variance < math.inf
+    if not (whole and possible and (np.diag(covariance) >= 0.0).all()):
+        msg = "has an impossible alignment of scans"
         raise CheckpointError(msg)

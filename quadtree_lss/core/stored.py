@@ -106,7 +106,10 @@ class StoredPoints:
         np.add.at(self.per_row, rows[fits], 1)
 
     def lift(self, height: float) -> None:
-        """Move all stored points and the places they were seen from up by ``height``, m."""
+        """Move all stored points up by ``height``, m.
+
+        The places they were seen from stay: centimetres do not turn a ray of hundreds of metres.
+        """
         self.points[2] += height
 
     def of(self, rows: Index) -> Index:

@@ -54,7 +54,7 @@ def test_the_offset_is_the_weighted_least_squares_one():
     design = normal / normal[:, 2:]
     truth = np.array([0.2, -0.3, 0.1])
     # Errors within two deviations: nothing is an outlier.
-    rise = design @ truth + np.sqrt(variance) * rng.uniform(-1.0, 1.0, 300) - 0.0
+    rise = design @ truth + np.sqrt(variance) * rng.uniform(-1.0, 1.0, 300)
     rise -= design[:, :2] @ truth[:2] * 0.9
     offset, covariance = measured_offset(rise, variance, normal)
     weight = 1.0 / np.sqrt(variance)
@@ -97,6 +97,21 @@ def test_without_alignment_it_does_not():
     before = heights(mapper)
     fly(mapper, waves, np.tile([0.2, -0.15, 0.25], (20, 1)), rng)
     assert np.std(heights(mapper) - before) > 0.04
+
+
+def test_switched_off_it_forgets_what_a_checkpoint_knows():
+    rng = np.random.default_rng(9)
+    aligned, plain = mapper_of(), mapper_of(align=False)
+    fly(aligned, waves, np.zeros((3, 3)), rng)
+    fly(aligned, waves, np.tile([0.0, 0.0, 0.5], (8, 1)), rng)
+    assert aligned.export_state()["alignment.persists"]
+    plain.import_state(aligned.export_state())
+    before = heights(plain)
+    fly(plain, waves, np.tile([0.0, 0.0, 0.5], (40, 1)), rng)
+    left = float(aligned.export_state()["alignment.offset"][2])
+    assert abs(left) > 0.1
+    # Nothing is taken out of the scans: in time the map comes to lie where they are.
+    assert np.median(heights(plain) - before) > 0.5 * left
 
 
 def test_errors_that_are_news_each_time_average():

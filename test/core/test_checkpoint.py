@@ -154,6 +154,30 @@ def _of_no_scan(state):
     state["stored.keys"] = state["stored.keys"][:-1]
 
 
+def _nowhere(state):
+    state["stored.points"][2, 0] = np.nan
+
+
+def _offset_of_a_plane(state):
+    state["alignment.offset"] = np.zeros(2)
+
+
+def _offset_unknown(state):
+    state["alignment.offset"][1] = np.nan
+
+
+def _covariance_of_rows(state):
+    state["alignment.covariance"] = np.eye(3)[:2]
+
+
+def _negative_variance(state):
+    state["alignment.covariance"][2, 2] = -1.0
+
+
+def _boundless(state):
+    state["alignment.map_variance"] = np.array(np.inf)
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -167,6 +191,12 @@ def _of_no_scan(state):
         _homeless,
         _unseen,
         _of_no_scan,
+        _nowhere,
+        _offset_of_a_plane,
+        _offset_unknown,
+        _covariance_of_rows,
+        _negative_variance,
+        _boundless,
     ],
 )
 def test_inconsistent_states_are_refused_and_the_map_kept(content, spoil):
