@@ -13,7 +13,8 @@ INTRODUCTION = """\
 # Parameters
 
 Written by `python -m quadtree_lss.parameter_table > docs/parameters.md` from the table in
-`quadtree_lss/core/sections.py`, which also declares and documents them; `core/config.py` checks them.
+`quadtree_lss/core/sections.py`, which also declares and documents them; `core/config.py` checks
+them.
 
 Both nodes accept all of them, so one parameter file serves both, and `quadtree-lss replay` as
 well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
