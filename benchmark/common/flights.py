@@ -10,9 +10,9 @@ from pathlib import Path
 
 from quadtree_lss.configuration import load_config
 from quadtree_lss.core.config import Config
-from quadtree_lss.evaluation.consistency import scans_of
 from quadtree_lss.evaluation.results import Truth, load_truth
 from quadtree_lss.messages.intake import ReadyScan
+from quadtree_lss.replay.stream import scans
 from quadtree_lss.simulation.simulate import simulate
 
 
@@ -35,5 +35,5 @@ def recording(scenario: str, seed: int, duration: float | None = None) -> Record
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         simulate(scenario, bag, seed=seed, duration=duration)
-        scans = list(scans_of(bag, configuration(scenario)))
-        return Recording(scans, load_truth(bag.parent / "truth.npz"))
+        found = list(scans(bag, configuration(scenario)))
+        return Recording(found, load_truth(bag.parent / "truth.npz"))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +12,7 @@ from quadtree_lss.core.consistency import Counts, prefit_statistics
 from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.core.scan import register
 from quadtree_lss.evaluation.results import EvaluationError
-from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.messages.intake import Intake, ReadyScan
-from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, choose_topic
-from quadtree_lss.replay.types import POSE_TYPE, SCAN_TYPE
+from quadtree_lss.replay.stream import scans
 
 
 @dataclass(frozen=True)
@@ -70,42 +67,17 @@ def consistency(
         BagError: the bag cannot be read or its topics are ambiguous.
         EvaluationError: no point of it fell on ground that was already mapped.
     """
-    counts, scans = Counts(), 0
+    counts, number = Counts(), 0
     mapper = Mapper(config)
-    for scan in scans_of(bag, config, scan_topic, pose_topic):
+    for scan in scans(bag, config, scan_topic=scan_topic, pose_topic=pose_topic):
         registered, _ = register(scan.points_lidar, scan.pose, config.lidar, mapper.domain)
         statistics = prefit_statistics(mapper.leaves, registered, config.lidar.range_noise)
         counts += statistics.counts()
         mapper.update(scan.points_lidar, scan.pose)
-        scans += 1
+        number += 1
         if progress is not None:
-            progress(scans)
+            progress(number)
     if not counts.points:
-        msg = f"{bag}: no point of {scans} scans fell on ground that was already mapped"
+        msg = f"{bag}: no point of {number} scans fell on ground that was already mapped"
         raise EvaluationError(msg)
-    return Consistency(counts, scans)
-
-
-def scans_of(
-    bag: str | Path, config: Config, scan_topic: str | None = None, pose_topic: str | None = None
-) -> Iterator[ReadyScan]:
-    """Scans of a bag with their poses, in the order in which a node would map them.
-
-    Messages that cannot be used are left out, as in a node.
-    """
-    with Bag(bag) as opened:
-        scans = choose_topic(opened, scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic")
-        poses = choose_topic(opened, pose_topic, POSE_TOPIC, POSE_TYPE, "--pose-topic")
-        intake = Intake(config, scan_topic=scans, pose_topic=poses)
-        for message in opened.messages((scans, poses), opened.start_ns, opened.end_ns + 1):
-            is_scan = message.topic == scans
-            try:
-                msg = opened.decode(message.raw, SCAN_TYPE if is_scan else POSE_TYPE)
-            except MessageError as error:
-                intake.reject("cloud" if is_scan else "pose", error)
-                continue
-            if is_scan:
-                intake.on_cloud(msg, message.received_ns)
-            else:
-                intake.on_pose(msg)
-            yield from intake.ready(message.received_ns)
+    return Consistency(counts, number)

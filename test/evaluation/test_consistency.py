@@ -12,9 +12,10 @@ from replay.recordings import write_ros2
 from quadtree_lss.configuration import load_config
 from quadtree_lss.core.consistency import Counts
 from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.evaluation.consistency import Consistency, consistency, pool, scans_of
+from quadtree_lss.evaluation.consistency import Consistency, consistency, pool
 from quadtree_lss.evaluation.results import EvaluationError
 from quadtree_lss.replay.replay import replay
+from quadtree_lss.replay.stream import scans
 from quadtree_lss.simulation.simulate import simulate
 
 SMALL = {
@@ -67,7 +68,7 @@ def test_scans_are_those_a_replay_maps(tmp_path):
     config = load_config((), SMALL)
     mapper = Mapper(config)
     stamps = []
-    for scan in scans_of(bag, config):
+    for scan in scans(bag, config):
         mapper.update(scan.points_lidar, scan.pose)
         stamps.append(scan.stamp_ns)
     result = replay(bag, tmp_path / "out", config, report=False)
