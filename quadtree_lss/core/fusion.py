@@ -72,11 +72,6 @@ def congruent(change: Array, covariance: Array) -> Array:
     return out
 
 
-def transport(covariance: Array, of: Array, to: Array) -> Array:
-    """Covariance (M, 3, 3) of errors in the tangent at ``of``, seen in the tangent at ``to``."""
-    return congruent(tangent_change(of, to), covariance)
-
-
 def shift_origin(normal: Array, d: Array, delta: Array) -> tuple[Array, Array]:
     """Move the origin of planes by ``delta`` (M, 3), m: exact value and linear map of the error.
 

@@ -94,11 +94,6 @@ def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Arra
     return out
 
 
-def points_to_map(points_lidar: Array, pose: Pose) -> Array:
-    """Eq. 15: points (N, 3) from lidar to map axes."""
-    return points_lidar @ pose.rotation_map_lidar.T + pose.position
-
-
 def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: float) -> Mask:
     """Returns without a neighbour: noise, multipath, dust.
 

@@ -10,11 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.distances import distance_from
 from quadtree_lss.core.terrain_raster import TerrainRaster
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Rows of nodes whose discs are summed at once.
 STRIP = 96
@@ -143,20 +141,14 @@ def node_planes(raster: TerrainRaster, radius: float) -> NodePlanes:
 
 
 def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Bits of the up to four cells that meet at each node: (n, n) to (n + 1, n + 1)."""
+    """Bits of the up to four cells that meet at each node: (n, n) to (n + 1, n + 1).
+
+    The point of a lattice square that is nearest to a lattice node is a lattice node itself, so
+    the distance to the nearest node that touches a marked cell is that to the cell's edge.
+    """
     padded = np.pad(cells, 1)
     out: NDArray[np.uint8] = padded[:-1, :-1] | padded[1:, :-1] | padded[:-1, 1:] | padded[1:, 1:]
     return out
-
-
-def distance_to(cells: Mask, side: float, cap: float = np.inf) -> Array:
-    """Distance in m of each node (n + 1, n + 1) to the edge of the nearest marked cell (n, n).
-
-    The point of a lattice square that is nearest to a lattice node is a lattice node itself, so
-    the distance to the nearest corner of a marked cell is exact. Infinite if none is marked;
-    distances over ``cap`` (m) may be given as infinite.
-    """
-    return distance_from(touching(cells.view(np.uint8)) > 0, side, cap)
 
 
 def sum_of_corners(nodes: Array) -> Array:

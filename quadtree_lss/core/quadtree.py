@@ -71,7 +71,7 @@ class CellMap:
         roughness: (M,) roughness density of Eq. 55 without its noise floor, m^3.
         exception_fraction: (M,) Eq. 48.
         feature: (M, 5) A, k, mu_x, mu_y (about the centre), sigma of Eq. 51; NaN for none. k^2 is
-            the volume, k^2 / (2 pi sigma^2) the height (``features.as_boulder``).
+            the volume, k^2 / (2 pi sigma^2) the height (``bump.as_boulder``).
         observed: (n, n) [iy, ix], True for finest cells in which a point fell.
     """
 

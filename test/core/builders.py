@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from quadtree_lss.core import rotations
+from quadtree_lss.core import fusion, rotations
 from quadtree_lss.core.config import Config, config_from_values
 from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.mapping import Mapper
@@ -187,6 +187,11 @@ def random_covariances(rng: np.random.Generator, count: int, size: int, scale: f
     """Positive definite (count, size, size) of standard deviations about ``scale``."""
     root = scale * (rng.standard_normal((count, size, size)) + 1.5 * np.eye(size))
     return root @ root.transpose(0, 2, 1)
+
+
+def transported(covariance: Array, of: Array, to: Array) -> Array:
+    """Covariance (M, 3, 3) of errors in the tangent at ``of``, seen in the tangent at ``to``."""
+    return fusion.congruent(fusion.tangent_change(of, to), covariance)
 
 
 def moments_of(group: Array, groups: int, points: Array, lidar: Array) -> Moments:

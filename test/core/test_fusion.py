@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
-from core.builders import random_covariances, upward_normals
+from core.builders import random_covariances, transported, upward_normals
 
 from quadtree_lss.core import fusion, sphere
 from quadtree_lss.core.fusion import Planes
@@ -42,7 +42,7 @@ def test_order_does_not_matter_to_first_order():
         apart = np.linalg.norm(sphere.minus(a.normal, b.normal), axis=1).max()
         assert np.linalg.norm(sphere.minus(one.normal, other.normal), axis=1).max() < 2.0 * apart**2
         np.testing.assert_allclose(one.d, other.d, atol=2.0 * apart**2)
-        moved = fusion.transport(total(other), other.normal, one.normal)
+        moved = transported(total(other), other.normal, one.normal)
         size = np.abs(total(one)).max(axis=(1, 2), keepdims=True)
         assert (np.abs(moved - total(one)) / size).max() < 5.0 * apart
 
@@ -50,7 +50,7 @@ def test_order_does_not_matter_to_first_order():
 def test_information_adds():
     a, b = pair(1e-4)
     fused = fusion.fuse_pair(a, b)
-    seen = fusion.transport(total(b), b.normal, a.normal)
+    seen = transported(total(b), b.normal, a.normal)
     expected = np.linalg.inv(np.linalg.inv(total(a)) + np.linalg.inv(seen))
     np.testing.assert_allclose(total(fused), expected, rtol=1e-6, atol=1e-15)
 
@@ -59,7 +59,7 @@ def test_fused_plane_is_the_weighted_mean():
     """Against the two-observation least squares of Eq. 40-42, both in the first one's tangent."""
     a, b = pair(1e-3, seed=2)
     fused = fusion.fuse_pair(a, b)
-    seen = fusion.transport(total(b), b.normal, a.normal)
+    seen = transported(total(b), b.normal, a.normal)
     for k in range(len(a.d)):
         weight = np.linalg.inv(np.stack([total(a)[k], seen[k]]))
         error = np.append(sphere.minus(b.normal[k], a.normal[k]), b.d[k] - a.d[k])

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import make_pose, random_covariances
+from core.builders import configured, domain_of, make_pose, random_covariances
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.core import lidar, rotations
+from quadtree_lss.core.scan import register
 
 DRAWS = 40_000
 #: A sample (co)variance of DRAWS normal values errs by sqrt(2 / DRAWS) = 0.7 % (one sigma).
@@ -43,12 +44,21 @@ def test_angles_and_range_come_back_from_the_point():
     np.testing.assert_allclose(np.arcsin(-p[..., 1] / rho), elevation, atol=1e-12)
 
 
-def test_points_to_map_is_equation_15():
-    rotation = Rotation.from_euler("xyz", [0.4, -0.2, 1.0]).as_matrix()
-    pose = make_pose((10.0, -5.0, 120.0), rotation=rotation)
-    points = np.random.default_rng(2).standard_normal((30, 3))
-    for point, mapped in zip(points, lidar.points_to_map(points, pose), strict=True):
-        np.testing.assert_allclose(mapped, rotation @ point + pose.position, atol=1e-12)
+@pytest.mark.parametrize("count", [1, 7, 30, 64])
+def test_registered_points_are_those_of_equation_15(count):
+    """In any order, each in the finest cell under it."""
+    rotation = Rotation.from_euler("xyz", [2.6, -0.2, 1.0]).as_matrix()
+    pose = make_pose((8.0, 7.0, 120.0), rotation=rotation)
+    config = configured()
+    domain = domain_of(config)
+    expected = np.random.default_rng(2).uniform(0.0, 16.0, (count, 3))
+    points = (expected - pose.position) @ rotation
+    found, dropped = register(points, pose, config.lidar, domain)
+    assert sum(dropped.values()) == 0
+    order = np.lexsort(found.points)
+    np.testing.assert_allclose(found.points.T[order], expected[np.lexsort(expected.T)], atol=1e-9)
+    column, row = (expected[np.lexsort(expected.T), :2] / domain.finest_size).astype(int).T
+    np.testing.assert_array_equal(found.finest[order], row * domain.finest_count + column)
 
 
 @pytest.mark.parametrize("convention", ["fixed axes with cross block", "lidar axes (Eq. 16)"])
@@ -79,7 +89,7 @@ def test_point_covariance_against_monte_carlo(convention):
     measured = point * (1.0 + noise * rng.standard_normal(DRAWS) / np.linalg.norm(point))[:, None]
     samples = (turned @ measured[:, :, None])[:, :, 0] + position + error[:, :3]
     pose = make_pose(tuple(position), covariance, rotation=rotation)
-    mean = lidar.points_to_map(point[None], pose)
+    mean = (rotation @ point + position)[None]
     assert_covariance(samples, lidar.point_covariances(mean, pose, noise)[0])
 
 

@@ -190,7 +190,7 @@ def test_division_starts_at_its_threshold(division, threshold):
 
 
 def test_the_papers_criterion_hides_misfit_behind_pose_uncertainty():
-    """SPEC 4: metre-level poses, and a step of 0.3 m passes for noise; lack_of_fit sees it."""
+    """With metre-level poses a step of 0.3 m passes for noise; lack_of_fit sees it."""
     counts = {}
     for division in ("lack_of_fit", "mahalanobis"):
         config = configured(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import random_covariances, unit_vectors, upward_normals
+from core.builders import random_covariances, transported, unit_vectors, upward_normals
 from scipy.optimize import minimize
 
 from quadtree_lss.core import fusion, planes, rotations, sphere
@@ -187,7 +187,7 @@ def test_transport_is_the_derivative_of_the_difference():
         full[:2, :2] = change
         covariance = random_covariances(rng, 1, 3, 0.02)
         np.testing.assert_allclose(
-            fusion.transport(covariance, of[None], to[None])[0],
+            transported(covariance, of[None], to[None])[0],
             full @ covariance[0] @ full.T,
             rtol=1e-6,
             atol=1e-10,
@@ -197,7 +197,7 @@ def test_transport_is_the_derivative_of_the_difference():
 def test_transport_to_itself_changes_nothing():
     rng = np.random.default_rng(13)
     normal, covariance = upward_normals(rng, 20), random_covariances(rng, 20, 3, 0.1)
-    np.testing.assert_allclose(fusion.transport(covariance, normal, normal), covariance, atol=1e-14)
+    np.testing.assert_allclose(transported(covariance, normal, normal), covariance, atol=1e-14)
 
 
 def test_pose_jacobian_is_the_derivative_of_a_rigid_motion():

@@ -11,8 +11,9 @@ from core.builders import configured, flat, mapped, slope, strip
 
 from quadtree_lss.core import hazards
 from quadtree_lss.core.config import Config
+from quadtree_lss.core.distances import distance_from
 from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.nodes import distance_to
+from quadtree_lss.core.nodes import touching
 from quadtree_lss.core.polygons import signed_distance
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
@@ -76,7 +77,7 @@ def nearest_bad(x: float, y: float, bad: list[tuple[int, int]]) -> float:
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.2, 1.0])
 def test_distance_is_to_the_cells_edge(share):
     mask = np.random.default_rng(1).random((12, 12)) < share
-    found = distance_to(mask, 0.4)
+    found = distance_from(touching(mask.view(np.uint8)) > 0, 0.4)
     for row in range(13):
         for column in range(13):
             expected = rectangle_distance(0.4 * column, 0.4 * row, marked(mask), 0.4)

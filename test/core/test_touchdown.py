@@ -19,7 +19,7 @@ from quadtree_lss.core.sites import LandingSiteSelector
 from quadtree_lss.core.terrain_raster import rasterise
 
 SMALL = {"size": 8.0, "min_level": 1, "max_level": 4}
-#: A feature's bell peaks a quarter above the boulder whose height is published (SPEC 1, Eq. 49).
+#: A feature's bell peaks a quarter above the boulder whose height is published (Eq. 49).
 BELL = 1.25
 
 
