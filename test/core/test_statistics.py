@@ -122,7 +122,7 @@ def test_wild_points_count_at_most_the_clip():
     wild[0, 2] -= 1000.0
     roughness = {}
     for clip in (0.5, 1000.0):
-        mapper = Mapper(fixed(1, 0.02, residual_clip=clip))
+        mapper = Mapper(fixed(1, 1e-3, residual_clip=clip))
         for cloud in (points, wild):
             mapper.update(cloud, pose)
         roughness[clip] = mapper.snapshot().roughness.max()
