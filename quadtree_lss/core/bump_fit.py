@@ -21,6 +21,9 @@ ITERATIONS = 5
 MAX_SAMPLES = 512
 #: Relative change of the cost at which an estimate has converged.
 SETTLED = 5e-2
+#: Where padding lies, m: no bump reaches there.
+FAR = 1e6
+AXES = np.arange(5)
 
 
 @dataclass(frozen=True)
@@ -28,19 +31,28 @@ class Samples:
     """Heights over C cells, laid out by cell and padded to the same number P.
 
     Attributes:
-        x, y: (C, P) relative to the cell's centre, m.
-        z: (C, P) height above the cell's plane, m.
-        weight: (C, P) one over the variance of z, m^-2; 0 where padded.
+        places: (C, 2, P) x and y relative to the cell's centre, m; far away where padded.
+        z: (C, P) height above the cell's plane, m; 0 where padded.
+        there: (C, P) 1, or 0 where padded.
+        count: (C,) samples.
+        weight: (C,) one over the variance of z, m^-2.
     """
 
-    x: Array
-    y: Array
+    places: Array
     z: Array
+    there: Array
+    count: Array
     weight: Array
 
     def take(self, chosen: Index) -> Samples:
         """The chosen cells."""
-        return Samples(self.x[chosen], self.y[chosen], self.z[chosen], self.weight[chosen])
+        return Samples(
+            self.places[chosen],
+            self.z[chosen],
+            self.there[chosen],
+            self.count[chosen],
+            self.weight[chosen],
+        )
 
 
 def lay_out(cell: Index, variance: Array, x: Array, y: Array, z: Array) -> Samples:
@@ -52,39 +64,44 @@ def lay_out(cell: Index, variance: Array, x: Array, y: Array, z: Array) -> Sampl
     order = np.argsort(cell, kind="stable")
     ordered = cell[order]
     count = np.bincount(cell, minlength=cells)
-    rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-    stride = -(-count // MAX_SAMPLES)[ordered]
-    kept = rank % stride == 0
-    order, at = order[kept], (ordered[kept], (rank // stride)[kept])
-    width = int(at[1].max()) + 1 if len(order) else 1
-    out = np.zeros((4, cells, width))
-    for axis, values in enumerate((x[order], y[order], z[order], 1.0 / variance[at[0]])):
-        out[axis][at] = values
-    return Samples(out[0], out[1], out[2], out[3])
+    rank = np.arange(len(order)) - (np.cumsum(count) - count)[ordered]
+    if count.max(initial=0) > MAX_SAMPLES:
+        stride = np.maximum(-(-count // MAX_SAMPLES), 1)
+        rank, left = np.divmod(rank, stride[ordered])
+        kept = (left == 0).nonzero()[0]
+        order, ordered, rank = order[kept], ordered[kept], rank[kept]
+        count = -(-count // stride)
+    width = max(int(count.max(initial=0)), 1)
+    places = np.full((cells, 2, width), FAR)
+    places[ordered, 0, rank], places[ordered, 1, rank] = x[order], y[order]
+    heights = np.zeros((cells, width))
+    heights[ordered, rank] = z[order]
+    there = (np.arange(width) < count[:, None]).astype(np.float64)
+    return Samples(places, heights, there, count.astype(np.float64), 1.0 / variance)
 
 
 def flat_cost(samples: Samples) -> Array:
     """Chi-square (C,) of heights about their own mean: the ground without a bump."""
-    total = np.maximum(samples.weight.sum(axis=1), 1e-300)
-    mean = (samples.weight * samples.z).sum(axis=1) / total
-    out: Array = (samples.weight * (samples.z - mean[:, None]) ** 2).sum(axis=1)
+    total = samples.z.sum(axis=1)
+    square = np.einsum("cp,cp->c", samples.z, samples.z)
+    out: Array = samples.weight * (square - total * total / np.maximum(samples.count, 1.0))
     return out
 
 
 def promise(samples: Samples, state: Array) -> Array:
     """How much a bump of the state's place and width can lower the flat cost at best, (C,).
 
-    Linear in height, so in closed form: (sum w g z)^2 / sum w g^2 with the bell g freed of its
+    Linear in height, so in closed form: w (sum g z)^2 / sum g^2 with the bell g freed of its
     mean; 0 where the best height is negative.
     """
-    square = (samples.x - state[:, 2:3]) ** 2 + (samples.y - state[:, 3:4]) ** 2
-    bell = np.exp(-0.5 * square / state[:, 4:5] ** 2)
-    total = np.maximum(samples.weight.sum(axis=1, keepdims=True), 1e-300)
-    bell -= (samples.weight * bell).sum(axis=1, keepdims=True) / total
-    bell *= samples.weight
-    rise = np.maximum((bell * samples.z).sum(axis=1), 0.0)
-    weight = (bell * bell / np.maximum(samples.weight, 1e-300)).sum(axis=1)
-    out: Array = rise**2 / np.maximum(weight, 1e-300)
+    away = samples.places - state[:, 2:4, None]
+    away *= away
+    bell = np.exp((-0.5 / state[:, 4:5] ** 2) * away.sum(axis=1))
+    total = bell.sum(axis=1)
+    share = total / np.maximum(samples.count, 1.0)
+    rise = np.einsum("cp,cp->c", bell, samples.z) - share * samples.z.sum(axis=1)
+    spread = np.einsum("cp,cp->c", bell, bell) - share * total
+    out: Array = samples.weight * np.maximum(rise, 0.0) ** 2 / np.maximum(spread, 1e-300)
     return out
 
 
@@ -109,65 +126,85 @@ def estimate(
     Returns:
         States (C, 5), covariances (C, 5, 5), measurement part of the cost (C,).
     """
-    state = _bounded(mean, half, finest)
+    bounds = _bounds(half, finest)
+    state = _bounded(mean, bounds)
+    system, data = _linearise(samples, state, mean, information)
     damping = np.where(known, 0.0, 1e-2)
-    cost, data, normal, gradient = _linearise(samples, state, mean, information)
-    active = np.arange(len(state))
+    index, final = np.arange(len(state)), (state.copy(), system.copy(), data.copy())
     for _ in range(ITERATIONS):
-        scale = np.einsum("cii->ci", normal[active])
-        damped = normal[active] + (damping[active, None] * scale)[:, :, None] * np.eye(5)
-        step = np.linalg.solve(damped, gradient[active, :, None])[:, :, 0]
-        trial = _bounded(state[active] + step, half[active], finest[active])
-        t_cost, t_data, t_normal, t_gradient = _linearise(
-            samples.take(active), trial, mean[active], information[active]
-        )
-        gain = cost[active] - t_cost
+        damped = system[:, :5, :5].copy()
+        damped[:, AXES, AXES] *= 1.0 + damping[:, None]
+        step = np.linalg.solve(damped, system[:, :5, 5:])[:, :, 0]
+        trial = _bounded(state + step, bounds)
+        found, found_data = _linearise(samples, trial, mean, information)
+        gain = system[:, 5, 5] - found[:, 5, 5]
         better = gain > 0.0
-        won = active[better]
-        state[won], cost[won], data[won] = trial[better], t_cost[better], t_data[better]
-        normal[won], gradient[won] = t_normal[better], t_gradient[better]
-        damping[active] *= np.where(better, 0.2, 6.0)
-        settled = (np.abs(gain) < SETTLED * (1.0 + t_cost)) | (damping[active] > 1e6)
-        active = active[~(settled | known[active])]
-        if not len(active):
+        state = np.where(better[:, None], trial, state)
+        system = np.where(better[:, None, None], found, system)
+        data = np.where(better, found_data, data)
+        for kept, value in zip(final, (state, system, data), strict=True):
+            kept[index] = value
+        damping *= np.where(better, 0.2, 6.0)
+        settled = known | (np.abs(gain) < SETTLED * (1.0 + found[:, 5, 5])) | (damping > 1e6)
+        left = (~settled).nonzero()[0]
+        if not len(left):
             break
-    covariance: Array = np.linalg.inv(normal).astype(np.float64)
+        if len(left) < len(index):
+            index, state, system, data = index[left], state[left], system[left], data[left]
+            mean, information, known = mean[left], information[left], known[left]
+            damping, bounds, samples = damping[left], bounds[:, left], samples.take(left)
+    state, system, data = final
+    covariance: Array = np.linalg.inv(system[:, :5, :5]).astype(np.float64)
     return state, covariance, data
 
 
-def _bounded(state: Array, half: Array, finest: Array) -> Array:
-    out = state.copy()
-    out[:, 2:4] = np.minimum(np.maximum(out[:, 2:4], -half[:, None]), half[:, None])
-    out[:, 4] = np.minimum(np.maximum(np.abs(out[:, 4]), finest), 4.0 * half)
+def _bounds(half: Array, finest: Array) -> Array:
+    """Least and greatest states, (2, C, 5)."""
+    out = np.empty((2, len(half), 5))
+    out[0, :, :2], out[1, :, :2] = -np.inf, np.inf
+    out[0, :, 2:4], out[1, :, 2:4] = -half[:, None], half[:, None]
+    out[0, :, 4], out[1, :, 4] = finest, 4.0 * half
+    return out
+
+
+def _bounded(state: Array, bounds: Array) -> Array:
+    out: Array = np.maximum(state, bounds[0])
+    out[:, 4] = np.maximum(np.abs(state[:, 4]), bounds[0, :, 4])
+    np.minimum(out, bounds[1], out=out)
     return out
 
 
 def _linearise(
     samples: Samples, state: Array, mean: Array, information: Array
-) -> tuple[Array, Array, Array, Array]:
-    """MAP cost, its measurement part, Gauss-Newton matrix and descent direction at ``state``."""
-    a, k, mx, my, sigma = state.T[:, :, None]
-    inverse_square = 1.0 / sigma**2
-    dx, dy = samples.x - mx, samples.y - my
-    square = (dx * dx + dy * dy) * inverse_square
+) -> tuple[Array, Array]:
+    """The MAP cost about ``state``, (C, 6, 6): Gauss-Newton matrix [:5, :5], descent direction
+    [:5, 5] and cost [5, 5]; and the measurements' part of the cost (C,)."""
+    sigma = state[:, 4]
+    inverse_square = 1.0 / (sigma * sigma)
+    away = samples.places - state[:, 2:4, None]
+    square = (away * away).sum(axis=1)
+    square *= inverse_square[:, None]
     bell = np.exp(-0.5 * square)
-    bump = (k * k * inverse_square / (2.0 * np.pi)) * bell
-    rows = np.empty((len(state), 6, samples.x.shape[1]))
-    rows[:, 0] = 1.0
-    rows[:, 1] = (k * inverse_square / np.pi) * bell
-    rows[:, 2] = bump * dx * inverse_square
-    rows[:, 3] = bump * dy * inverse_square
-    rows[:, 4] = bump * (square - 2.0) / sigma
-    rows[:, 5] = samples.z - a - bump
-    products = (rows * samples.weight[:, None, :]) @ rows.transpose(0, 2, 1)
+    twice = (state[:, 1] * inverse_square / np.pi)[:, None]
+    rows = np.empty((len(state), 6, samples.z.shape[1]))
+    rows[:, 0] = samples.there
+    np.multiply(twice, bell, out=rows[:, 1])
+    bump = rows[:, 1] * (0.5 * state[:, 1:2])
+    np.multiply(away, (bump * inverse_square[:, None])[:, None], out=rows[:, 2:4])
+    square -= 2.0
+    square *= bump
+    np.divide(square, sigma[:, None], out=rows[:, 4])
+    np.subtract(samples.z, bump, out=rows[:, 5])
+    rows[:, 5] -= state[:, :1] * samples.there
+    system = rows @ rows.transpose(0, 2, 1)
+    system *= samples.weight[:, None, None]
+    data = system[:, 5, 5].copy()
     off = state - mean
     pull = (information @ off[:, :, None])[:, :, 0]
-    return (
-        products[:, 5, 5] + np.einsum("ci,ci->c", off, pull),
-        products[:, 5, 5].copy(),
-        products[:, :5, :5] + information,
-        products[:, :5, 5] - pull,
-    )
+    system[:, :5, :5] += information
+    system[:, :5, 5] -= pull
+    system[:, 5, 5] += (off * pull).sum(axis=1)
+    return system, data
 
 
 @dataclass(frozen=True)
