@@ -230,7 +230,10 @@ class MappingNode(Node):
         self._output.now()
         self._markers.delete_all(header_message(0, self._frame))
         if self._checkpoints is not None:
-            self._checkpoints.forget()
+            try:
+                self._checkpoints.forget()
+            except MapFileError as error:  # the map is empty all the same
+                self._problems.report("checkpoint", f"checkpoint {error}")
 
     def _publish(self) -> None:
         start = time.perf_counter()

@@ -298,6 +298,24 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     assert mapping.stop() == 0
 
 
+def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
+    path = ros.folder / "checkpoint.map"
+    mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={path}")
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        assert listener.wait_for(path.exists), mapping.output()
+        path.unlink()
+        path.mkdir()
+        answer = ros.call(listener, "/mapping_node/reset")
+        assert answer.success, answer.message
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == 0), mapping.output()
+        assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 1))
+        assert "cannot be removed" in mapping.output()
+
+
 def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     path, part = tmp_path / "map", tmp_path / "map.part"
     program = (
