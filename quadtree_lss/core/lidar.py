@@ -19,6 +19,8 @@ Mask = NDArray[np.bool_]
 
 #: One in so many pixels tells a scan's usual distance between neighbours.
 SAMPLED = 7
+#: So many cubes are counted in a table; where there are more, points are sorted by theirs.
+MAX_CUBES = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Arra
     return out
 
 
-def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: float) -> Mask:
+def isolated_returns(points: Array, valid: Mask, ranges: Array, gate: float) -> Mask:
     """Returns without a neighbour: noise, multipath, dust.
 
     In an organised scan the neighbours are the four next to a pixel and the distance is the
@@ -103,7 +105,7 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
     ground needs.
 
     Args:
-        points_lidar: (H, W, 3) organised or (N, 3).
+        points: (3, N) in any axes, m; N = H W, row by row, of an organised scan.
         valid: (H, W) or (N,), True where there is a return.
         ranges: like ``valid``, m.
         gate: Distance in m, 0 keeps every return.
@@ -115,7 +117,7 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
         return np.zeros(valid.shape, dtype=np.bool_)
     if valid.ndim == 1:
         out = np.zeros(valid.shape, dtype=np.bool_)
-        out[valid] = _alone(points_lidar[valid], gate)
+        out[valid] = _alone(points[:, valid] if not valid.all() else points, gate)
         return out
     distance = _nearest_in_range(ranges, valid)
     lonely = valid & (distance > gate)
@@ -126,34 +128,36 @@ def isolated_returns(points_lidar: Array, valid: Mask, ranges: Array, gate: floa
 
 
 def _alone(points: Array, gate: float) -> Mask:
-    """Points (N, 3) farther from any other than the gate, widened as in ``isolated_returns``.
+    """Points (3, N) farther from any other than the gate, widened as in ``isolated_returns``.
 
     Most points share a cube with another whose diagonal is the gate, in one grid of cubes or in
     a second one half a side away; only the others look for their nearest neighbour.
     """
     limit = max(gate, 5.0 * _usual_spacing(points))
-    axes = np.ascontiguousarray(points.T)
-    alone = _alone_in_cube(axes, limit / 1.7321, 0.0)
+    alone = _alone_in_cube(points, limit / 1.7321, 0.0)
     if len(alone):
-        alone = np.intersect1d(alone, _alone_in_cube(axes, limit / 1.7321, 0.5))
-    out = np.zeros(len(points), dtype=np.bool_)
+        alone = np.intersect1d(alone, _alone_in_cube(points, limit / 1.7321, 0.5))
+    out = np.zeros(points.shape[1], dtype=np.bool_)
     if len(alone):
-        near = _around(axes, alone, limit)
-        tree = cKDTree(points[near], balanced_tree=False, compact_nodes=False)
-        out[alone] = np.asarray(tree.query(points[alone], k=2)[0])[:, 1] > limit
+        near = points[:, _around(points, alone, limit)].T
+        tree = cKDTree(near, balanced_tree=False, compact_nodes=False)
+        out[alone] = np.asarray(tree.query(points[:, alone].T, k=2)[0])[:, 1] > limit
     return out
 
 
-def _alone_in_cube(axes: Array, side: float, shift: float) -> NDArray[np.intp]:
+def _alone_in_cube(points: Array, side: float, shift: float) -> NDArray[np.intp]:
     """Which points (3, N) share their cube with no other; cubes start ``shift`` sides off."""
-    low = axes.min(axis=1)
-    spans = [int(span) + 2 for span in (axes.max(axis=1) - low) / side]
-    if spans[0] * spans[1] * spans[2] >= 1 << 62:
-        return np.arange(axes.shape[1])
-    key = np.zeros(axes.shape[1], dtype=np.int64)
+    low = points.min(axis=1)
+    spans = [int(span) + 2 for span in (points.max(axis=1) - low) / side]
+    cubes = spans[0] * spans[1] * spans[2]
+    if cubes >= 1 << 62:
+        return np.arange(points.shape[1])
+    key = np.zeros(points.shape[1], dtype=np.int64)
     for axis, span in enumerate(spans):
         key *= span
-        key += ((axes[axis] - low[axis]) / side + shift).astype(np.int64)
+        key += ((points[axis] - low[axis]) / side + shift).astype(np.int64)
+    if cubes <= MAX_CUBES:
+        return np.flatnonzero(np.bincount(key)[key] == 1)
     order = np.argsort(key)
     ordered = key[order]
     differs = np.concatenate([[True], ordered[1:] != ordered[:-1], [True]])
@@ -161,13 +165,13 @@ def _alone_in_cube(axes: Array, side: float, shift: float) -> NDArray[np.intp]:
     return alone
 
 
-def _around(axes: Array, chosen: NDArray[np.intp], reach: float) -> NDArray[np.intp]:
+def _around(points: Array, chosen: NDArray[np.intp], reach: float) -> NDArray[np.intp]:
     """Points (3, N) that may lie within ``reach`` of a chosen one: those in columns next to its."""
-    low = axes[:2].min(axis=1)
-    if float(np.ptp(axes[:2], axis=1).max()) / reach > 8192.0:
-        return np.arange(axes.shape[1])
-    column = ((axes[0] - low[0]) / reach).astype(np.intp)
-    row = ((axes[1] - low[1]) / reach).astype(np.intp)
+    low = points[:2].min(axis=1)
+    if float(np.ptp(points[:2], axis=1).max()) / reach > 8192.0:
+        return np.arange(points.shape[1])
+    column = ((points[0] - low[0]) / reach).astype(np.intp)
+    row = ((points[1] - low[1]) / reach).astype(np.intp)
     mark = np.zeros((int(column.max()) + 3, int(row.max()) + 3), dtype=np.bool_)
     for dx in (0, 1, 2):
         for dy in (0, 1, 2):
@@ -180,8 +184,8 @@ def _usual_spacing(points: Array) -> float:
 
     Ground is a surface, so a sample of one in k lies sqrt(k) times as far apart.
     """
-    stride = max(len(points) // 4096, 1)
-    sample = points[::stride]
+    stride = max(points.shape[1] // 4096, 1)
+    sample = points[:, ::stride].T
     near = np.asarray(cKDTree(sample).query(sample, k=2)[0])[:, 1]
     return float(np.median(near)) / float(np.sqrt(stride))
 

@@ -60,7 +60,7 @@ def register(
     in_range = int(np.count_nonzero(valid))
     if in_range:
         lonely = isolated_returns(
-            points_lidar, valid.reshape(shape), ranges.reshape(shape), lidar.outlier_gate
+            points, valid.reshape(shape), ranges.reshape(shape), lidar.outlier_gate
         )
         valid &= ~lonely.ravel()
     kept = int(np.count_nonzero(valid))

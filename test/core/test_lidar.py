@@ -123,7 +123,8 @@ def organised(height: int = 12, width: int = 16) -> np.ndarray:
 
 def isolated(points: np.ndarray, gate: float = 0.4) -> np.ndarray:
     ranges = np.linalg.norm(points, axis=-1)
-    return lidar.isolated_returns(points, np.isfinite(ranges), ranges, gate)
+    rows = points.reshape(-1, 3).T
+    return lidar.isolated_returns(rows, np.isfinite(ranges), ranges, gate)
 
 
 @pytest.mark.parametrize("where", [(5, 5), (0, 0), (11, 15), (0, 7)])
