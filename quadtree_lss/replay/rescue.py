@@ -81,7 +81,7 @@ class RescuedMcap:
             if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 self.losses.append(f"{self.path.name}: no mcap file")
                 return
-            finished = False
+            finished, size = False, self.path.stat().st_size
             while head := file.read(_RECORD.size):
                 if len(head) < _RECORD.size:
                     break
@@ -89,22 +89,23 @@ class RescuedMcap:
                 if opcode == Opcode.FOOTER:
                     finished = True
                     break
+                there = min(length, size - file.tell())  # a damaged length leads anywhere
                 if opcode == Opcode.CHUNK:
-                    yield from self._chunk(file, length, topics)
+                    yield from self._chunk(file, there, length, topics)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                    message = self._record(opcode, file.read(length), topics)
+                    message = self._record(opcode, file.read(there), topics)
                     if message is not None:
                         yield message
                 else:
-                    file.seek(length, 1)
+                    file.seek(there, 1)
             if not finished:
                 self.losses.append(f"{self.path.name}: ends before its end mark (truncated)")
 
     def _chunk(
-        self, file: BinaryIO, length: int, topics: Collection[str] | None
+        self, file: BinaryIO, there: int, length: int, topics: Collection[str] | None
     ) -> Iterator[RawMessage]:
         where = file.tell()
-        content = file.read(length)
+        content = file.read(there)
         found: list[RawMessage] = []
         try:
             records, whole = _uncompressed(content, length)

@@ -42,6 +42,9 @@ class RescuedSqlite:
                     missing += 1
                     continue
                 missing = 0
+                if not (isinstance(found[1], int) and isinstance(found[2], bytes)):
+                    failed, error = failed + 1, "values of another type"
+                    continue
                 name, _ = names.get(found[0], ("", ""))
                 if name and (topics is None or name in topics):
                     yield RawMessage(name, found[1], found[2])

@@ -20,6 +20,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import pose_from_message
 from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError, choose_topic
+from quadtree_lss.replay.rescue import RescuedMcap
 
 TOPICS = {SCAN_TOPIC: CLOUD, POSE_TOPIC: POSE}
 SCANS = 10
@@ -132,6 +133,23 @@ def test_damage_within_a_chunk_costs_no_more_than_that(tmp_path):
         got = sum(1 for _ in bag.messages(list(TOPICS)))
         assert got >= 20
         assert got == 80 or bag.losses
+
+
+@pytest.mark.parametrize("length", [1 << 40, 1 << 62, (1 << 64) - 1])
+@pytest.mark.parametrize("opcode", [0x05, 0x06, 0x08], ids=["message", "chunk", "index"])
+def test_a_record_of_impossible_length_ends_an_mcap_file(tmp_path, opcode, length):
+    path = write_ros2(tmp_path / "bag")
+    whole, _ = content(path)
+    file = storage_file(path)
+    good = RescuedMcap(file)
+    assert len(list(good.messages())) == len(whole) and not good.losses
+    intact = file.read_bytes()
+    end = intact.rindex(b"\x0f" + (4).to_bytes(8, "little"))  # the record that ends the data
+    damaged = intact[:end] + bytes([opcode]) + length.to_bytes(8, "little") + intact[end + 9 :]
+    file.write_bytes(damaged[:-20])  # without its end the index is not found
+    found, losses = content(file)
+    assert found == whole
+    assert any("truncated" in loss for loss in losses)
 
 
 def test_a_damaged_sqlite_file_gives_its_readable_rows(tmp_path):
