@@ -130,7 +130,7 @@ def inspect_bag(
             if topic.count > 1 and info.seconds > 0:
                 topic.rate = (topic.count - 1) / info.seconds
         stream = Stream(scan_topic, pose_topic)
-        pairs = MapPairs.find(opened)
+        pairs = MapPairs.alone(opened) if scan_topic is None else None
         try:
             stream.resolve(opened, config)
         except BagError as error:

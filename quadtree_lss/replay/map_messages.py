@@ -8,7 +8,13 @@ from typing import Any
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.maps import MapMessageError
-from quadtree_lss.messages.outputs import CELLS, GRID_TYPE, OBSERVED, map_from_messages
+from quadtree_lss.messages.outputs import (
+    CELLS,
+    GRID_TYPE,
+    OBSERVED,
+    SITE_TABLE,
+    map_from_messages,
+)
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.rescue import RawMessage
 from quadtree_lss.replay.types import SCAN_TYPE
@@ -30,6 +36,16 @@ class MapPairs:
             if name.endswith(f"/{CELLS}") and kind == SCAN_TYPE and observed in names:
                 return cls(name, observed)
         return None
+
+    @classmethod
+    def alone(cls, bag: Bag) -> MapPairs | None:
+        """The map topics of an open bag that has no scans, None if it has."""
+        pairs = cls.find(bag)
+        if pairs is None:
+            return None
+        clouds = {topic.name for topic in bag.topics if topic.type == SCAN_TYPE and topic.count}
+        ours = {pairs.topics[0], pairs.topics[0].removesuffix(CELLS) + SITE_TABLE}
+        return None if clouds - ours else pairs
 
     def take(self, bag: Bag, message: RawMessage) -> CellMap | None:
         """The map that this message completes, None if its other half is still missing.

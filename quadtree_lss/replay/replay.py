@@ -17,7 +17,7 @@ from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.replay import results
-from quadtree_lss.replay.bags import SCAN_TYPE, Bag
+from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.record import Recorder
 from quadtree_lss.replay.results import ScanTiming
@@ -117,7 +117,7 @@ def replay(
     run, stream = Run(config, progress, stop), Stream(scan_topic, pose_topic, start, duration)
     with ExitStack() as stack:
         opened = stack.enter_context(Bag(bag))
-        pairs = _maps_alone(opened) if scan_topic is None else None
+        pairs = MapPairs.alone(opened) if scan_topic is None else None
         if pairs is None:
             stream.resolve(opened, config)
         else:
@@ -195,16 +195,6 @@ def assess(cells: CellMap, config: Config) -> tuple[CellMap, LandingAssessment, 
     began = time.perf_counter()
     assessment = LandingSiteSelector(config).assess(decoded)
     return decoded, assessment, 1e3 * (time.perf_counter() - began)
-
-
-def _maps_alone(bag: Bag) -> MapPairs | None:
-    """The map topics of a bag without scans."""
-    pairs = MapPairs.find(bag)
-    if pairs is None:
-        return None
-    clouds = {t.name for t in bag.topics if t.type == SCAN_TYPE and t.count}
-    ours = (pairs.topics[0], pairs.topics[0].removesuffix("map/cells") + "landing/site_table")
-    return None if clouds - set(ours) else pairs
 
 
 def _make_folder(folder: Path | None) -> Path | None:

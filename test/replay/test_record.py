@@ -5,16 +5,17 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import GROUND, write_ros2
+from replay.recordings import GROUND, Recorder, flight, write_ros2
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quadtree_lss.core.config import config_from_values
 from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS, encode_score, record_dtype
-from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.bags import Bag, BagError
 from quadtree_lss.replay.info import inspect_bag
 from quadtree_lss.replay.replay import ReplayError, replay
+from quadtree_lss.replay.types import typestore
 
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MAPS = {"/map/cells", "/map/observed"}
@@ -89,6 +90,25 @@ def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
         assert {topic.name for topic in bag.topics} == LANDING
     info = inspect_bag(path, CONFIG)
     assert info.works and info.kind == "maps"
+
+
+def test_scans_without_poses_beside_maps_do_not_work_and_info_says_so(tmp_path, recorded):
+    _, maps = recorded
+    path = tmp_path / "both"
+    store = typestore(ros1=False)
+    with Bag(maps) as bag, Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        flight(Recorder(writer), scans=3, pose_topics=())
+        kinds = {topic.name: topic.type for topic in bag.topics}
+        names = {
+            name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()
+        }
+        for message in bag.messages(list(kinds)):
+            writer.write(names[message.topic], message.received_ns, message.raw)
+    with pytest.raises(BagError, match="PoseWithCovarianceStamped"):
+        replay(path, None, CONFIG)
+    info = inspect_bag(path, CONFIG)
+    assert not info.works and info.kind == "nothing"
+    assert "PoseWithCovarianceStamped" in info.problems[0]
 
 
 def test_an_existing_bag_is_not_overwritten(recorded, tmp_path):
