@@ -24,6 +24,7 @@ from quadtree_lss.evaluation.metrics import (
     site_verdicts,
 )
 from quadtree_lss.evaluation.results import EvaluationError, load_results, load_truth
+from quadtree_lss.replay.results import plain
 
 if TYPE_CHECKING:
     from quadtree_lss.evaluation.consistency import Consistency
@@ -101,17 +102,6 @@ class EvaluationResult:
 
 def _percent(fraction: float) -> str:
     return "-" if math.isnan(fraction) else f"{100.0 * fraction:.2f} %"
-
-
-def plain(value: Any) -> Any:
-    """A value ready for JSON: numbers that are not finite become None."""
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def evaluate(

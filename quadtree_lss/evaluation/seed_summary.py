@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from quadtree_lss.evaluation.evaluate import EvaluationResult, plain
+from quadtree_lss.evaluation.evaluate import EvaluationResult
 from quadtree_lss.evaluation.statistics import Statistic, summarise, upper_bound
+from quadtree_lss.replay.results import plain
 
 Row = EvaluationResult
 
