@@ -141,7 +141,9 @@ def _alone(points: Array, gate: float) -> Mask:
     if len(alone):
         near = points[:, _around(points, alone, limit)].T
         tree = cKDTree(near, balanced_tree=False, compact_nodes=False)
-        out[alone] = np.asarray(tree.query(points[:, alone].T, k=2)[0])[:, 1] > limit
+        reach = 1.001 * limit
+        distance, _ = tree.query(points[:, alone].T, k=2, distance_upper_bound=reach)
+        out[alone] = np.asarray(distance)[:, 1] > limit
     return out
 
 
@@ -180,14 +182,18 @@ def _around(points: Array, chosen: NDArray[np.intp], reach: float) -> NDArray[np
 
 
 def _usual_spacing(points: Array) -> float:
-    """Median distance of nearest neighbours, from every k-th point of a large cloud.
+    """Median distance of nearest neighbours in (3, N), from one in k of a large cloud's points.
 
-    Ground is a surface, so a sample of one in k lies sqrt(k) times as far apart.
+    Ground is a surface, so a sample of one in k lies sqrt(k) times as far apart. Steps of the
+    golden section take it from all over the cloud, whatever raster that is in.
     """
-    stride = max(points.shape[1] // 4096, 1)
-    sample = points[:, ::stride].T
+    count = points.shape[1]
+    share = max(count / 4096.0, 1.0)
+    sample = points.T
+    if share > 1.0:
+        sample = points[:, (np.arange(4096) * 0.6180339887498949 % 1.0 * count).astype(np.intp)].T
     near = np.asarray(cKDTree(sample).query(sample, k=2)[0])[:, 1]
-    return float(np.median(near)) / float(np.sqrt(stride))
+    return float(np.median(near)) / float(np.sqrt(share))
 
 
 def _nearest_in_range(ranges: Array, valid: Mask) -> Array:
