@@ -22,7 +22,7 @@ MAX_SAMPLES = 512
 #: Relative change of the cost at which an estimate has converged.
 SETTLED = 5e-2
 #: Where padding lies, m: no bump reaches there.
-FAR = 1e6
+FAR = 1e12
 AXES = np.arange(5)
 
 
@@ -100,8 +100,9 @@ def promise(samples: Samples, state: Array) -> Array:
     total = bell.sum(axis=1)
     share = total / np.maximum(samples.count, 1.0)
     rise = np.einsum("cp,cp->c", bell, samples.z) - share * samples.z.sum(axis=1)
-    spread = np.einsum("cp,cp->c", bell, bell) - share * total
-    out: Array = samples.weight * np.maximum(rise, 0.0) ** 2 / np.maximum(spread, 1e-300)
+    square = np.einsum("cp,cp->c", bell, bell)
+    spread = np.maximum(square - share * total, 1e-9 * square + 1e-300)
+    out: Array = samples.weight * np.maximum(rise, 0.0) ** 2 / spread
     return out
 
 

@@ -293,11 +293,6 @@ def covariance_root(covariance: Array) -> Array:
     return out
 
 
-def elevation_at_origin(normal: Array, d: Array, origin_z: Array) -> Array:
-    """Height (M,) of the plane n.(r - c) = d straight above its origin c: c_z + d / n_z, m."""
-    return origin_z + d / normal[:, 2]
-
-
 def sum_by(group: Index, groups: int, values: Array) -> Array:
     """Sums of ``values`` (G, ...) over equal ``group`` (G,): (groups, ...)."""
     inner = values.shape[1:]

@@ -235,13 +235,6 @@ def test_covariance_root_ignores_negative_eigenvalues():
         np.testing.assert_allclose(root @ root.T, np.maximum(matrix, 0.0), atol=1e-12)
 
 
-def test_elevation_above_the_origin_lies_on_the_plane():
-    rng = np.random.default_rng(16)
-    normal, d, z = upward_normals(rng, 20), rng.standard_normal(20), rng.standard_normal(20)
-    height = planes.elevation_at_origin(normal, d, z)
-    np.testing.assert_allclose(normal[:, 2] * (height - z), d, atol=1e-12)
-
-
 def test_orthogonal_fit_agrees_with_a_general_optimiser_on_several_scans():
     """One free offset per scan; the weights 1 / (n' Sigma n) held at the optimum (Eq. 35)."""
     rng = np.random.default_rng(17)
