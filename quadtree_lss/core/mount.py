@@ -7,8 +7,8 @@ import numpy as np
 
 from quadtree_lss.core.config import MountConfig
 from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.pose_buffer import PoseBuffer
 from quadtree_lss.core.rotations import exp, skew
-from quadtree_lss.core.timing import PoseBuffer
 
 
 class MountedPoses:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.mount import MountedPoses, fixed_mount
-from quadtree_lss.core.timing import SECOND_NS, Drop, PoseBuffer, ScanQueue
+from quadtree_lss.core.pose_buffer import SECOND_NS, PoseBuffer
+from quadtree_lss.core.scan_queue import Drop, ScanQueue
 from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import (
     has_unknown_covariance,

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.mount import MountedPoses, mounted
-from quadtree_lss.core.timing import PoseBuffer, ScanQueue
+from quadtree_lss.core.pose_buffer import PoseBuffer
+from quadtree_lss.core.scan_queue import ScanQueue
 
 MS = 1_000_000
 SECOND = 1000 * MS
