@@ -25,7 +25,7 @@ from quadtree_lss.replay.figures import (
 )
 
 if TYPE_CHECKING:
-    from quadtree_lss.replay.replay import ReplayResult
+    from quadtree_lss.replay.result import ReplayResult
 
 MAX_NODES = 250_000
 """Of the landing grid that are embedded; of larger grids every other, third, … node is."""

@@ -7,9 +7,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from quadtree_lss.configuration import dump_config
 from quadtree_lss.core.config import Config
@@ -20,58 +18,12 @@ from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.record import Recorder
-from quadtree_lss.replay.results import ScanTiming
+from quadtree_lss.replay.result import ReplayResult
 from quadtree_lss.replay.run import Progress, Run
 from quadtree_lss.replay.stream import ReplayError, Stream
 from quadtree_lss.replay.summary import run_summary
 
 __all__ = ["Progress", "ReplayError", "ReplayResult", "assess", "replay"]
-
-
-@dataclass(frozen=True)
-class ReplayResult:
-    """What a replay produced.
-
-    Attributes:
-        out: Results folder, None if none was asked for.
-        cells: The map, as decoded from its message.
-        assessment: Landing sites on it.
-        timings: One row per mapped scan; empty for a bag of maps.
-        summary: Content of ``summary.json``.
-        losses: What could not be read of the bag, one line each; empty if all was read.
-        warnings: One line per kind of trouble with the messages, with how often it occurred.
-        interrupted: True if it was stopped before the bag's end.
-    """
-
-    out: Path | None
-    cells: CellMap
-    assessment: LandingAssessment
-    timings: tuple[ScanTiming, ...]
-    summary: dict[str, Any]
-    losses: tuple[str, ...]
-    warnings: tuple[str, ...]
-    interrupted: bool = False
-
-    def as_dict(self) -> dict[str, Any]:
-        """The summary with the ranked sites, in JSON's types."""
-        sites = self.assessment.sites
-        rows = [
-            {
-                "rank": k + 1,
-                "position": sites.position[k].tolist(),
-                "normal": sites.normal[k].tolist(),
-                "score": sites.score[k],
-                "slope_deg": sites.slope_deg[k],
-                "roughness": sites.roughness[k],
-                "hazard_distance": sites.hazard_distance[k],
-                "subscale_height": sites.subscale_height[k],
-                "reason": sites.reasons[k],
-            }
-            for k in range(len(sites.score))
-        ]
-        out = None if self.out is None else str(self.out)
-        content: dict[str, Any] = results.plain({"out": out, "sites": rows, **self.summary})
-        return content
 
 
 def replay(

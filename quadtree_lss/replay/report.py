@@ -19,7 +19,7 @@ from quadtree_lss.replay.page_style import STYLE
 from quadtree_lss.replay.results import REPORT, write_bytes
 
 if TYPE_CHECKING:
-    from quadtree_lss.replay.replay import ReplayResult
+    from quadtree_lss.replay.result import ReplayResult
 
 # Nothing may be loaded from anywhere, whatever stands in a topic's name.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
