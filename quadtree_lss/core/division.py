@@ -27,7 +27,7 @@ CHI_1 = (MEAN_CHI_1, float(np.sqrt(1.0 - MEAN_CHI_1**2)))
 CHI_3 = (MEAN_CHI_3, float(np.sqrt(3.0 - MEAN_CHI_3**2)))
 
 #: Share of measurements that stray returns, let through by the outlier gate, make exceptions.
-STRAY = 5e-4
+STRAY = 2e-4
 
 
 def distances(normal: Array, through: Array, group: Index, points: Array) -> Array:
