@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 import struct
 import sys
 import tempfile
@@ -41,7 +40,7 @@ from quadtree_lss.configuration import find_config
 from quadtree_lss.core.rotations import quaternion_from_rotation
 from quadtree_lss.messages.intake import Intake
 from quadtree_lss.replay.bags import POSE_TOPIC, POSE_TYPE, SCAN_TOPIC, Bag
-from quadtree_lss.ros.processes import NodeProcess, free_domain_id, local_environment
+from quadtree_lss.ros.processes import NodeProcess, local_domain
 from quadtree_lss.ros.qos import latched, stream
 from quadtree_lss.simulation.simulate import simulate
 
@@ -189,28 +188,26 @@ def fly(
     folder: Path,
     *,
     extra: Sequence[str] = (),
-    domain: int = 0,
     kill_every: float = 0.0,
 ) -> Flight:
     """Starts the nodes, plays the script for some time, watches.
 
     Args:
         extra: ROS arguments for both nodes.
-        domain: ROS domain, 0 for a free one.
         kill_every: Kill the nodes in turn and start them again, s; 0 for never.
     """
-    domain = domain or free_domain_id()
-    env = local_environment(domain, folder / "log")
-    os.environ.update(env)  # lidar and observer live in this computer's domain as well
     args = ["--params-file", str(find_config("morpheus"))]
     args += ["-p", "qos.scan_reliability:=reliable", *extra]
     spawn = multiprocessing.get_context("spawn")
     ready, stop, out = spawn.Event(), spawn.Event(), spawn.Queue()
     with ExitStack() as stack:
-        observer = spawn.Process(target=observe, args=(domain, ready, stop, out), daemon=True)
+        domain = stack.enter_context(local_domain(folder / "log"))
+        observer = spawn.Process(
+            target=observe, args=(domain.number, ready, stop, out), daemon=True
+        )
         observer.start()
         nodes = [
-            stack.enter_context(NodeProcess(name, args, env, folder / f"{name}.txt"))
+            stack.enter_context(NodeProcess(name, args, domain.env, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
         ]
         if not ready.wait(30.0):
@@ -225,11 +222,11 @@ def fly(
             nodes[turn].process.wait()
             name = nodes[turn].name
             log = folder / f"{name}_{len(killed)}.txt"
-            nodes[turn] = stack.enter_context(NodeProcess(name, args, env, log))
+            nodes[turn] = stack.enter_context(NodeProcess(name, args, domain.env, log))
             usage[name].follow(psutil.Process(nodes[turn].process.pid))
             killed.append((name, time.time_ns()))
 
-        sent, late = _play(script, seconds, domain, usage, kill_every, replace_one)
+        sent, late = _play(script, seconds, domain.number, usage, kill_every, replace_one)
         time.sleep(3.0)
         for node in nodes:
             node.check()

@@ -56,7 +56,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=3.0)
     parser.add_argument("--seed", type=int, default=102)
-    parser.add_argument("--domain", type=int, default=0, help="ROS domain; 0: a free one")
     parser.add_argument("--kill", type=float, default=0.0, metavar="S", help="every S seconds")
     options = parser.parse_args()
     print(machine())
@@ -68,7 +67,6 @@ def main() -> None:
             options.minutes * MINUTE_S,
             Path(folder),
             extra=extra,
-            domain=options.domain,
             kill_every=options.kill,
         )
     by_the_minute(flight)

@@ -29,7 +29,7 @@ from quadtree_lss.replay.results import write_cells
 from quadtree_lss.ros.listener import Listener
 from quadtree_lss.ros.messages import cloud_records, map_from_messages
 from quadtree_lss.ros.player import play
-from quadtree_lss.ros.processes import NodeProcess, free_domain_id, local_environment, program
+from quadtree_lss.ros.processes import NodeProcess, local_domain, program
 
 SITE_TOLERANCE = 1e-6
 """Relative; ``landing/site_table`` carries float32, ``sites.csv`` float64."""
@@ -70,18 +70,17 @@ def run_live(
         DemoError: the sites did not come.
         ProcessError: a node ended by itself, or not cleanly when told to.
     """
-    domain = free_domain_id()
-    env = local_environment(domain, folder)
     # No scan may be lost, however busy the computer is: this is compared with a replay.
     args = ["--params-file", str(params), "-p", "qos.scan_reliability:=reliable"]
     args += ["-p", "qos.scan_depth:=500", "-p", "pose.max_wait:=10.0"]
     with ExitStack() as stack:
-        listener = stack.enter_context(Listener(domain))
+        domain = stack.enter_context(local_domain(folder))
+        listener = stack.enter_context(Listener(domain.number))
         nodes = [
-            stack.enter_context(NodeProcess(name, args, env, folder / f"{name}.txt"))
+            stack.enter_context(NodeProcess(name, args, domain.env, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
         ]
-        play(bag, rate=rate, domain_id=domain, wait=30.0)
+        play(bag, rate=rate, domain_id=domain.number, wait=30.0)
 
         def complete() -> bool:
             for node in nodes:

@@ -9,7 +9,9 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -50,6 +52,13 @@ LOCAL_PROFILE = """\
 """For Fast DDS: what ROS's range LOCALHOST does, which brings in shared memory, without it."""
 
 
+# Ports of a domain (RTPS specification, 9.6.1.1): those of participant k begin at 10 + 2 k.
+FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
+PARTICIPANT_PORTS = range(10, 10 + 2 * 32)
+RESERVATION_PORT = PORTS_PER_DOMAIN - 1
+DOMAINS = range(1, 98)
+
+
 class ProcessError(QuadtreeLssError):
     """A program is not installed or ended when it should not."""
 
@@ -69,24 +78,86 @@ def program(name: str) -> Path:
     raise ProcessError(msg)
 
 
-def free_domain_id() -> int:
-    """A ROS domain that no process of this computer takes part in at the moment."""
-    candidates = list(range(1, 102))
+@dataclass(frozen=True)
+class LocalDomain:
+    """A ROS domain that stays on this computer.
+
+    Attributes:
+        number: ``ROS_DOMAIN_ID``.
+        env: Environment of the processes that take part in it.
+    """
+
+    number: int
+    env: dict[str, str]
+
+
+@contextmanager
+def local_domain(log_dir: Path) -> Iterator[LocalDomain]:
+    """A ROS domain of one's own, for this process and those started with its environment.
+
+    However many ask at once on this computer, each has another one until it leaves the context.
+
+    Args:
+        log_dir: For ROS's logs.
+
+    Raises:
+        ProcessError: all domains are taken.
+    """
+    number, reservation = _reserve_domain()
+    with reservation:
+        env = _local_environment(number, log_dir)
+        before = {name: os.environ.get(name) for name in env if os.environ.get(name) != env[name]}
+        os.environ.update(env)
+        try:
+            yield LocalDomain(number, env)
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
+
+
+def _reserve_domain() -> tuple[int, socket.socket]:
+    """A domain without participants, and what keeps others from it until it is closed.
+
+    Seeing that nobody is there would not do: a process takes a second to join after it was told
+    the number. So each that asks first holds the domain's last port, which no participant reaches.
+    """
+    candidates = list(DOMAINS)
     random.SystemRandom().shuffle(candidates)
     for domain in candidates:
-        # The first participant of a domain holds this port (RTPS specification, 9.6.1.1).
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7410 + 250 * domain))
-            except OSError:
-                continue
-            return domain
-    msg = "no free ROS domain between 1 and 101"
+        reservation = _bound(domain, RESERVATION_PORT)
+        if reservation is None:
+            continue
+        if all(_port_is_free(domain, port) for port in PARTICIPANT_PORTS):
+            return domain, reservation
+        reservation.close()
+    msg = f"no free ROS domain between {DOMAINS[0]} and {DOMAINS[-1]}"
     raise ProcessError(msg)
 
 
-def local_environment(domain: int, log_dir: Path) -> dict[str, str]:
-    """This process's environment with a ROS domain of its own that stays on this computer."""
+def _bound(domain: int, port: int) -> socket.socket | None:
+    """Socket at a port of the domain, None if it is in use."""
+    result = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        result.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain + port))
+    except OSError:
+        result.close()
+        return None
+    return result
+
+
+def _port_is_free(domain: int, port: int) -> bool:
+    probe = _bound(domain, port)
+    if probe is None:
+        return False
+    probe.close()
+    return True
+
+
+def _local_environment(domain: int, log_dir: Path) -> dict[str, str]:
+    """This process's environment with a ROS domain that stays on this computer."""
     env = {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain),

@@ -20,7 +20,7 @@ else:
     from std_srvs.srv import Trigger
 
     from quadtree_lss.ros.listener import TOPICS, Listener
-    from quadtree_lss.ros.processes import NodeProcess, free_domain_id, local_environment
+    from quadtree_lss.ros.processes import NodeProcess, local_domain
 
 PARAMETERS = """\
 /**:
@@ -43,9 +43,9 @@ class Ros:
     """A domain with the processes and listeners of one test."""
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
-        self.domain = free_domain_id()
+        domain = stack.enter_context(local_domain(folder / "log"))
+        self.domain, self.env = domain.number, domain.env
         self.folder = folder
-        self.env = local_environment(self.domain, folder / "log")
         self.params = folder / "params.yaml"
         self.params.write_text(PARAMETERS)
         self._stack = stack
@@ -84,10 +84,7 @@ class Ros:
 
 
 @pytest.fixture
-def ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
+def ros(tmp_path: Path) -> Iterator[Ros]:
     """See `Ros`."""
     with ExitStack() as stack:
-        session = Ros(tmp_path, stack)
-        for name, value in session.env.items():
-            monkeypatch.setenv(name, value)
-        yield session
+        yield Ros(tmp_path, stack)

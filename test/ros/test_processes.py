@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Domains of their own for processes that are started at the same time."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from contextlib import ExitStack
+
+import pytest
+
+from quadtree_lss.ros import processes
+from quadtree_lss.ros.processes import ProcessError, local_domain
+
+pytestmark = pytest.mark.xdist_group("ros")
+
+SPARE = range(98, 102)
+"""Domains that nobody is given otherwise."""
+
+HOLD = f"""\
+import sys
+from pathlib import Path
+from quadtree_lss.ros import processes
+processes.DOMAINS = {SPARE}
+with processes.local_domain(Path(sys.argv[1])) as domain:
+    print(domain.number, flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_processes_that_ask_at_once_get_domains_of_their_own(tmp_path, monkeypatch):
+    """As many as there are domains; none has a participant yet that could be seen."""
+    monkeypatch.setattr(processes, "DOMAINS", SPARE)
+    command = [sys.executable, "-c", HOLD, str(tmp_path)]
+    with ExitStack() as stack:
+        others = [
+            stack.enter_context(
+                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            )
+            for _ in SPARE
+        ]
+        numbers = [int(other.stdout.readline()) for other in others]
+        assert sorted(numbers) == list(SPARE)
+        with pytest.raises(ProcessError, match="between 98 and 101"), local_domain(tmp_path):
+            pass
+        assert others[0].communicate()[0] == b"" and others[0].returncode == 0
+        with local_domain(tmp_path) as domain:
+            assert domain.number == numbers[0]
+        for other in others[1:]:
+            other.communicate()
+
+
+def test_a_domain_with_a_participant_is_taken_though_the_first_has_left(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "DOMAINS", [SPARE[0]])
+    third = processes.FIRST_PORT + processes.PORTS_PER_DOMAIN * SPARE[0] + 14
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        participant.bind(("", third))
+        with pytest.raises(ProcessError), local_domain(tmp_path):
+            pass
+
+
+def test_environment_of_a_domain_ends_with_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "3")
+    monkeypatch.delenv("ROS_LOG_DIR", raising=False)
+    with local_domain(tmp_path) as domain:
+        assert os.environ["ROS_DOMAIN_ID"] == domain.env["ROS_DOMAIN_ID"] == str(domain.number)
+        assert os.environ["ROS_LOG_DIR"] == str(tmp_path)
+    assert os.environ["ROS_DOMAIN_ID"] == "3" and "ROS_LOG_DIR" not in os.environ
