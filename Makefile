@@ -109,7 +109,7 @@ lint: setup
 
 bench: setup
 	@for script in $$(ls benchmark/*.py | grep -v soak.py); do \
-	    echo "== $$script"; $(BIN)/python "$$script"; \
+	    echo "== $$script"; $(BIN)/python "$$script" || exit 1; \
 	done
 
 clean:

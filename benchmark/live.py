@@ -370,7 +370,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="of flight")
     parser.add_argument("--seed", type=int, default=101)
-    parser.add_argument("--domain", type=int, default=0, help="ROS domain; 0: a free one")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="parameter of the nodes"
     )
@@ -379,7 +378,7 @@ def main() -> None:
     extra = [word for item in options.set for word in ("-p", item.replace("=", ":=", 1))]
     with tempfile.TemporaryDirectory() as folder:
         script = write_script(options.seed)
-        report(fly(script, options.seconds, Path(folder), extra=extra, domain=options.domain))
+        report(fly(script, options.seconds, Path(folder), extra=extra))
 
 
 if __name__ == "__main__":

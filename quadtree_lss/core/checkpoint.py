@@ -19,7 +19,7 @@ from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.core.quadtree import Domain, fill_blocks
 from quadtree_lss.errors import QuadtreeLssError
 
-FORMAT = 1
+FORMAT = 2
 """Goes up whenever the arrays of `Mapper.export_state` change their meaning."""
 
 State: TypeAlias = dict[str, NDArray[Any]]

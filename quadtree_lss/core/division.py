@@ -196,6 +196,11 @@ def asks(
     return poor & (leaves.level[rows] < leaves.domain.max_level)
 
 
+def rock_height(features: FeaturesConfig, range_noise: float) -> float:
+    """Rocks from this height on divide leaves, m; lower ones are lost in the range noise."""
+    return max(features.divide_height, 3.0 * range_noise)
+
+
 def hides_rock(
     leaves: Leaves,
     rows: Index,
@@ -205,18 +210,25 @@ def hides_rock(
 ) -> Mask:
     """Leaves (M,) above the finest level that hold a rock, which the mean over a large leaf hides.
 
-    A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows by its
-    exceptions (Eq. 48), if beyond what noise makes of them they amount to
-    ``mapping.divide_exceptions`` measurements and to more than stray returns leave; or as a feature
-    at least ``features.divide_height`` high (and three deviations of the range noise), and narrow
-    as a rock is.
+    A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows in one of
+    three ways: by its exceptions (Eq. 48), if beyond what noise makes of them they amount to
+    ``mapping.divide_exceptions`` measurements and to more than stray returns leave; by raised
+    measurements, lower than these, over ``mapping.divide_area`` of the leaf; or as a feature of
+    `rock_height` and narrow as a rock is. A leaf has one feature, so a rock beside another, or
+    one that lies across the border of leaves, shows by its raised measurements alone.
     """
+    counted = leaves.residuals[rows]
     noise = leaves.exception_noise[rows]
-    least = np.maximum(mapping.divide_exceptions, STRAY * leaves.residuals[rows])
+    least = np.maximum(mapping.divide_exceptions, STRAY * counted)
     rocky: Mask = leaves.exception_sum[rows] >= noise + np.maximum(least, 3.0 * np.sqrt(noise))
     rocky &= mapping.divide_exceptions > 0.0
+    if mapping.divide_area > 0.0:
+        noise = leaves.raised_noise[rows]
+        share = mapping.divide_area / leaves.domain.cell_size(leaves.level[rows]) ** 2
+        least = np.maximum(1.0, np.maximum(share, STRAY) * counted)
+        rocky |= leaves.raised_sum[rows] >= noise + np.maximum(least, 3.0 * np.sqrt(noise))
     state = leaves.feature[rows]
-    height = max(features.divide_height, 3.0 * range_noise)
+    height = rock_height(features, range_noise)
     with np.errstate(invalid="ignore"):
         rocky |= (peak(state) >= SHAPE * height) & (state[:, 4] <= features.divide_sigma)
     return rocky & (leaves.level[rows] < leaves.domain.max_level)

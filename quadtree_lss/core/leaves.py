@@ -33,7 +33,9 @@ class Leaves(Quadtree):
         noise_sum: What range noise alone adds to ``distance_sum``, m.
         exception_sum: Sum of exception masses (Eq. 48).
         exception_noise: What range noise alone adds to ``exception_sum``.
-        residuals: Measurements in these four sums.
+        raised_sum: Measurements that stand out above the plane (`statistics.raised`).
+        raised_noise: What range noise alone adds to ``raised_sum``.
+        residuals: Measurements in these six sums.
         division_sum, division_weight: Sum of the division statistic and of its weights.
         feature: (., 5) A, k, mu_x, mu_y about the centre, sigma (Eq. 51); NaN for none.
         feature_covariance: (., 5, 5).
@@ -49,6 +51,8 @@ class Leaves(Quadtree):
     noise_sum: Array
     exception_sum: Array
     exception_noise: Array
+    raised_sum: Array
+    raised_noise: Array
     residuals: Array
     division_sum: Array
     division_weight: Array
@@ -170,6 +174,8 @@ _SUMS = (
     "noise_sum",
     "exception_sum",
     "exception_noise",
+    "raised_sum",
+    "raised_noise",
     "residuals",
     "division_sum",
     "division_weight",

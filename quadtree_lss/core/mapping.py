@@ -147,8 +147,9 @@ class Mapper:
 
     def _accumulate(self, residuals: statistics.Residuals) -> statistics.Residuals:
         """Roughness, exceptions, noise check and subscale features of the leaves of a scan."""
-        noise = self.config.lidar.range_noise
-        statistics.accumulate(self.leaves, residuals, self.config.mapping, noise)
+        config, noise = self.config, self.config.lidar.range_noise
+        height = division.rock_height(config.features, noise)
+        statistics.accumulate(self.leaves, residuals, config.mapping, noise, height)
         self._noise.add(self.leaves, residuals, noise)
         self._features.update(self.leaves, residuals, noise)
         return residuals

@@ -143,6 +143,14 @@ class MappingConfig:
         low=0.0,
         high=1e6,
     )
+    divide_area: float = _p(
+        0.04,
+        "points raised by features.divide_height over this area show a rock and divide a leaf; "
+        "0 is off",
+        unit="m^2",
+        low=0.0,
+        high=1e6,
+    )
     division_min_residuals: int = _p(
         8,
         "free residuals (points less three a scan) before the statistic counts",

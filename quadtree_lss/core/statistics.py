@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
+#: A point stands out of curved ground if it is this many root mean square residuals above.
+OUTSTANDING = 4.0
+
 
 @dataclass(frozen=True)
 class Residuals:
@@ -88,9 +91,16 @@ class FinalGroups:
 
 
 def accumulate(
-    leaves: Leaves, residuals: Residuals, config: MappingConfig, range_noise: float
+    leaves: Leaves,
+    residuals: Residuals,
+    config: MappingConfig,
+    range_noise: float,
+    rock_height: float,
 ) -> None:
     """Add a scan to the sums of its leaves.
+
+    Args:
+        rock_height: Above the plane, m; see `raised`.
 
     Only leaves with two or more points in the scan are counted: the common offset takes one.
     """
@@ -110,6 +120,9 @@ def accumulate(
     # xi of a residual that is noise itself: the noise counts twice.
     beyond = config.roughness_tolerance / np.sqrt(2.0 * np.maximum(variance, 1e-12))
     leaves.exception_noise[rows] += np.where(count > 1.0, 2.0 * count * ndtr(-beyond), 0.0)
+    leaves.raised_sum[rows] += raised(leaves, residuals, rock_height)
+    beyond = rock_height / np.sqrt(np.maximum(variance, 1e-12))
+    leaves.raised_noise[rows] += count * ndtr(-beyond)
     leaves.residuals[rows] += np.where(count > 1.0, count, 0.0)
 
 
@@ -147,6 +160,19 @@ def exception_mass(leaves: Leaves, residuals: Residuals, noise: Array, tolerance
     mass = ndtr((e - tolerance) / deviation) + ndtr((-e - tolerance) / deviation)
     out += np.bincount(group, mass, minlength=len(rows))
     return np.minimum(out, moment.count)
+
+
+def raised(leaves: Leaves, residuals: Residuals, height: float) -> Array:
+    """Measurements of each leaf (M,) more than ``height`` m above its plane that stand out.
+
+    Standing out is to be farther above than `OUTSTANDING` times the root mean square residual: on
+    curved ground many points are high, a rock's are few among low ones.
+    """
+    group = residuals.group
+    high = np.flatnonzero(residuals.distance > height)
+    usual = np.sqrt(leaves.misfit[residuals.rows])
+    out = high[residuals.distance[high] > OUTSTANDING * usual[group[high]]]
+    return np.bincount(group[out], minlength=len(residuals.rows)).astype(np.float64)
 
 
 def densities(leaves: Leaves, rows: Index) -> tuple[Array, Array]:

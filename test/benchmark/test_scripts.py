@@ -19,17 +19,21 @@ SMALL = {
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "binned_statistic_2d"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
+    "live": (["--seconds", "3"], ["scans sent", "mapping_node", "lss_node"]),
+    "soak": (["--minutes", "0.1"], ["By the minute", "mapping_node", "lss_node"]),
 }
+NEED_ROS = {"live", "soak"}
 
 
 def test_every_script_is_tried():
-    """But those that need both nodes, ROS and minutes of real time."""
-    assert {path.stem for path in FOLDER.glob("*.py")} - {"live", "soak"} == set(SMALL)
+    assert {path.stem for path in FOLDER.glob("*.py")} == set(SMALL)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", SMALL)
 def test_script_prints_its_tables(script, tmp_path):
+    if script in NEED_ROS:
+        pytest.importorskip("rclpy")
     arguments, expected = SMALL[script]
     done = subprocess.run(
         [sys.executable, str(FOLDER / f"{script}.py"), *arguments],
