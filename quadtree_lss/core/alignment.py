@@ -25,33 +25,46 @@ HUBER = 2.0
 #: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2.
 MODEL_VARIANCE = 0.02**2
 #: Deviation of a measured offset (x, y, z) that more cells do not make smaller, m.
-FLOOR = np.array([0.05, 0.05, 0.02])
-#: Deviation by which the offset wanders from one scan to the next, m.
+FLOOR = np.array([0.05, 0.05, 0.04])
+#: Time over which a navigation error that persists is forgotten, s.
+PERSISTENCE_TIME = 300.0
+#: Deviation by which the map's own error may wander from one scan to the next, m.
 DRIFT = 0.001
-#: A scan whose offset departs by more than this many deviations has jumped.
-JUMP = 4.0
+#: An offset of more than this many deviations refutes the covariance that the pose claims.
+REFUTED = 4.0
+#: Of the share of scans whose error is the last one's, each scan renews this part.
+RENEWAL = 0.3
+#: The share stays this far from none and from all, so that a change is still noticed.
+DOUBT = 0.02
+#: A scan's error sideways is at most this many deviations of what its pose claims.
+SIDEWAYS = 3.0
 #: Cells seen before that a scan needs to be moved.
 MIN_CELLS = 3
 
 
 class ScanAlignment:
-    """Offset b (3,) of the scans from the map, m: a filter that knows slow drift and jumps.
+    """Kalman filter of a scan's navigation error n (3,) and of the map's own error m (3,), m.
 
-    Ground that lies b off has, over a cell of slopes (p, q), the height b_z - p b_x - q b_y over
-    the map's. All cells seen before together measure b by weighted least squares; with covariance
-    P of b and R of the measurement, K = P (P + R)^-1, b += K (measured - b). Drift adds to P scan
-    by scan. After a jump (another flight, a position fix, errors that are independent from scan to
-    scan) P is what the navigation says itself, and the next scans decide whether b persists: only
-    then is a scan moved by it before it is binned. The height is taken out at once.
+    Where scan and map overlap, ground that lies b = n - m off has, over a cell of slopes (p, q),
+    the height b_z - p b_x - q b_y over the map's. All cells seen before together measure b by
+    weighted least squares with covariance R. The first scan makes the map: n = m, each of the
+    pose's covariance S. From then on one of two things happened before each scan:
 
-    The map cannot move sideways; in height it meets the scan after a jump, each by its share of
-    the variance.
+    - the error persisted: n <- a n, P_nn <- a^2 P_nn + (1 - a^2) S, a = exp(-dt / time), so that
+      it stays within what the pose claims;
+    - it is another one (another flight, a position fix, errors that are independent from scan to
+      scan): n = 0, P_nn = S, P_nm = 0.
+
+    Either state is updated with K = P H^T (H P H^T + R)^-1, H = (I, -I), and both are merged with
+    weights from the likelihoods of the measured offset and from how often errors persisted so far.
+    Before it is binned a scan is moved by what is expected of b, afterwards, in height, by what
+    was learnt. The map cannot move sideways; in height it does as soon as its error is known to be
+    more than half its deviation.
 
     Attributes:
-        offset: b (3,), m.
-        covariance: P (3, 3), m^2.
-        persists: Whether the last scan confirmed b.
-        map_variance: Variance of the map's common height, m^2; NaN before the first scan.
+        mean: (6,) n, m, m.
+        covariance: P (6, 6), m^2.
+        persistence: Share of scans whose error was that of the scan before, 0 .. 1.
     """
 
     def __init__(self, config: MappingConfig) -> None:
@@ -60,34 +73,54 @@ class ScanAlignment:
 
     def reset(self) -> None:
         """Before the first scan."""
-        self.offset = np.zeros(3)
-        self.covariance = np.zeros((3, 3))
-        self.persists = False
-        self.map_variance = np.nan
+        self.mean = np.zeros(6)
+        self.covariance = np.full((6, 6), np.nan)
+        self.persistence = 1.0 - DOUBT
+        self._stamp_ns = 0
+        self._now_ns = 0
         self._applied = np.zeros(3)
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a map to align to."""
+        return not np.isnan(self.covariance[0, 0])
+
+    @property
+    def height_variance(self) -> float:
+        """Variance of the map's common height, m^2; 0 if scans are not aligned."""
+        if not (self.enabled and self.started):
+            return 0.0
+        return float(self.covariance[5, 5] + self.mean[5] ** 2)
 
     def export_state(self) -> dict[str, NDArray[Any]]:
         """All of it by name."""
         return {
-            "offset": self.offset.copy(),
+            "mean": self.mean.copy(),
             "covariance": self.covariance.copy(),
-            "persists": np.array(self.persists),
-            "map_variance": np.array(self.map_variance),
+            "persistence": np.array(self.persistence),
+            "stamp_ns": np.array(self._stamp_ns),
         }
 
     def import_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from `export_state`."""
         self.reset()
-        self.offset, self.covariance = state["offset"].copy(), state["covariance"].copy()
-        self.persists, self.map_variance = bool(state["persists"]), float(state["map_variance"])
+        self.mean, self.covariance = state["mean"].copy(), state["covariance"].copy()
+        self.persistence = float(state["persistence"])
+        self._stamp_ns = int(state["stamp_ns"])
 
     def predicted(self, pose: Pose) -> Pose:
         """The pose that takes a scan to where the last ones say that the map is."""
-        self._applied = self.offset if self.enabled and self.persists else np.zeros(3)
-        if not self._applied.any():
+        self._now_ns = pose.stamp_ns
+        self._applied = np.zeros(3)
+        if not (self.enabled and self.started):
             return pose
+        self._applied = self.persistence * (self._decay() * self.mean[:3] - self.mean[3:])
         moved = pose.position - self._applied
         return Pose(pose.stamp_ns, moved, pose.rotation_map_lidar, pose.covariance)
+
+    def _decay(self) -> float:
+        seconds = abs(self._now_ns - self._stamp_ns) * 1e-9
+        return float(np.exp(-seconds / PERSISTENCE_TIME))
 
     def meet(
         self, rise: Array, variance: Array, normal: Array, scan_covariance: Array
@@ -100,33 +133,78 @@ class ScanAlignment:
             normal: (M, 3) of the map's planes.
             scan_covariance: (3, 3) that the pose error gives the place of the scan's ground, m^2.
         """
-        if np.isnan(self.map_variance):
-            self.map_variance = float(scan_covariance[2, 2])
+        if not self.started:
+            self.covariance = np.tile(scan_covariance, (2, 2))
+            self._stamp_ns = self._now_ns
             return 0.0, 0.0
-        if not self.enabled or len(rise) < MIN_CELLS:
+        if not self.enabled:
+            return 0.0, 0.0
+        mean, covariance = self._predict(scan_covariance)
+        self._stamp_ns = self._now_ns
+        if len(rise) < MIN_CELLS:
+            self._merge(mean, covariance, self.persistence)
             return 0.0, 0.0
         left, noise = measured_offset(rise, variance + MODEL_VARIANCE, normal)
         noise += np.diag(FLOOR**2)
-        innovation = self._applied + left - self.offset
+        self._update(mean, covariance, self._applied + left, noise)
+        reach = SIDEWAYS * np.sqrt(np.diag(scan_covariance)[:2])
+        self.mean[:2] = np.clip(self.mean[:2], -reach, reach)
+        return self._move()
+
+    def _predict(self, scan_covariance: Array) -> tuple[Array, Array]:
+        """Means (2, 6) and covariances (2, 6, 6): the error persisted, it is another one."""
+        decay = self._decay()
+        kept = np.repeat((decay, 1.0), 3)
+        mean = np.stack([kept * self.mean, self.mean])
+        mean[1, :3] = 0.0
+        covariance = np.stack([kept[:, None] * kept * self.covariance, self.covariance])
+        covariance[0, :3, :3] += (1.0 - decay**2) * scan_covariance
+        covariance[1, :3] = covariance[1, :, :3] = 0.0
+        covariance[1, :3, :3] = scan_covariance
         drift = np.minimum(DRIFT**2, np.diag(scan_covariance))
-        self.covariance = self.covariance + np.diag(drift)
-        spread = self.covariance + noise
-        jumped = innovation @ np.linalg.solve(spread, innovation) > JUMP**2
-        self.persists = not jumped
-        lift_share = 0.0
-        if jumped:
-            self.covariance = 2.0 * scan_covariance
-            self.covariance[2, 2] += self.map_variance - scan_covariance[2, 2]
-            spread = self.covariance + noise
-            total = self.map_variance + float(scan_covariance[2, 2])
-            lift_share = self.map_variance / total if total > 0.0 else 0.0
-            self.map_variance *= 1.0 - self.map_variance / float(spread[2, 2])
-        gain = np.linalg.solve(spread, self.covariance).T
-        self.offset = self.offset + gain @ innovation
-        self.covariance = (np.eye(3) - gain) @ self.covariance
-        lift = float(self.offset[2]) * lift_share
-        self.offset[2] -= lift
-        return float(self.offset[2] - self._applied[2]), lift
+        covariance[:, range(3, 6), range(3, 6)] += drift
+        return mean, covariance
+
+    def _update(self, mean: Array, covariance: Array, measured: Array, noise: Array) -> None:
+        """Measurement of b = n - m by both hypotheses, merged into one."""
+        innovation = measured - (mean[:, :3] - mean[:, 3:])
+        cross, spread, square = _spread(covariance, noise, innovation)
+        if square.min() > REFUTED**2:
+            covariance[1, :3, :3] *= 1.0 + square[1] / 3.0
+            cross, spread, square = _spread(covariance, noise, innovation)
+        gain = cross @ np.linalg.inv(spread)
+        mean = mean + np.einsum("hij,hj->hi", gain, innovation)
+        covariance = covariance - gain @ cross.transpose(0, 2, 1)
+        log = -0.5 * (square + np.log(np.linalg.det(spread)))
+        odds = (1.0 - self.persistence) / self.persistence * np.exp(min(log[1] - log[0], 500.0))
+        persisted = 1.0 / (1.0 + odds)
+        self._merge(mean, covariance, persisted)
+        renewed = self.persistence + RENEWAL * (persisted - self.persistence)
+        self.persistence = float(min(max(renewed, DOUBT), 1.0 - DOUBT))
+
+    def _merge(self, mean: Array, covariance: Array, persisted: float) -> None:
+        """Mean and covariance of the mixture in which the first has the weight ``persisted``."""
+        self.mean = persisted * mean[0] + (1.0 - persisted) * mean[1]
+        between = mean[0] - mean[1]
+        merged = persisted * covariance[0] + (1.0 - persisted) * covariance[1]
+        merged += persisted * (1.0 - persisted) * np.outer(between, between)
+        self.covariance = 0.5 * (merged + merged.T)
+
+    def _move(self) -> tuple[float, float]:
+        """What of the offset's height is left to take out of the scan, and out of the map."""
+        lift = 0.0
+        if self.mean[5] ** 2 > 0.25 * self.covariance[5, 5]:
+            lift = -float(self.mean[5])
+            self.mean[5] = 0.0
+        return float(self.mean[2] - self.mean[5] - self._applied[2]), lift
+
+
+def _spread(covariance: Array, noise: Array, innovation: Array) -> tuple[Array, Array, Array]:
+    """P H^T (2, 6, 3), H P H^T + R (2, 3, 3) and the normalised innovations squared (2,)."""
+    cross = covariance[:, :, :3] - covariance[:, :, 3:]
+    spread = cross[:, :3] - cross[:, 3:] + noise
+    solved = np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]
+    return cross, spread, np.einsum("hi,hi->h", innovation, solved)
 
 
 def measured_offset(rise: Array, variance: Array, normal: Array) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ damaged is refused. Reading and writing files is the caller's.
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
@@ -153,12 +152,11 @@ def _check_stored(state: State) -> None:
 
 
 def _check_alignment(state: State) -> None:
-    offset, covariance = state["alignment.offset"], state["alignment.covariance"]
-    whole = offset.shape == (3,) and covariance.shape == (3, 3)
-    whole = whole and bool(np.isfinite(offset).all() and np.isfinite(covariance).all())
+    mean, covariance = state["alignment.mean"], state["alignment.covariance"]
+    whole = mean.shape == (6,) and covariance.shape == (6, 6) and bool(np.isfinite(mean).all())
     # NaN until the first scan.
-    variance = float(state["alignment.map_variance"])
-    possible = math.isnan(variance) or 0.0 <= variance < math.inf
-    if not (whole and possible and (np.diag(covariance) >= 0.0).all()):
+    if whole and not np.isnan(covariance).all():
+        whole = bool(np.isfinite(covariance).all() and (np.diag(covariance) >= 0.0).all())
+    if not (whole and 0.0 < float(state["alignment.persistence"]) < 1.0):
         msg = "has an impossible alignment of scans"
         raise CheckpointError(msg)

@@ -154,6 +154,14 @@ class Mapper:
         self._features.update(self.leaves, residuals, noise)
         return residuals
 
+    def _pose_covariance(self, rows: Index) -> Array:
+        """Covariance (M, 3, 3) from pose error. The leaves take the errors of their scans for
+        independent; of the height that all have in common they cannot know more than the map."""
+        out = self.leaves.pose_part[rows]
+        common = self._alignment.height_variance * self.leaves.normal[rows, 2] ** 2
+        out[:, 2, 2] = np.maximum(out[:, 2, 2], common)
+        return out
+
     def snapshot(self) -> CellMap:
         """The map as it stands; copies, so that later scans do not change it."""
         leaves, count, n = self.leaves, self.leaves.count, self.domain.finest_count
@@ -170,7 +178,7 @@ class Mapper:
             z=leaves.z[order],
             normal=leaves.normal[order],
             covariance_range=leaves.range_part[order],
-            covariance_pose=leaves.pose_part[order],
+            covariance_pose=self._pose_covariance(order),
             count=leaves.points_fitted[order].astype(np.uint32),
             measured=leaves.measured[order],
             roughness=roughness,

@@ -159,23 +159,23 @@ def _nowhere(state):
 
 
 def _offset_of_a_plane(state):
-    state["alignment.offset"] = np.zeros(2)
+    state["alignment.mean"] = np.zeros(3)
 
 
 def _offset_unknown(state):
-    state["alignment.offset"][1] = np.nan
+    state["alignment.mean"][1] = np.nan
 
 
 def _covariance_of_rows(state):
-    state["alignment.covariance"] = np.eye(3)[:2]
+    state["alignment.covariance"] = np.eye(6)[:2]
 
 
 def _negative_variance(state):
     state["alignment.covariance"][2, 2] = -1.0
 
 
-def _boundless(state):
-    state["alignment.map_variance"] = np.array(np.inf)
+def _never_other(state):
+    state["alignment.persistence"] = np.array(1.0)
 
 
 @pytest.mark.parametrize(
@@ -196,7 +196,7 @@ def _boundless(state):
         _offset_unknown,
         _covariance_of_rows,
         _negative_variance,
-        _boundless,
+        _never_other,
     ],
 )
 def test_inconsistent_states_are_refused_and_the_map_kept(content, spoil):
