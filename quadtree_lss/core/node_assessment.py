@@ -116,7 +116,7 @@ def assess_nodes(
     bits = np.where(raster.seen, leaf_hazards.of(cells).take(raster.leaf), np.uint8(0))
     planes = node_planes(raster, 0.75 * radius)
     slope = np.arctan(np.sqrt(planes.slope_x**2 + planes.slope_y**2))
-    unseen = touching((~raster.seen).view(np.uint8)) > 0
+    unseen = touching((~raster.firm).view(np.uint8)) > 0
     hazard = touching(bits)
     inside, cap = seen_about(unseen, side, zone + side), lss.hazard_distance_cap
     if lss.assessment == "touchdown":
@@ -133,7 +133,7 @@ def assess_nodes(
         clearance = Clearance.measure(hazard > 0, 0.0, unseen, side, cap)
         safe = ~grown(clearance.marked, zone, side) & (inside >= zone - 1e-9)
         density_slope = hazards.slope(cells.normal).take(raster.leaf)
-    hazard |= unseen * np.uint8(hazards.UNSEEN)
+    hazard |= (touching((~raster.seen).view(np.uint8)) > 0) * np.uint8(hazards.UNSEEN)
     over = disc(zone, side)
     rough = np.nan_to_num(cells.roughness).take(raster.leaf)
     score = _score(raster, density_slope, rough, clearance.near, over, lss)

@@ -12,8 +12,8 @@ from quadtree_lss.core.parameter import declared as _p
 class DomainConfig:
     """Where the map lies and how finely it may be divided."""
 
-    xmin: float = _p(-60.0, "western edge of the square domain", unit="m", low=-1e6, high=1e6)
-    ymin: float = _p(-60.0, "southern edge of the square domain", unit="m", low=-1e6, high=1e6)
+    xmin: float = _p(-60.0, "western edge of the square domain", unit="m", low=-1e8, high=1e8)
+    ymin: float = _p(-60.0, "southern edge of the square domain", unit="m", low=-1e8, high=1e8)
     size: float = _p(120.0, "side of the square domain", unit="m", low=0.01, high=1e5)
     min_level: int = _p(4, "level to which the tree is divided at start", low=0, high=12)
     max_level: int = _p(8, "finest level; a cell is size / 2^level", low=0, high=12)

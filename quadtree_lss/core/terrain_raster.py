@@ -16,6 +16,9 @@ from quadtree_lss.core.quadtree import CellMap, Domain
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: Lower tails of a feature are no feature, m.
+NEGLIGIBLE = 0.005
+
 
 @dataclass(frozen=True)
 class TerrainRaster:
@@ -27,8 +30,11 @@ class TerrainRaster:
         elevation: Height at the cell's centre: the leaf's plane, or where the leaf was not
             measured (rock shadows, gaps) the nearest measured cell's; NaN if nothing is mapped, m.
         slope_x, slope_y: dz/dx, dz/dy of the leaf's plane; 0 where bridged.
-        subscale: Greatest height of a subscale feature at the cell's centre (Eq. 57), m.
+        subscale: Greatest height of the leaf's subscale feature within the cell (Eq. 57), m; 0
+            where it is negligible.
         seen: True where the ground lies within the set gap of a measurement.
+        firm: True where a point fell or the gap is bridged from all around. Seen ground that is
+            not borders on unseen ground: it may be the drop that casts the shadow.
     """
 
     domain: Domain
@@ -38,6 +44,7 @@ class TerrainRaster:
     slope_y: Array
     subscale: Array
     seen: Mask
+    firm: Mask
 
 
 def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
@@ -59,8 +66,11 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     if not (cells.measured.any() and cells.observed.any()):
         nothing = np.zeros((n, n))
         unseen = np.zeros((n, n), dtype=np.bool_)
-        return TerrainRaster(domain, leaf, nothing + np.nan, nothing, nothing, nothing, unseen)
+        return TerrainRaster(
+            domain, leaf, nothing + np.nan, nothing, nothing, nothing, unseen, unseen
+        )
     seen = grown(cells.observed, max_gap, side, short=0.5)
+    firm = cells.observed | ~grown(~seen, max_gap, side, short=0.5)
     with np.errstate(invalid="ignore"):
         leaf_slope_x = np.where(cells.measured, -cells.normal[:, 0] / cells.normal[:, 2], 0.0)
         leaf_slope_y = np.where(cells.measured, -cells.normal[:, 1] / cells.normal[:, 2], 0.0)
@@ -76,6 +86,15 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     if featured.any():
         where = np.nonzero(featured[leaf])
         rows = leaf[where]
-        dx, dy = along[where[1]] - x[rows], along[where[0]] - y[rows]
-        subscale[where] = height(cells.feature[rows], dx, dy)
-    return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, seen)
+        centre_x, centre_y = cells.feature[rows, 2], cells.feature[rows, 3]
+        dx = _beyond(along[where[1]] - x[rows] - centre_x, 0.5 * side)
+        dy = _beyond(along[where[0]] - y[rows] - centre_y, 0.5 * side)
+        raised = height(cells.feature[rows], centre_x + dx, centre_y + dy)
+        subscale[where] = np.where(raised >= NEGLIGIBLE, raised, 0.0)
+    return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, seen, firm)
+
+
+def _beyond(away: Array, half: float) -> Array:
+    """Distance from a cell of half a side to what lies ``away`` (N,) from its centre, signed; 0
+    within."""
+    return np.sign(away) * np.maximum(np.abs(away) - half, 0.0)

@@ -212,7 +212,7 @@ def test_off_nadir_the_offset_stays_within_the_pose_error(
 @pytest.mark.parametrize("sigma", [0.05, 0.2])
 @pytest.mark.parametrize("persistent", [False, True])
 def test_the_maps_height_is_as_well_known_as_it_says(sigma, persistent):
-    """Errors that are news each time and errors that last: normalised squares over eight flights."""
+    """Errors that are news each time and errors that last, over eight flights each."""
     squares = []
     for seed in range(8):
         rng = np.random.default_rng(seed)

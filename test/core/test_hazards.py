@@ -137,8 +137,29 @@ def test_raster_is_the_leaf_planes_at_the_finest_centres(cells):
         expected = cells.z[k] - (normal[0] * dx + normal[1] * dy) / normal[2]
         assert raster.elevation[row, column] == pytest.approx(expected, abs=1e-9)
         assert raster.slope_x[row, column] == pytest.approx(-normal[0] / normal[2], abs=1e-12)
-        bump = height(cells.feature[k], dx, dy) if np.isfinite(cells.feature[k, 1]) else 0.0
-        assert raster.subscale[row, column] == pytest.approx(bump, abs=1e-9)
+
+
+@pytest.mark.parametrize("place", [(0.031, -0.12), (0.6, 0.7), (-0.99, 0.99)])
+def test_subscale_is_the_greatest_height_within_the_cell(place):
+    """Against a fine sampling; wherever on the lattice it lies, a feature has its full peak."""
+    config = configured(domain={"min_level": 3, "max_level": 6}, lidar={"range_noise": 0.01})
+    cells = mapped(config, flat(), density=50.0, scans=1).snapshot()
+    k = int(np.flatnonzero((cells.x == 5.0) & (cells.y == 7.0))[0])
+    cells.feature[:] = np.nan
+    cells.feature[k] = (0.0, np.sqrt(0.3 * 2.0 * np.pi) * 0.15, *place, 0.15)
+    raster = rasterise(cells, 0.6)
+    side = cells.domain.finest_size
+    assert raster.subscale.max() == pytest.approx(0.3, rel=1e-9)
+    fine = (np.arange(25) + 0.5) / 25.0 * side
+    for row in range(24, 32):
+        for column in range(16, 24):
+            dx, dy = column * side + fine - cells.x[k], row * side + fine - cells.y[k]
+            sampled = height(cells.feature[k], dx, dy[:, None]).max()
+            if sampled > 0.006:
+                assert raster.subscale[row, column] == pytest.approx(sampled, abs=0.01)
+    # Tails of millimetres are no feature, and other leaves have none.
+    assert raster.subscale[raster.subscale > 0.0].min() >= 0.005
+    assert not np.delete(raster.subscale, np.s_[16:24], axis=1).any()
 
 
 @pytest.mark.parametrize(("columns", "unseen"), [(1, []), (4, []), (5, [32]), (7, [32, 33, 34])])
@@ -147,6 +168,9 @@ def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
     raster = rasterise(strip(columns), 0.6)
     assert np.flatnonzero(~raster.seen.all(axis=0)).tolist() == unseen
     assert np.isfinite(raster.elevation).all()
+    # Gaps are bridged whole or not at all.
+    missing = list(range(30, 30 + columns)) if unseen else []
+    assert np.flatnonzero(~raster.firm.all(axis=0)).tolist() == missing
 
 
 def test_gaps_are_bridged_level_from_the_nearest_measured_cell():

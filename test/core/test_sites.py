@@ -336,9 +336,11 @@ def test_unseen_ground_is_never_landable(assessment):
     assert seam[:, [32, 33]].all()
     assert not np.delete(seam, [32, 33], axis=1).any()
     assert np.isnan(broken.elevation[seam]).all()
-    # Column 32 spans 8.00 ... 8.25 m; the zone of 0.95 m must not touch it.
-    near = (broken.x >= 7.05) & (broken.x <= 9.2)
+    # The gap spans 7.50 ... 8.75 m; the zone of 0.95 m must not touch it anywhere: what lies
+    # under its edge is as unknown as its middle.
+    near = (broken.x > 6.55) & (broken.x < 9.7)
     assert not broken.safe[:, near].any()
+    assert broken.safe[8:-8, (broken.x > 2.0) & (broken.x < 6.5)].all()
 
 
 def test_terrain_outside_the_domain_is_never_landable(level_ground):
