@@ -9,6 +9,7 @@ its own offset gamma_j; here the offset is the scan's, common to all of its cell
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,6 +39,8 @@ RENEWAL = 0.3
 DOUBT = 0.02
 #: A scan's error sideways is at most this many deviations of what its pose claims.
 SIDEWAYS = 3.0
+#: Where the map's error stands in the state.
+OF_MAP = np.arange(3, 6)
 #: Cells seen before that a scan needs to be moved.
 MIN_CELLS = 3
 
@@ -83,7 +86,7 @@ class ScanAlignment:
     @property
     def started(self) -> bool:
         """Whether there is a map to align to."""
-        return not np.isnan(self.covariance[0, 0])
+        return not math.isnan(self.covariance[0, 0])
 
     @property
     def height_variance(self) -> float:
@@ -120,7 +123,7 @@ class ScanAlignment:
 
     def _decay(self) -> float:
         seconds = abs(self._now_ns - self._stamp_ns) * 1e-9
-        return float(np.exp(-seconds / PERSISTENCE_TIME))
+        return math.exp(-seconds / PERSISTENCE_TIME)
 
     def meet(
         self, rise: Array, variance: Array, normal: Array, scan_covariance: Array
@@ -145,49 +148,52 @@ class ScanAlignment:
             self._merge(mean, covariance, self.persistence)
             return 0.0, 0.0
         left, noise = measured_offset(rise, variance + MODEL_VARIANCE, normal)
-        noise += np.diag(FLOOR**2)
+        noise.flat[::4] += FLOOR**2
         self._update(mean, covariance, self._applied + left, noise)
-        reach = SIDEWAYS * np.sqrt(np.diag(scan_covariance)[:2])
-        self.mean[:2] = np.clip(self.mean[:2], -reach, reach)
+        reach = SIDEWAYS * np.sqrt(scan_covariance.diagonal()[:2])
+        self.mean[:2] = np.minimum(np.maximum(self.mean[:2], -reach), reach)
         return self._move()
 
     def _predict(self, scan_covariance: Array) -> tuple[Array, Array]:
         """Means (2, 6) and covariances (2, 6, 6): the error persisted, it is another one."""
         decay = self._decay()
-        kept = np.repeat((decay, 1.0), 3)
-        mean = np.stack([kept * self.mean, self.mean])
+        mean, covariance = np.empty((2, 6)), np.empty((2, 6, 6))
+        mean[:], covariance[:] = self.mean, self.covariance
+        mean[0, :3] *= decay
         mean[1, :3] = 0.0
-        covariance = np.stack([kept[:, None] * kept * self.covariance, self.covariance])
+        covariance[0, :3] *= decay
+        covariance[0, :, :3] *= decay
         covariance[0, :3, :3] += (1.0 - decay**2) * scan_covariance
         covariance[1, :3] = covariance[1, :, :3] = 0.0
         covariance[1, :3, :3] = scan_covariance
-        drift = np.minimum(DRIFT**2, np.diag(scan_covariance))
-        covariance[:, range(3, 6), range(3, 6)] += drift
+        covariance[:, OF_MAP, OF_MAP] += np.minimum(DRIFT**2, scan_covariance.diagonal())
         return mean, covariance
 
     def _update(self, mean: Array, covariance: Array, measured: Array, noise: Array) -> None:
         """Measurement of b = n - m by both hypotheses, merged into one."""
-        innovation = measured - (mean[:, :3] - mean[:, 3:])
-        cross, spread, square = _spread(covariance, noise, innovation)
-        if square.min() > REFUTED**2:
+        innovation = (measured - (mean[:, :3] - mean[:, 3:]))[:, :, None]
+        cross, spread, inverse, square = _spread(covariance, noise, innovation)
+        if min(square) > REFUTED**2:
             covariance[1, :3, :3] *= 1.0 + square[1] / 3.0
-            cross, spread, square = _spread(covariance, noise, innovation)
-        gain = cross @ np.linalg.inv(spread)
-        mean = mean + np.einsum("hij,hj->hi", gain, innovation)
-        covariance = covariance - gain @ cross.transpose(0, 2, 1)
-        log = -0.5 * (square + np.log(np.linalg.det(spread)))
-        odds = (1.0 - self.persistence) / self.persistence * np.exp(min(log[1] - log[0], 500.0))
+            cross, spread, inverse, square = _spread(covariance, noise, innovation)
+        gain = cross @ inverse
+        mean += (gain @ innovation)[:, :, 0]
+        covariance -= gain @ cross.transpose(0, 2, 1)
+        size = np.linalg.det(spread).tolist()
+        ratio = 0.5 * (square[0] - square[1]) + 0.5 * math.log(size[0] / size[1])
+        odds = (1.0 - self.persistence) / self.persistence * math.exp(min(ratio, 500.0))
         persisted = 1.0 / (1.0 + odds)
         self._merge(mean, covariance, persisted)
         renewed = self.persistence + RENEWAL * (persisted - self.persistence)
-        self.persistence = float(min(max(renewed, DOUBT), 1.0 - DOUBT))
+        self.persistence = min(max(renewed, DOUBT), 1.0 - DOUBT)
 
     def _merge(self, mean: Array, covariance: Array, persisted: float) -> None:
         """Mean and covariance of the mixture in which the first has the weight ``persisted``."""
-        self.mean = persisted * mean[0] + (1.0 - persisted) * mean[1]
+        another = 1.0 - persisted
+        self.mean = persisted * mean[0] + another * mean[1]
         between = mean[0] - mean[1]
-        merged = persisted * covariance[0] + (1.0 - persisted) * covariance[1]
-        merged += persisted * (1.0 - persisted) * np.outer(between, between)
+        merged = persisted * covariance[0] + another * covariance[1]
+        merged += (persisted * another) * (between[:, None] * between)
         self.covariance = 0.5 * (merged + merged.T)
 
     def _move(self) -> tuple[float, float]:
@@ -199,12 +205,15 @@ class ScanAlignment:
         return float(self.mean[2] - self.mean[5] - self._applied[2]), lift
 
 
-def _spread(covariance: Array, noise: Array, innovation: Array) -> tuple[Array, Array, Array]:
-    """P H^T (2, 6, 3), H P H^T + R (2, 3, 3) and the normalised innovations squared (2,)."""
+def _spread(
+    covariance: Array, noise: Array, innovation: Array
+) -> tuple[Array, Array, Array, list[float]]:
+    """P H^T (2, 6, 3), S = H P H^T + R (2, 3, 3), its inverse and i^T S^-1 i of innovations i."""
     cross = covariance[:, :, :3] - covariance[:, :, 3:]
     spread = cross[:, :3] - cross[:, 3:] + noise
-    solved = np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]
-    return cross, spread, np.einsum("hi,hi->h", innovation, solved)
+    inverse: Array = np.linalg.inv(spread).astype(np.float64, copy=False)
+    square = innovation.transpose(0, 2, 1) @ inverse @ innovation
+    return cross, spread, inverse, square.ravel().tolist()
 
 
 def measured_offset(rise: Array, variance: Array, normal: Array) -> tuple[Array, Array]:
