@@ -40,7 +40,10 @@ def test_exceptions_beyond_their_noise_divide():
 
 
 def test_raised_points_over_an_area_divide():
-    """0.04 m^2 of 64 m^2, 3 deviations of what noise makes, one point: the greatest."""
+    """0.04 m^2 of 64 m^2, 3 deviations of what noise makes, one point: the greatest.
+
+    However small an area is asked for, it takes 2 in 10,000 points.
+    """
     leaves = four_leaves(20_000.0)
     leaves.residuals[1] = 1000.0
     leaves.raised_noise[ROWS] = (0.0, 0.0, 4.0, 25.0)
@@ -48,6 +51,10 @@ def test_raised_points_over_an_area_divide():
     for factor, expected in ((0.99, False), (1.01, True)):
         leaves.raised_sum[ROWS] = factor * least
         assert hides(leaves) == [expected] * 4
+        assert hides(leaves, divide_area=1e-6)[1] == expected
+    for raised, expected in ((3.9, False), (4.1, True)):
+        leaves.raised_sum[0] = raised
+        assert hides(leaves, divide_area=1e-6)[0] == expected
     assert hides(leaves, divide_area=0.0) == [False] * 4
     leaves.level[ROWS] = leaves.domain.max_level
     assert hides(leaves) == [False] * 4
