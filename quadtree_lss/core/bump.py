@@ -22,11 +22,19 @@ def peak(state: Array) -> Array:
     return out
 
 
+def boulder_height(state: Array) -> Array:
+    """Height of the boulders that fitted bells stand for: (..., 5) to (...), m.
+
+    A bell fitted to a hemisphere by least squares peaks a quarter above it.
+    """
+    return peak(state) / SHAPE
+
+
 def as_boulder(state: Array) -> Array:
     """States (M, 5) of fitted bells turned into those of boulders of the same volume.
 
-    A bell fitted to a hemisphere by least squares peaks a quarter above it. The volume k^2 is
-    right; widening sigma by sqrt(5/4) lowers the peak to the boulder's height and keeps it.
+    The volume k^2 is right; widening sigma by sqrt(`SHAPE`) lowers the peak to `boulder_height`
+    and keeps it.
     """
     out = state.copy()
     out[:, 4] *= np.sqrt(SHAPE)

@@ -242,7 +242,7 @@ def gather_raised(cell: Index, cells: int, x: Array, y: Array, z: Array) -> Rais
     return Raised(out[0], out[1], out[2], count)
 
 
-def start(raised: Raised, points: Array, area: Array) -> Array:
+def first_states(raised: Raised, points: Array, area: Array) -> Array:
     """First states (C, 5) from the data instead of Eq. 52's constants.
 
     Every raised sample collects the heights of the raised samples near it; the richest one is the

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core import lidar, planes, sphere
-from quadtree_lss.core.bump import SHAPE, peak
+from quadtree_lss.core.bump import boulder_height
 from quadtree_lss.core.config import FeaturesConfig, MappingConfig
 from quadtree_lss.core.fitting import Fit
 from quadtree_lss.core.leaves import Leaves
@@ -230,5 +230,5 @@ def hides_rock(
     state = leaves.feature[rows]
     height = rock_height(features, range_noise)
     with np.errstate(invalid="ignore"):
-        rocky |= (peak(state) >= SHAPE * height) & (state[:, 4] <= features.divide_sigma)
+        rocky |= (boulder_height(state) >= height) & (state[:, 4] <= features.divide_sigma)
     return rocky & (leaves.level[rows] < leaves.domain.max_level)

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscale features: one bell-shaped bump in a leaf, smaller than the leaf (paper V.C).
 
-Height above the cell's plane is A + p exp(-r^2 / 2 sigma^2) with peak p = k^2 / (2 pi sigma^2), so
-that k^2 is the bump's volume (Eq. 49 and 57 corrected) and a slope is no bump. The state of
-Eq. 51 is (A, k, mu_x, mu_y, sigma), the centre relative to the cell's.
+Heights are above the cell's plane, so that a slope is no bump; shape and state: see `core.bump`.
 """
 
 from __future__ import annotations
@@ -14,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core import planes
-from quadtree_lss.core.bump import SHAPE, peak
+from quadtree_lss.core.bump import boulder_height
 from quadtree_lss.core.bump_fit import (
     Samples,
     estimate,
+    first_states,
     flat_cost,
     gather_raised,
     lay_out,
     promise,
-    start,
 )
 from quadtree_lss.core.config import FeaturesConfig
 from quadtree_lss.core.leaves import Leaves
@@ -79,7 +77,7 @@ class Candidates:
         high = high[fresh[self.cell[high]]]
         cell = place[self.cell[high]]
         raised = gather_raised(cell, len(chosen), self.x[high], self.y[high], self.z[high])
-        return start(raised, self.count[chosen], self.size[chosen] ** 2)
+        return first_states(raised, self.count[chosen], self.size[chosen] ** 2)
 
     def window(self, mean: Array) -> Samples:
         """Samples around each mean (C, 5): beyond a few sigma they say nothing of the bump."""
@@ -145,7 +143,7 @@ class FeatureEstimator:
         config = self.config
         keep = (
             (state[:, 1] ** 2 >= config.min_volume)
-            & (peak(state) >= SHAPE * config.min_height)
+            & (boulder_height(state) >= config.min_height)
             & (state[:, 4] <= config.max_sigma_fraction * size)
             & (known | (flat_cost(samples) - cost >= SIGNIFICANCE))
             & np.isfinite(covariance).all(axis=(1, 2))

@@ -39,7 +39,8 @@ class ScanReport:
         divisions: Cells divided by it.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
         refused_points: Points that found no room to be stored.
-        noise_ratio: Observed over configured range noise (running median), NaN if unknown.
+        noise_ratio: Observed over configured range noise (running mean of the scans' medians), NaN
+            if unknown.
     """
 
     stamp_ns: int

@@ -96,23 +96,15 @@ class PoseBuffer:
         Never the latest pose, never beyond either end. With poses that arrive in the order of
         their stamps the answer, once there is one, does not depend on when it is asked for.
         """
-        place = bisect.bisect_left(self._stamps, stamp_ns)
-        if place == len(self._stamps):
+        around = self._bracket(stamp_ns)
+        if around is None:
             return None
-        if self._stamps[place] == stamp_ns:
-            return self._poses[place]
-        if place == 0 or self._stamps[place] - self._stamps[place - 1] > self.max_gap_ns:
-            return None
-        return interpolate(self._poses[place - 1], self._poses[place], stamp_ns)
+        before, after = around
+        return after if after.stamp_ns == stamp_ns else interpolate(before, after, stamp_ns)
 
     def covers(self, stamp_ns: int) -> bool:
         """True if ``at`` has an answer."""
-        place = bisect.bisect_left(self._stamps, stamp_ns)
-        if place == len(self._stamps):
-            return False
-        if self._stamps[place] == stamp_ns:
-            return True
-        return place > 0 and self._stamps[place] - self._stamps[place - 1] <= self.max_gap_ns
+        return self._bracket(stamp_ns) is not None
 
     def hopeless(self, stamp_ns: int) -> str | None:
         """``before_poses`` or ``pose_gap`` if later poses cannot help any more, else None."""
@@ -142,6 +134,16 @@ class PoseBuffer:
         return (
             f"{held}: the poses around it are {gap:.3f} s apart, limit {limit:.3f} s (pose.max_gap)"
         )
+
+    def _bracket(self, stamp_ns: int) -> tuple[Pose, Pose] | None:
+        """The poses to interpolate between, twice the same if one has this stamp; else None."""
+        place = bisect.bisect_left(self._stamps, stamp_ns)
+        if place == len(self._stamps):
+            return None
+        before = place if self._stamps[place] == stamp_ns else place - 1
+        if before < 0 or self._stamps[place] - self._stamps[before] > self.max_gap_ns:
+            return None
+        return self._poses[before], self._poses[place]
 
     def _trim(self) -> None:
         oldest = self._stamps[-1] - self.span_ns

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -239,16 +239,7 @@ def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
             f"roughness {sites.roughness[k]:.3f} m³, "
             + (f"features up to {bump:.2f} m" if bump >= 0.005 else "no subscale feature")
         )
-    return Sites(
-        sites.position,
-        sites.normal,
-        sites.score,
-        sites.slope_deg,
-        sites.roughness,
-        sites.hazard_distance,
-        sites.subscale_height,
-        tuple(lines),
-    )
+    return replace(sites, reasons=tuple(lines))
 
 
 def _why_none(nodes: NodeAssessment, raster: TerrainRaster, lss: LssConfig) -> str:

@@ -41,11 +41,6 @@ def rock_decay(abundance: float) -> float:
     return 1.79 + 0.152 / abundance
 
 
-def rock_cover(diameter: FloatArray | float, abundance: float) -> FloatArray:
-    """Fraction of the ground under rocks larger than ``diameter`` (m): F = k exp(−q D)."""
-    return np.asarray(abundance * np.exp(-rock_decay(abundance) * np.asarray(diameter, float)))
-
-
 def sample_rock_diameters(
     generator: np.random.Generator, area: float, abundance: float, smallest: float, largest: float
 ) -> FloatArray:

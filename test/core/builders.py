@@ -14,6 +14,7 @@ import numpy as np
 
 from quadtree_lss.core import fusion, rotations
 from quadtree_lss.core.config import Config, config_from_values
+from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.core.planes import Moments
@@ -141,6 +142,13 @@ def domain_of(config: Config) -> Domain:
     """The domain that a configuration describes."""
     d = config.domain
     return Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
+
+
+def four_leaves(points: float = 0.0) -> Leaves:
+    """Leaves of 8 m, two levels above the finest, whose sums hold so many points of no residual."""
+    leaves = Mapper(configured(domain={"min_level": 1, "max_level": 3})).leaves
+    leaves.residuals[:4] = points
+    return leaves
 
 
 def leaf_by_descent(cells: CellMap, column: int, row: int) -> int:

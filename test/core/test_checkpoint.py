@@ -154,6 +154,10 @@ def _of_no_scan(state):
     state["stored.keys"] = state["stored.keys"][:-1]
 
 
+def _scan_still_to_come(state):
+    state["stored.next_scan"] = np.zeros_like(state["stored.next_scan"])
+
+
 def _nowhere(state):
     state["stored.points"][2, 0] = np.nan
 
@@ -191,6 +195,7 @@ def _never_other(state):
         _homeless,
         _unseen,
         _of_no_scan,
+        _scan_still_to_come,
         _nowhere,
         _offset_of_a_plane,
         _offset_unknown,

@@ -5,9 +5,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import make_pose, pose_covariance, unit_vectors, upward_normals
+from core.builders import (
+    configured,
+    flat,
+    four_leaves,
+    make_pose,
+    mapped,
+    pose_covariance,
+    scan,
+    scattered,
+    unit_vectors,
+    upward_normals,
+)
 
 from quadtree_lss.core import division
+from quadtree_lss.core.config import MappingConfig
 from quadtree_lss.core.lidar import point_covariances
 
 DRAWS = 4000
@@ -88,3 +100,33 @@ def test_distances_are_along_the_normal():
     for k in range(40):
         expected = normal[group[k]] @ (points[:, k] - through[group[k]])
         assert found[k] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_scan_weighs_by_the_residuals_its_fit_left_free():
+    """Its points less three; from `division_min_residuals` of them on the leaf asks."""
+    config = MappingConfig(division_confidence=0.0, division_min_residuals=8)
+    rows, fitted = np.arange(4), np.zeros(4)
+    leaves = four_leaves()
+    for count, statistic in ((4.0, 9.0), (12.0, 0.5)):
+        division.asks(leaves, rows, np.full(4, statistic), np.full(4, count), fitted, config)
+    np.testing.assert_allclose(leaves.division_weight[rows], 1.0 + 9.0)
+    np.testing.assert_allclose(leaves.division_sum[rows], 9.0 + 4.5)
+    few = four_leaves()
+    for asked in (False, True):  # four free residuals, then eight
+        found = division.asks(few, rows, np.full(4, 9.0), np.full(4, 7.0), fitted, config)
+        assert found.tolist() == [asked] * 4
+
+
+def test_the_papers_criterion_judges_known_cells_by_the_plane_they_had():
+    """Its residuals are prefit ones: level ground that rose does not fit its leaf."""
+    config = configured(
+        domain={"min_level": 2, "max_level": 3},
+        mapping={"division": "mahalanobis", "align": False},
+        lidar={"range_noise": 0.02},
+    )
+    mapper = mapped(config, flat(), density=20.0, scans=1)
+    assert mapper.leaves.count == 16
+    rng, pose = np.random.default_rng(2), make_pose((8.0, 8.0, 500.0))
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 5000)
+    mapper.update(scan(flat(0.5), x, y, pose, 0.02, rng), pose)
+    assert mapper.leaves.count > 16

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from core.builders import configured, lattice, make_pose, mapped, scan, slope
 
-from quadtree_lss.core import bump
+from quadtree_lss.core import bump, features
 from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.core.quadtree import CellMap
 
@@ -82,19 +82,24 @@ def bell(height: float, sigma: float, x0: float, y0: float):
     return lambda x, y: height * np.exp(-0.5 * ((x - x0) ** 2 + (y - y0) ** 2) / sigma**2)
 
 
-@pytest.mark.parametrize(("height", "sigma"), [(0.4, 0.15), (0.3, 0.2), (0.6, 0.12)])
-def test_k_squared_is_the_volume(height, sigma):
-    """Erratum of Eq. 49: a bell of height p has volume 2 pi sigma^2 p."""
+def seen_on_4m(ground, gradient: float = 0.0) -> np.ndarray:
+    """Feature (5,) of a single cell of 4 m after three dense scans; it may slope along x."""
     config = configured(
         domain={"size": 4.0, "min_level": 0, "max_level": 0}, lidar={"range_noise": 0.01}
     )
-    mapper = Mapper(config)
-    rng = np.random.default_rng(1)
+    mapper, rng = Mapper(config), np.random.default_rng(1)
     x, y = lattice(0.0, 0.0, 4.0, 80)
     pose = make_pose((2.0, 2.0, 500.0))
     for _ in range(3):
-        mapper.update(scan(bell(height, sigma, 2.3, 1.8), x, y, pose, 0.01, rng), pose)
-    state = mapper.snapshot().feature[0]
+        points = scan(lambda x, y: ground(x, y) + gradient * x, x, y, pose, 0.01, rng)
+        mapper.update(points, pose)
+    return mapper.snapshot().feature[0]
+
+
+@pytest.mark.parametrize(("height", "sigma"), [(0.4, 0.15), (0.3, 0.2), (0.6, 0.12)])
+def test_k_squared_is_the_volume(height, sigma):
+    """Erratum of Eq. 49: a bell of height p has volume 2 pi sigma^2 p."""
+    state = seen_on_4m(bell(height, sigma, 2.3, 1.8))
     volume = 2.0 * np.pi * sigma**2 * height
     # The cell's plane leans a little towards the bump, which takes a few per cent of it.
     assert state[K] ** 2 == pytest.approx(volume, rel=0.08)
@@ -132,13 +137,53 @@ def test_off_is_off():
     assert np.isnan(cells.feature).all()
 
 
-def test_limits_are_obeyed():
-    radius, x0, y0 = hemispheres(4)
-    limits = {"min_height": 0.3, "min_volume": 0.02, "max_sigma_fraction": 0.1}
-    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04}, features=limits)
-    state = by_place(mapped(config, rocky(radius, x0, y0), density=100.0).snapshot())
-    state = state[np.isfinite(state[:, K])]
-    assert len(state) > 5
-    assert (bump.peak(state) >= 0.3).all()
-    assert (state[:, K] ** 2 >= 0.02).all()
-    assert (np.abs(state[:, SIGMA]) <= 0.1 * 2.0 * np.sqrt(SHAPE) + 1e-12).all()
+#: Each limit, and what of a published state (M, 5) it is about: at least, but for the last.
+LIMITS = {
+    "min_height": (0.3, bump.peak),
+    "min_volume": (0.05, lambda state: state[:, K] ** 2),
+    "max_sigma_fraction": (-0.08, lambda state: -state[:, SIGMA] / (np.sqrt(SHAPE) * 2.0)),
+}
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_limits_are_obeyed(limit):
+    """Of the features found without a limit some go against it, with it none."""
+    least, of = LIMITS[limit]
+    ground = rocky(*hemispheres(4))
+
+    def found(**limits: float) -> np.ndarray:
+        config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04}, features=limits)
+        state = by_place(mapped(config, ground, density=100.0).snapshot())
+        return of(state[np.isfinite(state[:, K])])
+
+    without, limited = found(), found(**{limit: abs(least)})
+    assert (without < least).any()
+    assert len(limited) > 5
+    assert (limited >= least - 1e-12).all()
+
+
+def test_of_too_many_candidates_the_strongest_go_first(monkeypatch):
+    monkeypatch.setattr(features, "MAX_CANDIDATES", 8)
+    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
+    radius, x0, y0 = hemispheres(5)
+    cells = mapped(config, rocky(radius, x0, y0), density=100.0, scans=1).snapshot()
+    found = np.isfinite(by_place(cells)[:, K])
+    assert 4 <= found.sum() <= 8
+    assert radius[found].min() > np.median(radius)
+
+
+def test_height_of_a_feature_on_a_slope_is_vertical():
+    state = seen_on_4m(bell(0.4, 0.15, 2.3, 1.8), gradient=0.5)
+    assert state[K] ** 2 == pytest.approx(2.0 * np.pi * 0.15**2 * 0.4, rel=0.08)
+
+
+def test_too_few_points_make_no_feature():
+    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.01})
+    ground = rocky(*hemispheres(3, 0.35, 0.4))
+    rng, pose = np.random.default_rng(2), make_pose((8.0, 8.0, 500.0))
+    for per_side, some in ((3, False), (5, True)):  # 9 and 25 points in each cell
+        mapper = Mapper(config)
+        for _ in range(3):
+            x, y = lattice(0.0, 0.0, 16.0, 8 * per_side)
+            mapper.update(scan(ground, x, y, pose, 0.01, rng), pose)
+        assert np.isfinite(mapper.snapshot().feature[:, K]).any() == some

@@ -384,6 +384,16 @@ def test_points_of_a_full_cell_are_fittable(fit):
     assert fittable(one(cloud), SIZE, no_prior(1), MappingConfig(fit=fit), 0.05)[0]
 
 
+def test_a_strip_is_too_narrow_only_for_noise_that_crosses_it():
+    """A tenth of a metre wide along y, seen from above and from the side."""
+    rng = np.random.default_rng(2)
+    x, y = 0.1 * rng.standard_normal(400), rng.uniform(-1.0, 1.0, 400)
+    cloud = np.column_stack([x, y, np.zeros(400)])
+    for lidar, sound in (((0.0, 0.0, 500.0), True), ((-500.0, 0.0, 500.0), False)):
+        moment = one(cloud, np.array(lidar))
+        assert fittable(moment, SIZE, no_prior(1), MappingConfig(), 0.05)[0] == sound
+
+
 def test_three_spread_points_are_fittable_and_exact():
     cloud = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.3], [0.0, 2.0, -0.2]])
     for config in (HEIGHT, ML):

@@ -148,3 +148,19 @@ def test_a_height_above_the_plane_lifts_it_there():
         )
         rest = fused.normal[0] @ point - fused.d[0]
         assert abs(rest) < 1e-4  # second order of a few hundredths of a radian over 0.4 m
+
+
+def test_an_update_about_another_height_is_shifted_to_it():
+    """Fusing it as it is equals fusing it about the prior's origin."""
+    rng = np.random.default_rng(1)
+    normal, other = upward_normals(rng, 30, 0.4), upward_normals(rng, 30, 0.4)
+    parts = [random_covariances(rng, 30, 3, 0.1) for _ in range(4)]
+    prior = Planes.of(normal, np.zeros(30), *parts[:2])
+    update = Planes.of(other, np.zeros(30), *parts[2:])
+    height = rng.normal(0.0, 1.0, 30)
+    delta = np.column_stack([np.zeros((30, 2)), -height])
+    d, change = fusion.shift_origin(other, update.d, delta)
+    moved = Planes(other, d, fusion.congruent(change[:, None], update.parts))
+    found, expected = fusion.fuse_pair(prior, update, height), fusion.fuse_pair(prior, moved)
+    for name in ("normal", "d", "parts"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)

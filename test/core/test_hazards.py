@@ -122,6 +122,15 @@ def test_unmeasured_leaves_have_no_bits():
     assert (bits[cells.measured] & hazards.SLOPE).all()
 
 
+def test_inherited_leaves_have_no_bits(cells):
+    """Their plane is not their ground's."""
+    lss = configured().lss
+    bits = hazards.avoided_features(cells, lss)
+    assert (bits > 0).any()
+    inherited = dataclasses.replace(cells, measured=cells.measured & (bits == 0))
+    assert not hazards.avoided_features(inherited, lss)[bits > 0].any()
+
+
 def test_raster_is_the_leaf_planes_at_the_finest_centres(cells):
     raster = rasterise(cells, 0.6)
     n, side = cells.domain.finest_count, cells.domain.finest_size
@@ -171,6 +180,12 @@ def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
     # Gaps are bridged whole or not at all.
     missing = list(range(30, 30 + columns)) if unseen else []
     assert np.flatnonzero(~raster.firm.all(axis=0)).tolist() == missing
+
+
+@pytest.mark.parametrize(("columns", "seen"), [(4, True), (5, False)])
+def test_the_gap_is_from_edge_to_centre(columns, seen):
+    """Of 4 columns of 0.25 m the centres lie up to 0.375 m in, of 5 one lies 0.625 m in."""
+    assert rasterise(strip(columns), 0.4).seen.all() == seen
 
 
 def test_gaps_are_bridged_level_from_the_nearest_measured_cell():

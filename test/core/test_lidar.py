@@ -5,11 +5,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import configured, domain_of, make_pose, random_covariances
+from core.builders import (
+    configured,
+    domain_of,
+    flat,
+    lattice,
+    make_pose,
+    random_covariances,
+    scan,
+)
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.core import lidar, rotations
+from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.core.scan import register
+from quadtree_lss.core.update import ScanUpdate
 
 DRAWS = 40_000
 #: A sample (co)variance of DRAWS normal values errs by sqrt(2 / DRAWS) = 0.7 % (one sigma).
@@ -91,6 +101,17 @@ def test_point_covariance_against_monte_carlo(convention):
     pose = make_pose(tuple(position), covariance, rotation=rotation)
     mean = (rotation @ point + position)[None]
     assert_covariance(samples, lidar.point_covariances(mean, pose, noise)[0])
+
+
+def test_covariance_of_a_scans_ground_is_that_of_a_point_in_its_middle():
+    root = np.random.default_rng(6).normal(0.0, 1e-2, (6, 6))
+    pose = make_pose((80.0, -50.0, 300.0), root @ root.T)
+    mapper = Mapper(configured())
+    x, y = lattice(0.0, 0.0, 16.0, 20)
+    seen, _ = register(scan(flat(), x, y, pose, 0.0), pose, mapper.config.lidar, mapper.domain)
+    change = ScanUpdate(mapper.leaves, mapper._stored, mapper._alignment, mapper.config, seen)
+    expected = lidar.point_covariances(change.origin[None], seen.pose, 0.0)[0]
+    np.testing.assert_allclose(change._ground_covariance(), expected, rtol=1e-9)
 
 
 def test_body_and_fixed_covariance_are_inverse():

@@ -7,10 +7,71 @@ import functools
 
 import numpy as np
 import pytest
-from core.builders import configured, mapped
+from core.builders import configured, four_leaves, mapped
+
+from quadtree_lss.core import division
+from quadtree_lss.core.bump import SHAPE, peak
+from quadtree_lss.core.config import FeaturesConfig, MappingConfig
+from quadtree_lss.core.leaves import Leaves
 
 NOISE = 0.05
 LEAVES_4M = {"xmin": 0.0, "ymin": 0.0, "size": 16.0, "min_level": 2, "max_level": 6}
+ROWS = np.arange(4)
+
+
+def hides(leaves: Leaves, noise: float = 0.02, **mapping: object) -> list[bool]:
+    """Which of `four_leaves` hold a rock, by the default limits but for those given."""
+    config = MappingConfig(**mapping)
+    return division.hides_rock(leaves, ROWS, config, FeaturesConfig(), noise).tolist()
+
+
+def test_exceptions_beyond_their_noise_divide():
+    """1.5 measurements, 3 deviations of what noise makes, 2 in 10,000 points: the greatest."""
+    leaves = four_leaves(1000.0)
+    leaves.residuals[3] = 20_000.0
+    leaves.exception_noise[ROWS] = (0.0, 0.5, 9.0, 0.0)
+    least = np.array([1.5, 0.5 + 3.0 * np.sqrt(0.5), 9.0 + 9.0, 4.0])
+    for factor, expected in ((0.99, False), (1.01, True)):
+        leaves.exception_sum[ROWS] = factor * least
+        assert hides(leaves) == [expected] * 4
+    assert hides(leaves, divide_exceptions=0.0) == [False] * 4
+    leaves.level[ROWS] = leaves.domain.max_level
+    assert hides(leaves) == [False] * 4
+
+
+def test_raised_points_over_an_area_divide():
+    """0.04 m^2 of 64 m^2, 3 deviations of what noise makes, one point: the greatest.
+
+    However small an area is asked for, it takes 2 in 10,000 points.
+    """
+    leaves = four_leaves(20_000.0)
+    leaves.residuals[1] = 1000.0
+    leaves.raised_noise[ROWS] = (0.0, 0.0, 4.0, 25.0)
+    least = np.array([12.5, 1.0, 4.0 + 12.5, 25.0 + 15.0])
+    for factor, expected in ((0.99, False), (1.01, True)):
+        leaves.raised_sum[ROWS] = factor * least
+        assert hides(leaves) == [expected] * 4
+        assert hides(leaves, divide_area=1e-6)[1] == expected
+    for raised, expected in ((3.9, False), (4.1, True)):
+        leaves.raised_sum[0] = raised
+        assert hides(leaves, divide_area=1e-6)[0] == expected
+    assert hides(leaves, divide_area=0.0) == [False] * 4
+    leaves.level[ROWS] = leaves.domain.max_level
+    assert hides(leaves) == [False] * 4
+
+
+def test_features_as_high_and_narrow_as_a_rock_divide():
+    leaves = four_leaves(1000.0)
+
+    def boulder(height: float, sigma: float) -> np.ndarray:
+        return np.array([0.0, np.sqrt(2.0 * np.pi * height * SHAPE) * sigma, 0.0, 0.0, sigma])
+
+    assert peak(boulder(0.2, 0.3)) == pytest.approx(SHAPE * 0.2)
+    shapes = ((0.16, 0.2), (0.14, 0.2), (0.5, 0.51), (0.5, 0.49))
+    leaves.feature[ROWS] = [boulder(*shape) for shape in shapes]
+    assert hides(leaves) == [True, False, False, True]
+    # Three deviations of the range noise are 0.18 m.
+    assert hides(leaves, noise=0.06) == [False, False, False, True]
 
 
 def bump(x, y, x0, y0, radius, height):
@@ -20,8 +81,10 @@ def bump(x, y, x0, y0, radius, height):
 
 
 def test_raised_points_alone_divide():
-    """A rock across the border of two leaves, the other two signs of a rock switched off."""
-    side = {}
+    """A rock lower than an exception across the border of two leaves; the other signs are off.
+
+    Each leaf's half of it is 0.09 m^2 above four deviations.
+    """
     for area in (0.0, 0.04):
         config = configured(
             domain=LEAVES_4M,
@@ -29,12 +92,10 @@ def test_raised_points_alone_divide():
             mapping={"divide_area": area, "divide_exceptions": 0.0},
             features={"divide_sigma": 0.0},
         )
-        ground = functools.partial(bump, x0=8.0, y0=6.0, radius=0.26, height=0.26)
+        ground = functools.partial(bump, x0=8.0, y0=6.0, radius=0.45, height=0.29)
         cells = mapped(config, ground, density=900.0, scans=2).snapshot()
-        at = (np.abs(cells.x - 8.0) < cells.size) & (np.abs(cells.y - 6.0) < cells.size)
-        side[area] = cells.size[at].min()
-    assert side[0.0] == 4.0
-    assert side[0.04] == 0.25
+        under = (np.abs(cells.x - 8.0) < 4.0) & (np.abs(cells.y - 6.0) < 2.0)
+        np.testing.assert_array_equal(cells.size < 4.0, under & (area > 0.0))
 
 
 @pytest.mark.parametrize(

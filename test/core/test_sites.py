@@ -243,6 +243,18 @@ def test_sites_are_described_by_the_ground_in_their_zone(cells):
         assert sites.slope_deg[k] == pytest.approx(angle, abs=1e-6)
 
 
+def test_hazard_distance_by_touchdown_is_from_the_ground_that_spoils(cells):
+    """From the nodes that fail the check, or from the domain's edge, less the zone's radius."""
+    config = small(assessment="touchdown", hazard_growth=0.0, hazard_distance_cap=6.0)
+    found = assess(cells, config)
+    row, column = np.nonzero(found.hazard & hazards.TOUCHDOWN)
+    assert len(row) and len(found.sites.score)
+    for k, (x, y, _) in enumerate(found.sites.position):
+        node = np.hypot(found.x[column] - x, found.y[row] - y).min() + RADIUS
+        clear = min(node, x, y, 16.0 - x, 16.0 - y) - RADIUS
+        assert found.sites.hazard_distance[k] == pytest.approx(clear, abs=1e-9)
+
+
 @pytest.mark.parametrize(("assessment", "limit"), [("paper", 11), ("touchdown", 8)])
 def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessment, limit):
     config = small(assessment=assessment, max_slope_deg=11.0, touchdown_slope_deg=8.0)

@@ -1,11 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roughness density (Eq. 55) and exceptions (Eq. 48) of cells."""
+"""Roughness density (Eq. 55), exceptions (Eq. 48) and the check of the range noise."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, lattice, make_pose, mapped, pose_covariance, scan, slope
+from core.builders import (
+    configured,
+    flat,
+    lattice,
+    make_pose,
+    mapped,
+    pose_covariance,
+    scan,
+    scattered,
+    slope,
+)
 
 from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.core.quadtree import CellMap
@@ -129,3 +139,34 @@ def test_wild_points_count_at_most_the_clip():
     assert roughness[1000.0] > 15.0
     own = 64.0 * 0.5 / (2 * 4096)
     assert roughness[0.5] == pytest.approx(0.5 * roughness[1000.0] + own, rel=0.01)
+
+
+def test_the_noise_floor_is_what_noise_makes_of_few_points():
+    """Four points a cell and scan: the common offset takes one."""
+    config = fixed(4, 0.05)
+    leaves = mapped(config, flat(), density=4.0, scans=60).leaves
+    assert leaves.distance_sum.sum() == pytest.approx(leaves.noise_sum.sum(), rel=0.04)
+
+
+def test_exceptions_that_noise_makes_are_foreseen():
+    """Half the tolerance of 0.3 m is one deviation."""
+    leaves = mapped(fixed(4, 0.15), flat(), density=60.0, scans=5).leaves
+    assert leaves.exception_sum.sum() == pytest.approx(leaves.exception_noise.sum(), rel=0.1)
+
+
+def test_the_noise_ratio_follows_by_a_tenth_a_scan():
+    config = fixed(3, 0.05)
+    rng, mapper, pose = np.random.default_rng(1), Mapper(config), make_pose((8.0, 8.0, 500.0))
+    for factor, expected in ((1.0, 1.0), (2.0, 1.1), (2.0, 1.19)):
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 12_000)
+        report = mapper.update(scan(flat(), x, y, pose, 0.05 * factor, rng), pose)
+        assert report.noise_ratio == pytest.approx(expected, abs=0.03)
+
+
+def test_the_noise_ratio_knows_what_a_plane_takes():
+    """Twelve points a cell: three of their twelve degrees of freedom went into the plane."""
+    rng, mapper, pose = np.random.default_rng(15), Mapper(fixed(4, 0.05)), make_pose()
+    for _ in range(10):
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 12 * 256)
+        report = mapper.update(scan(flat(), x, y, pose, 0.05, rng), pose)
+    assert report.noise_ratio == pytest.approx(1.0, abs=0.06)

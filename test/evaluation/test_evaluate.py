@@ -10,7 +10,8 @@ import pytest
 from evaluation.scores import ground, write_results, write_truth
 
 from quadtree_lss.evaluation import EvaluationError, evaluate
-from quadtree_lss.evaluation.metrics import fill_holes
+from quadtree_lss.evaluation.metrics import fill_holes, seen_at
+from quadtree_lss.evaluation.results import Grid
 
 
 def _evaluate(tmp_path, truth=None, figures=False, **results):
@@ -73,6 +74,17 @@ def test_detection_rates(tmp_path):
     assert result.missed_depth == pytest.approx(8.25)
 
 
+def test_missed_depth_is_that_of_missed_ground(tmp_path):
+    """A hazard of 3 m about (3, 0) is found; one of 0.4 m about (-5, 0) is not."""
+
+    def safe(x, y):
+        return (np.hypot(x - 3.0, y) > 3.0) & (np.hypot(x + 5.0, y) > 0.4)
+
+    found = _evaluate(tmp_path, truth={"safe": safe}, called_safe=lambda x, y: x < -2.0).detection
+    assert found.missed_nodes > 0
+    assert found.missed_depth < 0.8
+
+
 def test_calling_everything_unsafe_finds_no_safe_ground(tmp_path):
     truth = {"safe": lambda x, y: x > 0.0}
     result = _evaluate(tmp_path, truth=truth, called_safe=lambda x, y: x > 99.0).detection
@@ -108,6 +120,17 @@ def test_edge_of_seen_ground_does_not_grow():
     seen = np.zeros((60, 60), bool)
     seen[10:40, 15:50] = True
     np.testing.assert_array_equal(fill_holes(seen, 0.25), seen)
+
+
+@pytest.mark.parametrize("hidden", [(1, 1), (1, 2), (2, 1), (2, 2)])
+def test_a_point_is_seen_if_all_four_nodes_about_it_are(hidden):
+    axis, none = np.arange(4.0), np.zeros((4, 4))
+    hazard = np.zeros((4, 4), np.uint8)
+    hazard[hidden] = 128
+    grid = Grid(axis, axis, none, none, hazard, none > 0, none)
+    middle, corner = np.array([1.5]), np.array([0.5])
+    assert not seen_at(grid, middle, middle)[0, 0]
+    assert seen_at(grid, corner, corner)[0, 0] == (hidden != (1, 1))
 
 
 def test_unsafe_sites_are_counted_among_the_first_five(tmp_path):

@@ -195,6 +195,15 @@ def test_site_table_and_grids(cells):
     np.testing.assert_array_equal(observed == -1, ~cells.observed)
 
 
+def test_unseen_ground_may_be_hazardous_too(cells):
+    """What is both is a hazard; unseen alone is unknown."""
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, lss={"vehicle_diameter": 2.0})
+    assessment = LandingSiteSelector(config).assess(cells)
+    bits = np.array([[0, 1, 128, 129]], dtype=np.uint8)
+    values = maps.encode_hazards(dataclasses.replace(assessment, hazard=bits))
+    assert values.tolist() == [[0, 100, -1, 100]]
+
+
 def test_score_of_no_safe_ground_is_all_excluded():
     assessment = LandingSiteSelector(configured()).assess(Mapper(configured()).snapshot())
     assert (maps.encode_score(assessment) == 100).all()

@@ -2,6 +2,8 @@
 """Bags of every kind and state give the same messages, as far as they are there."""
 
 import shutil
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import pose_from_message
 from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError, choose_topic
-from quadtree_lss.replay.rescue import RescuedMcap
+from quadtree_lss.replay.rescue import RescuedMcap, _uncompressed
 
 TOPICS = {SCAN_TOPIC: CLOUD, POSE_TOPIC: POSE}
 SCANS = 10
@@ -133,6 +135,20 @@ def test_damage_within_a_chunk_costs_no_more_than_that(tmp_path):
         got = sum(1 for _ in bag.messages(list(TOPICS)))
         assert got >= 20
         assert got == 80 or bag.losses
+
+
+def test_a_chunk_with_a_wrong_checksum_is_damaged():
+    data = b"abcdef"
+
+    def chunk(checksum: int) -> bytes:
+        """An uncompressed one: times, size, checksum, compression, length, records."""
+        head = struct.pack("<QQQI", 0, 0, len(data), checksum)
+        return head + struct.pack("<I", 0) + struct.pack("<Q", len(data)) + data
+
+    good, bad = chunk(zlib.crc32(data)), chunk(zlib.crc32(data) ^ 1)
+    assert _uncompressed(good, len(good)) == (data, True)
+    with pytest.raises(ValueError, match="checksum"):
+        _uncompressed(bad, len(bad))
 
 
 @pytest.mark.parametrize("length", [1 << 40, 1 << 62, (1 << 64) - 1])

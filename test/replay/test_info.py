@@ -75,10 +75,19 @@ def test_clocks_that_differ_are_a_problem(tmp_path):
     assert any("1970" in line for line in info.notes)
 
 
+@pytest.mark.parametrize(("scans_from", "poses_from"), [(100, 0), (0, 100)])
+def test_the_gap_between_clocks_is_told(tmp_path, scans_from, poses_from):
+    steps = [START + k * SECOND // 10 for k in range(10)]
+    scans, poses = ([s + at * SECOND for s in steps] for at in (scans_from, poses_from))
+    info = inspect_bag(write(tmp_path / "bag", scans, poses), CONFIG)
+    assert any("99.100 s lie between them" in line for line in info.problems)
+
+
 def test_stamps_that_go_back_are_counted(tmp_path):
     steps = [k * SECOND // 10 for k in range(10)]
     scans = [START + s for s in steps]
     scans[4], scans[5] = scans[5], scans[4]
+    scans[8] = scans[7]  # which is not back
     info = inspect_bag(write(tmp_path / "bag", scans, [START + s for s in steps]), CONFIG)
     assert topic(info, "/lidar/points").backward == 1
     assert any("go back" in line for line in info.notes)

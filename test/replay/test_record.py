@@ -5,19 +5,22 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import GROUND, Recorder, flight, write_ros2
+from replay.recordings import GROUND, START, Recorder, flight, write_ros2
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quadtree_lss.core.config import config_from_values
 from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS, encode_score, record_dtype
+from quadtree_lss.replay import record as products
 from quadtree_lss.replay.bags import Bag, BagError
 from quadtree_lss.replay.info import inspect_bag
+from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.replay import ReplayError, replay
 from quadtree_lss.replay.types import typestore
 
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
+MS = 1_000_000
 MAPS = {"/map/cells", "/map/observed"}
 LANDING = {"/landing/sites", "/landing/site_table", "/landing/hazards", "/landing/score"}
 
@@ -76,6 +79,29 @@ def test_the_last_products_are_those_of_the_results(recorded):
     np.testing.assert_allclose(
         score.info.origin.position.x + 0.5 * score.info.resolution, result.assessment.x[0]
     )
+
+
+def test_the_last_map_gets_its_landing_sites(recorded, tmp_path):
+    """Of two maps the second is due before the sites of it are."""
+    config = config_from_values({**GROUND, "publish.rate": 10.0, "publish.lss_rate": 4.0})
+    cells, path = recorded[0].cells, tmp_path / "bag"
+    with products.Recorder(path, config) as recorder:
+        for now in (START, START + 120 * MS):
+            recorder.changed()
+            recorder.tick(now, lambda: cells)
+        recorder.finish(START + 130 * MS, lambda: cells)
+    with Bag(path) as bag:
+        counts = {topic.name: topic.count for topic in bag.topics}
+    assert counts["/map/cells"] == counts["/landing/sites"] == 2
+
+
+def test_halves_of_different_maps_are_not_joined(recorded):
+    with Bag(recorded[1]) as bag:
+        pairs = MapPairs.find(bag)
+        cells, observed = (list(bag.messages([topic])) for topic in pairs.topics)
+        assert pairs.take(bag, cells[0]) is None
+        assert pairs.take(bag, observed[1]) is None
+        assert pairs.take(bag, cells[1]) is not None
 
 
 def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):

@@ -2,6 +2,7 @@
 """A bag to a results folder: contract of the files, determinism, counts, damage."""
 
 import csv
+import dataclasses
 import json
 
 import numpy as np
@@ -25,6 +26,8 @@ from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.messages.intake import Intake
 from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
 from quadtree_lss.replay.replay import ReplayError, replay
+from quadtree_lss.replay.results import write_cells
+from quadtree_lss.replay.stream import Stream
 
 CONFIG = config_from_values(GROUND)
 FILES = {"sites.csv", "cells.npz", "grid.npz", "timing.csv", "summary.json", "config.yaml"}
@@ -98,6 +101,14 @@ def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
     normal = np.column_stack([cells[n][known] for n in ("nx", "ny", "nz")])
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0)
     assert (normal[:, 2] > 0.0).all()
+
+
+def test_cells_hold_the_covariance_of_pose_and_range(result, tmp_path):
+    more = result.cells.covariance_pose + 0.5 * np.eye(3)
+    cells = dataclasses.replace(result.cells, covariance_pose=more)
+    write_cells(tmp_path / "cells.npz", cells)
+    found = arrays(tmp_path / "cells.npz")["covariance"]
+    np.testing.assert_array_equal(found, cells.covariance_range + more)
 
 
 def test_grid_holds_the_contract(result):
@@ -188,6 +199,17 @@ def test_a_part_of_the_bag(bag, tmp_path):
     first, last = part.timings[0].stamp_ns, part.timings[-1].stamp_ns
     assert START + 0.3 * SECOND <= first <= last < START + 0.7 * SECOND
     assert seen[-1][0] == seen[-1][1] == pytest.approx(0.4)
+
+
+def test_the_last_message_belongs_to_the_bag(bag):
+    stream = Stream()
+    with Bag(bag) as opened:
+        stream.limit(opened)
+        whole = [message.received_ns for message in opened.messages([SCAN_TOPIC, POSE_TOPIC])]
+        limits = (stream.start_ns, stream.stop_ns)
+        part = [m.received_ns for m in opened.messages([SCAN_TOPIC, POSE_TOPIC], *limits)]
+        assert part == whole and part[-1] == opened.end_ns
+        assert stream.seconds == (opened.end_ns - opened.start_ns) / SECOND
 
 
 @pytest.mark.parametrize(

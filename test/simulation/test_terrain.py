@@ -9,7 +9,7 @@ import pytest
 from quadtree_lss.simulation.hazard_field import (
     HazardField,
     hazard_field,
-    rock_cover,
+    rock_decay,
     sample_rock_diameters,
 )
 from quadtree_lss.simulation.terrain import SimulationError, Terrain, load_terrain
@@ -32,17 +32,18 @@ def test_bilinear_surface_is_exact_for_bilinear_functions():
 
 
 def test_rocks_cover_the_ground_as_golombek_and_rapp_say():
-    area, k = 4e5, 0.05
+    """Rocks larger than D cover k exp(-q D), q = 1.79 + 0.152 / k."""
+    area, k, q = 4e5, 0.05, 1.79 + 3.04
+    assert rock_decay(k) == pytest.approx(q)
     diameters = sample_rock_diameters(np.random.default_rng(2), area, k, 0.1, 1.0)
     assert diameters.min() >= 0.1
     assert diameters.max() <= 1.0
     for threshold in (0.1, 0.2, 0.4, 0.6):
         larger = diameters[diameters > threshold]
         cover = np.pi / 4.0 * np.sum(larger**2) / area
-        expected = float(rock_cover(threshold, k) - rock_cover(1.0, k))
+        expected = k * (np.exp(-q * threshold) - np.exp(-q))
         spread = np.pi / 4.0 * np.sqrt(np.sum(larger**4)) / area
         assert abs(cover - expected) < 4.0 * spread
-    assert float(rock_cover(0.0, k)) == pytest.approx(k)
 
 
 def test_field_has_what_was_asked_for():
