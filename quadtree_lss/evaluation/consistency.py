@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import quadtree_lss
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.consistency import Counts, prefit_statistics
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.mapping import Mapper, ScanReport
 from quadtree_lss.core.scan import register
-from quadtree_lss.evaluation.results import EvaluationError
+from quadtree_lss.evaluation.results import EvaluationError, Results
 from quadtree_lss.replay.stream import scans
 
 
@@ -51,6 +52,7 @@ def consistency(
     bag: str | Path,
     config: Config,
     *,
+    results: Results | None = None,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
     progress: Callable[[int], None] | None = None,
@@ -60,24 +62,70 @@ def consistency(
     Args:
         bag: A bag as of `Bag`.
         config: As for ``replay``.
+        results: Map only the scans that were mapped into these, and make sure that they are the
+            same.
         scan_topic, pose_topic: By default found by name, then by type.
         progress: Called with the number of scans mapped so far.
 
     Raises:
         BagError: the bag cannot be read or its topics are ambiguous.
-        EvaluationError: no point of it fell on ground that was already mapped.
+        EvaluationError: no point of it fell on ground that was already mapped, or the scans are
+            not those of the results.
     """
     counts, number = Counts(), 0
+    wanted = _Wanted(results)
     mapper = Mapper(config)
     for scan in scans(bag, config, scan_topic=scan_topic, pose_topic=pose_topic):
+        if scan.stamp_ns not in wanted:
+            continue
         registered, _ = register(scan.points_lidar, scan.pose, config.lidar, mapper.domain)
         statistics = prefit_statistics(mapper.leaves, registered, config.lidar.range_noise)
         counts += statistics.counts()
-        mapper.update(scan.points_lidar, scan.pose)
+        wanted.check(mapper.update(scan.points_lidar, scan.pose), bag)
         number += 1
         if progress is not None:
             progress(number)
+    wanted.check_all(number, bag)
     if not counts.points:
         msg = f"{bag}: no point of {number} scans fell on ground that was already mapped"
         raise EvaluationError(msg)
     return Consistency(counts, number)
+
+
+class _Wanted:
+    """The scans of some results by their stamp, or any scan without results of scans."""
+
+    def __init__(self, results: Results | None) -> None:
+        self._points: dict[int, tuple[int, int]] = {}
+        self._exact = False
+        if results is not None:
+            rows = zip(results.stamps_ns.tolist(), results.points.tolist(), strict=True)
+            self._points = {stamp_ns: (points, used) for stamp_ns, (points, used) in rows}
+            made_by = results.summary.get("versions") or {}
+            self._exact = made_by.get("quadtree_lss") == quadtree_lss.__version__
+
+    def __contains__(self, stamp_ns: int) -> bool:
+        return not self._points or stamp_ns in self._points
+
+    def check(self, report: ScanReport, bag: str | Path) -> None:
+        """Compare a scan with its row of ``timing.csv``."""
+        if not self._points:
+            return
+        points, used = self._points[report.stamp_ns]
+        same = report.points == points
+        if self._exact and not report.refused_points:  # another version may judge points otherwise
+            same = same and report.points_used == used
+        if not same:
+            msg = (
+                f"{bag} holds other scans than were mapped: that at {report.stamp_ns} ns has"
+                f" {report.points} points, {report.points_used} of use, but timing.csv says"
+                f" {points} and {used}"
+            )
+            raise EvaluationError(msg)
+
+    def check_all(self, mapped: int, bag: str | Path) -> None:
+        """Compare the number of scans."""
+        if mapped < len(self._points):
+            missing = len(self._points) - mapped
+            msg = f"{bag} lacks {missing} of the {len(self._points)} scans that were mapped"
+            raise EvaluationError(msg)

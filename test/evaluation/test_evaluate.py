@@ -179,6 +179,54 @@ def test_bad_results_are_one_clear_line(tmp_path, name, damage):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", "cut", "array"])
+@pytest.mark.parametrize("name", ["truth.npz", "results/cells.npz", "results/grid.npz"])
+def test_damaged_arrays_are_one_clear_line(tmp_path, name, content):
+    folder = write_results(tmp_path / "results")
+    truth = write_truth(tmp_path / "truth.npz")
+    path = tmp_path / name
+    if content == "array":
+        with path.open("wb") as file:
+            np.save(file, np.zeros(3))
+    else:
+        path.write_bytes(path.read_bytes()[:1000] if content == "cut" else content)
+    with pytest.raises(EvaluationError, match=path.name) as caught:
+        evaluate(folder, truth)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["level", "z", "nx", "domain"])
+def test_arrays_of_wrong_lengths_are_one_clear_line(tmp_path, name):
+    folder = write_results(tmp_path / "results")
+    cells = dict(np.load(folder / "cells.npz"))
+    np.savez(folder / "cells.npz", **{**cells, name: cells[name][:3]})
+    with pytest.raises(EvaluationError, match=r"cells\.npz: \w+ has \d+ rows, expected"):
+        evaluate(folder, write_truth(tmp_path / "truth.npz"))
+
+
+def test_a_summary_that_is_missing_and_one_that_is_damaged_are_told_apart(tmp_path):
+    folder = write_results(tmp_path / "results")
+    truth = write_truth(tmp_path / "truth.npz")
+    (folder / "summary.json").write_text("{")
+    with pytest.raises(EvaluationError, match="summary.json is not JSON"):
+        evaluate(folder, truth)
+    (folder / "summary.json").unlink()
+    with pytest.raises(EvaluationError, match="no folder that replay wrote"):
+        evaluate(folder, truth)
+
+
+def test_numbers_that_do_not_exist_are_dashes(tmp_path):
+    folder = write_results(tmp_path / "results", unseen=lambda x, y: x < 99.0, sites=[])
+    header = (folder / "timing.csv").read_text().splitlines()[0]
+    (folder / "timing.csv").write_text(header + "\n")  # as of a bag of maps
+    result = evaluate(folder, write_truth(tmp_path / "truth.npz"))
+    table = result.table()
+    assert "nan" not in table
+    for row in ("RMS with the mean removed", "Map update, median / 99 %", "Landing site selection"):
+        line = next(line for line in table.splitlines() if row in line)
+        assert line.split()[-1] == "-"
+
+
 def test_missing_truth_and_missing_folder(tmp_path):
     folder = write_results(tmp_path / "results")
     with pytest.raises(EvaluationError, match="truth"):
