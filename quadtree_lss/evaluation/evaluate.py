@@ -147,16 +147,16 @@ def evaluate(
     if not safety.scored.size:
         msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
         raise EvaluationError(msg)
+    table_2 = None
+    if consistency or given is not None:
+        table_2, without = _table_2(results, Path(results_dir), given, progress)
+        notes += [] if without is None else [f"Table 2: {without}"]
     folder = Path(out) if out is not None else Path(results_dir) / "evaluation"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         msg = f"cannot create {folder}: {error.strerror}"
         raise EvaluationError(msg) from error
-    table_2 = None
-    if consistency or given is not None:
-        table_2, without = _table_2(results, Path(results_dir), given, progress)
-        notes += [] if without is None else [f"Table 2: {without}"]
     verdicts = site_verdicts(results.sites[:_TOP], truth)
     written: tuple[Path, ...] = ()
     if figures:

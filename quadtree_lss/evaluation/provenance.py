@@ -52,11 +52,11 @@ def check_truth(
         msg = f"{truth_path} is of seed {truth.seed}, but {results_dir} of seed {seed}"
         raise EvaluationError(msg)
     named = bag if bag is not None else results.bag
-    if truth.bag is None or named is None or not results.stamps_ns.size:
+    if truth.bag_name is None or named is None or not results.stamps_ns.size:
         return None
-    of_truth = truth_path.parent / Path(truth.bag).name
+    of_truth = truth_path.parent / Path(truth.bag_name).name
     of_results = bag if bag is not None else recorded_bag(results)
-    contradiction = f"{truth_path} is of the bag {of_truth.name}, but {results_dir} of {named}"
+    contradiction = f"{truth_path} is of the bag {of_truth.name}, not of {named}"
     same = None
     if of_truth.exists() and of_results is not None:
         same = _same_scans(of_results, of_truth, results_config(results_dir))

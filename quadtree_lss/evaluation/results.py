@@ -28,7 +28,7 @@ _CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measure
 _GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
-_TRUTH_NAMES = ("bag", "seed")
+_TRUTH_NAMES = ("bag_name", "seed")
 
 
 class EvaluationError(QuadtreeLssError):
@@ -138,8 +138,8 @@ class Results:
     """Time per scan (S,), ms."""
     stamps_ns: NDArray[np.int64]
     """Stamps of the mapped scans (S,)."""
-    points: NDArray[np.int64]
-    """Points of each scan, and those of them that were used (S, 2)."""
+    counts: NDArray[np.int64]
+    """Of each scan: its points, those of them that were used, leaves after it (S, 3)."""
     summary: dict[str, Any]
 
     @property
@@ -165,7 +165,7 @@ class Truth:
     """Edge of each scan on the ground (S, K, 2); K = 0 where the file does not know."""
     scan_flight: NDArray[np.int64]
     """Flight to which each scan belongs (S,)."""
-    bag: str | None = None
+    bag_name: str | None = None
     """Name of the bag beside the file; None where the file does not tell, like ``seed``."""
     seed: int | None = None
 
@@ -266,7 +266,7 @@ def load_truth(path: str | Path) -> Truth:
     a.setdefault("scan_flight", np.zeros(scans, np.int64))
     for name in _TRUTH_EXTRA:
         _check_length(file, name, a[name], scans, "one per scan")
-    for name, kind in (("bag", str), ("seed", int)):
+    for name, kind in (("bag_name", str), ("seed", int)):
         if name in a:
             a[name] = kind(a[name].item()) if a[name].size == 1 else None
     return Truth(**{**a, "safe": a["safe"].astype(bool)}, box=(xmin, xmax, ymin, ymax))
@@ -300,7 +300,7 @@ def load_results(directory: str | Path) -> Results:
         sites=_columns(folder / "sites.csv", ("x", "y", "z"), float),
         map_ms=_columns(timing, ("map_ms",), float)[:, 0],
         stamps_ns=_columns(timing, ("stamp_ns",), int)[:, 0],
-        points=_columns(timing, ("points", "points_used"), int),
+        counts=_columns(timing, ("points", "points_used", "leaves"), int),
         summary=summary,
     )
 
