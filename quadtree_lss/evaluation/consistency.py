@@ -113,7 +113,7 @@ class _Wanted:
             return
         points, used, leaves = self._rows[report.stamp_ns]
         same = report.points == points
-        if self._exact and not report.refused_points:
+        if self._exact:
             # Of another version nothing more can be asked. Of another processor leaves may
             # differ by the few whose statistics lie on a threshold to the last bit.
             near = abs(report.leaves - leaves) <= 2 + leaves // 100
