@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.evaluation.evaluate import EvaluationResult, evaluate
+from quadtree_lss.evaluation.evaluate import EvaluationResult, evaluate, show
 from quadtree_lss.evaluation.metrics import elevation_field
 from quadtree_lss.evaluation.results import EvaluationError, load_results, load_truth
+from quadtree_lss.replay.results import new_folder
 
 _COLUMNS = (
     "hazardous",
@@ -21,6 +23,8 @@ _COLUMNS = (
     "largest",
     "leaves",
     "map time",
+    "prefit below",
+    "prefit above",
 )
 
 
@@ -37,25 +41,30 @@ class ComparisonResult:
         return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
 
     def table(self) -> str:
-        """A row per run; elevation RMS with the mean removed."""
+        """A row per run; elevation RMS with the mean removed, Table 2 of one degree of freedom."""
         rows = [("run", *_COLUMNS), *((name, *_cells(r)) for name, r in self.runs.items())]
         widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
         lines = []
         for name, *cells in rows:
             shown = [f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True)]
             lines.append("  ".join([f"{name:<{widths[0]}}", *shown]))
+        for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
+            names = [name for name, r in self.runs.items() if note in r.notes]
+            lines.append(f"{', '.join(names)}: {note}")
         return "\n".join(lines)
 
 
 def _cells(r: EvaluationResult) -> tuple[str, ...]:
+    outside = r.consistency.counts.one_degree if r.consistency is not None else (math.nan,) * 2
     return (
-        f"{100.0 * r.detection.hazardous_found:.2f} %",
-        f"{100.0 * r.detection.safe_found:.2f} %",
+        show(100.0 * r.detection.hazardous_found, ".2f", " %"),
+        show(100.0 * r.detection.safe_found, ".2f", " %"),
         f"{r.unsafe_in_top_five} of {len(r.site_verdicts)}",
-        f"{r.elevation.rms_mean_removed:.3f} m",
-        f"{r.elevation.maximum:.2f} m",
+        show(r.elevation.rms_mean_removed, ".3f", " m"),
+        show(r.elevation.maximum, ".2f", " m"),
         str(r.leaves_estimated),
-        f"{r.map_s_total:.2f} s",
+        show(r.map_s_total, ".2f", " s"),
+        *(show(100.0 * share, ".2f", " %") for share in outside),
     )
 
 
@@ -64,12 +73,14 @@ def compare(
     truth_path: str | Path,
     out: str | Path | None = None,
     *,
+    consistency: bool = True,
     figures: bool = True,
+    progress: Callable[[int, int], None] | None = None,
 ) -> ComparisonResult:
     """Score several results of ``replay`` over the same ground.
 
     Each is evaluated as by `evaluate`, into ``out/<name>``; what shows them together goes into
-    ``out`` (default: ``evaluation`` in the last of them). Runs bear the names of their directories.
+    ``out`` (default: a new folder ``results/<time>``). Runs bear the names of their directories.
     Raises `EvaluationError` as `evaluate` does, and for two directories of one name.
     """
     folders = [Path(directory) for directory in results_dirs]
@@ -77,9 +88,16 @@ def compare(
     if len(set(names)) < len(names):
         msg = f"runs are told apart by their directories' names, but these are {', '.join(names)}"
         raise EvaluationError(msg)
-    together = Path(out) if out is not None else folders[-1] / "evaluation"
+    together = Path(out) if out is not None else new_folder(Path("results"))
     runs = {
-        name: evaluate(folder, truth_path, together / name, figures=figures)
+        name: evaluate(
+            folder,
+            truth_path,
+            together / name,
+            consistency=consistency,
+            figures=figures,
+            progress=progress,
+        )
         for name, folder in zip(names, folders, strict=True)
     }
     drawn: tuple[Path, ...] = ()

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.evaluation.metrics import (
     Detection,
     ElevationError,
@@ -23,7 +25,8 @@ from quadtree_lss.evaluation.metrics import (
     safety_field,
     site_verdicts,
 )
-from quadtree_lss.evaluation.results import EvaluationError, load_results, load_truth
+from quadtree_lss.evaluation.provenance import check_truth, recorded_bag, results_config
+from quadtree_lss.evaluation.results import EvaluationError, Results, load_results, load_truth
 from quadtree_lss.replay.results import plain
 
 if TYPE_CHECKING:
@@ -38,7 +41,8 @@ class EvaluationResult:
 
     Sites are those of the first five ranks: ``site_verdicts`` has one word for each, in order, and
     ``unknown_in_top_five`` counts those that the truth cannot judge. ``missed`` are the hazardous
-    places called safe. ``consistency`` is None unless the bag was at hand.
+    places called safe. ``consistency`` is None unless the bag was at hand; ``notes`` say what could
+    not be done or checked, and why.
     """
 
     elevation: ElevationError
@@ -58,6 +62,7 @@ class EvaluationResult:
     consistency: Consistency | None
     out: Path
     figures: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Numbers only, ready for JSON; None stands for a number that does not exist."""
@@ -69,11 +74,12 @@ class EvaluationResult:
     def table(self) -> str:
         """A few aligned lines for people."""
         e, d = self.elevation, self.detection
+        times = f"{show(self.map_ms_median, '.2f')} / {show(self.map_ms_p99, '.2f', ' ms')}"
         rows = [
-            ("Elevation error, mean absolute", f"{e.mean_absolute:.3f} m"),
-            ("  RMS / largest", f"{e.rms:.3f} / {e.maximum:.2f} m"),
-            ("  mean", f"{e.mean:+.3f} m"),
-            ("  RMS with the mean removed", f"{e.rms_mean_removed:.3f} m"),
+            ("Elevation error, mean absolute", show(e.mean_absolute, ".3f", " m")),
+            ("  RMS / largest", f"{show(e.rms, '.3f')} / {show(e.maximum, '.2f', ' m')}"),
+            ("  mean", show(e.mean, "+.3f", " m")),
+            ("  RMS with the mean removed", show(e.rms_mean_removed, ".3f", " m")),
             ("Seen terrain without an estimate", _percent(e.without_estimate)),
             ("Hazardous terrain found", _percent(d.hazardous_found)),
             ("  of it as unknown", _percent(d.hazardous_unknown)),
@@ -82,13 +88,15 @@ class EvaluationResult:
             ("Scanned box out of the score (unseen)", _percent(d.unseen_box)),
             (f"Truly unsafe sites in the top {_TOP}", self._unsafe_sites()),
             ("Leaves with an estimate / all", f"{self.leaves_estimated} / {self.leaves}"),
-            ("Map update, median / 99 %", f"{self.map_ms_median:.2f} / {self.map_ms_p99:.2f} ms"),
-            ("Landing site selection", f"{self.lss_ms:.1f} ms"),
+            ("Map update, median / 99 %", times),
+            ("Landing site selection", show(self.lss_ms, ".1f", " ms")),
         ]
         width = max(len(label) for label, _ in rows)
         lines = [f"{label:<{width}}  {value}" for label, value in rows]
         if self.consistency is not None:
             lines += ["", self.consistency.table()]
+        if self.notes:
+            lines += ["", *self.notes]
         return "\n".join(lines)
 
     def _unsafe_sites(self) -> str:
@@ -100,8 +108,13 @@ class EvaluationResult:
         return text
 
 
+def show(value: float, digits: str, unit: str = "") -> str:
+    """A number for a table; a dash where it does not exist."""
+    return "-" if math.isnan(value) else f"{value:{digits}}{unit}"
+
+
 def _percent(fraction: float) -> str:
-    return "-" if math.isnan(fraction) else f"{100.0 * fraction:.2f} %"
+    return show(100.0 * fraction, ".2f", " %")
 
 
 def evaluate(
@@ -110,22 +123,34 @@ def evaluate(
     out: str | Path | None = None,
     *,
     bag: str | Path | None = None,
+    consistency: bool = True,
     figures: bool = True,
+    progress: Callable[[int, int], None] | None = None,
 ) -> EvaluationResult:
     """Score the results of ``replay`` in ``results_dir`` against ``truth.npz``.
 
     Writes ``evaluation.json`` and, unless ``figures`` is false, PNG figures into ``out`` (default:
-    ``results_dir/evaluation``). With ``bag``, the recording that was replayed, it is mapped again
-    with the results' ``config.yaml`` for the consistency of Table 2. Raises `EvaluationError` when
-    a file is missing or malformed or the map and the truth do not overlap.
+    ``results_dir/evaluation``). For the ``consistency`` of Table 2 the recording is mapped again
+    with the results' ``config.yaml``: ``bag``, by default the one that ``summary.json`` names if
+    it is still there; ``progress(done, total)`` counts its scans.
+
+    Raises `EvaluationError` when a file is missing or malformed, when results, truth and bag are
+    not of one flight (`provenance.check_truth`), or when the map and the truth do not overlap.
     """
     results, truth = load_results(results_dir), load_truth(truth_path)
+    given = None if bag is None else Path(bag)
+    doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
+    notes = [] if doubt is None else [doubt]
     leaves, grid = results.leaves, results.grid
     heights = elevation_field(leaves, grid, truth)
     safety = safety_field(grid, truth)
     if not safety.scored.size:
         msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
         raise EvaluationError(msg)
+    table_2 = None
+    if consistency or given is not None:
+        table_2, without = _table_2(results, Path(results_dir), given, progress)
+        notes += [] if without is None else [f"Table 2: {without}"]
     folder = Path(out) if out is not None else Path(results_dir) / "evaluation"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -154,19 +179,45 @@ def evaluate(
         map_ms_p99=float(np.percentile(times, 99.0)),
         map_s_total=float(times.sum() * 1e-3),
         lss_ms=float(results.summary.get("lss_ms") or math.nan),
-        consistency=None if bag is None else _consistency(bag, Path(results_dir)),
+        consistency=table_2,
         out=folder,
         figures=written,
+        notes=tuple(notes),
     )
     text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
     (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
     return result
 
 
-def _consistency(bag: str | Path, results_dir: Path) -> Consistency:
-    """Table 2 with the configuration of the results."""
-    from quadtree_lss.configuration import load_config
+def _table_2(
+    results: Results,
+    results_dir: Path,
+    given: Path | None,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Consistency | None, str | None]:
+    """Table 2 with the configuration of the results, or why there is none.
+
+    What is wrong with a bag that was given is an error; with one that was merely found, a reason.
+    """
     from quadtree_lss.evaluation.consistency import consistency  # maps: the whole core
 
-    config = results_dir / "config.yaml"
-    return consistency(bag, load_config([str(config)] if config.is_file() else []))
+    bag = given if given is not None else recorded_bag(results)
+    if bag is None:
+        return None, "needs --bag"
+    if given is None and not results.stamps_ns.size:
+        return None, "needs --bag with the scans: these results are of recorded maps"
+    total = results.stamps_ns.size
+    scan_topic, pose_topic = (results.summary.get(f"{what}_topic") for what in ("scan", "pose"))
+    try:
+        return consistency(
+            bag,
+            results_config(results_dir),
+            results=results,
+            scan_topic=scan_topic or None,
+            pose_topic=pose_topic or None,
+            progress=None if progress is None else lambda done: progress(done, max(done, total)),
+        ), None
+    except QuadtreeLssError as error:
+        if given is not None:
+            raise
+        return None, f"needs --bag ({error})"

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from quadtree_lss.evaluation.metrics import ErrorField, bilinear
 from quadtree_lss.evaluation.plotting import (
@@ -45,7 +46,7 @@ def cells_and_scans(results: Results, truth: Truth) -> Figure:
         lines = LineCollection(list(shown), linewidths=0.9, cmap="viridis")
         lines.set_array(1 + EVERY * np.arange(len(shown)))
         axes.add_collection(lines)
-        figure.colorbar(lines, ax=axes, label="scan [-]")
+        figure.colorbar(lines, ax=axes, label="scan [-]", ticks=MaxNLocator(integer=True))
     return figure
 
 
@@ -109,10 +110,13 @@ def elevation_error(heights: ErrorField, truth: Truth, top: float | None = None)
     box = _seen_box(heights)
     error = np.abs(heights.error)
     finite = error[np.isfinite(error)]
-    mean, worst = (finite.mean(), finite.max()) if finite.size else (np.nan, np.nan)
     if top is None:
         top = max(float(np.percentile(finite, 99.5)) if finite.size else 1.0, 0.05)
-    title = f"Elevation error: mean absolute {mean:.3f} m, largest {worst:.2f} m"
+    title = "Elevation error: nothing to compare"
+    if finite.size:
+        title = (
+            f"Elevation error: mean absolute {finite.mean():.3f} m, largest {finite.max():.2f} m"
+        )
     figure, axes = map_axes(title, box)
     axes.set_facecolor("#dddddd")
     shown = image(axes, heights.x, heights.y, error, cmap="viridis", vmin=0.0, vmax=top)
@@ -141,6 +145,7 @@ def processing_time(runs: Mapping[str, FloatArray]) -> Figure:
     axes.set(xlabel="scan [-]", ylabel="map update [ms]")
     axes.set_title("Processing time per scan", fontsize="medium")
     axes.set_ylim(bottom=0.0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
     return figure

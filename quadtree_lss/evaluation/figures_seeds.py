@@ -25,7 +25,14 @@ def draw_seeds(path: Path, result: SeedsResult) -> None:
     scores = [result.scored[seed].detection for seed in seeds]
     safe = 100.0 * np.array([d.safe_found for d in scores])
     hazardous = 100.0 * np.array([d.hazardous_found for d in scores])
-    axes.plot(safe, hazardous, "o", ms=5, color=RUNS[1], label=f"{len(seeds)} seeds")
+    axes.plot(
+        safe,
+        hazardous,
+        "o",
+        ms=5,
+        color=RUNS[1],
+        label="1 seed" if len(seeds) == 1 else f"{len(seeds)} seeds",
+    )
     if np.isfinite(safe).any() and np.isfinite(hazardous).any():
         mean = np.nanmean(safe), np.nanmean(hazardous)
         axes.plot(*mean, "D", ms=8, color=RUNS[0], mec="black", label="their mean")

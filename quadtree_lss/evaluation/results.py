@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +28,7 @@ _CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measure
 _GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
+_TRUTH_NAMES = ("bag_name", "seed")
 
 
 class EvaluationError(QuadtreeLssError):
@@ -136,7 +138,15 @@ class Results:
     """Time per scan (S,), ms."""
     stamps_ns: NDArray[np.int64]
     """Stamps of the mapped scans (S,)."""
+    counts: NDArray[np.int64]
+    """Of each scan: its points, those of them that were used, leaves after it (S, 3)."""
     summary: dict[str, Any]
+
+    @property
+    def bag(self) -> Path | None:
+        """The bag that was replayed, as ``summary.json`` names it."""
+        name = self.summary.get("bag")
+        return Path(name) if isinstance(name, str) and name else None
 
 
 @dataclass(frozen=True)
@@ -155,6 +165,9 @@ class Truth:
     """Edge of each scan on the ground (S, K, 2); K = 0 where the file does not know."""
     scan_flight: NDArray[np.int64]
     """Flight to which each scan belongs (S,)."""
+    bag_name: str | None = None
+    """Name of the bag beside the file; None where the file does not tell, like ``seed``."""
+    seed: int | None = None
 
     def outlines_of(self, stamps_ns: NDArray[np.int64], every: int) -> tuple[FloatArray, int]:
         """Closed outlines (n, K + 1, 2) of every so-manieth of the given scans; their number."""
@@ -174,13 +187,17 @@ def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) 
         msg = f"{path} does not exist"
         raise EvaluationError(msg)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        opened = np.load(path, allow_pickle=False)
+        if isinstance(opened, np.ndarray):
+            msg = f"{path} is a single array, no .npz file"
+            raise EvaluationError(msg)
+        with opened as file:
             missing = [name for name in names if name not in file]
             if missing:
                 msg = f"{path} lacks {', '.join(missing)}"
                 raise EvaluationError(msg)
             return {name: file[name] for name in (*names, *optional) if name in file}
-    except (OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         msg = f"{path} is not a readable .npz file: {error}"
         raise EvaluationError(msg) from error
 
@@ -197,9 +214,19 @@ def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: 
             raise EvaluationError(msg)
 
 
+def _check_length(path: Path, name: str, array: NDArray[Any], length: int, of: str) -> None:
+    if array.shape[:1] != (length,):
+        found = array.shape[0] if array.ndim else "no"
+        msg = f"{path}: {name} has {found} rows, expected {of}: {length}"
+        raise EvaluationError(msg)
+
+
 def load_leaves(path: Path) -> Leaves:
     """Read ``cells.npz``."""
     a = _arrays(path, _CELLS)
+    _check_length(path, "domain", a["domain"], 5, "xmin, ymin, size, min_level, max_level")
+    for name in _CELLS[:-1]:
+        _check_length(path, name, a[name], a["level"].size, "one per leaf")
     xmin, ymin, size, min_level, max_level = np.asarray(a["domain"], float)
     return Leaves(
         level=a["level"].astype(np.int64),
@@ -229,17 +256,19 @@ def load_grid(path: Path) -> Grid:
 def load_truth(path: str | Path) -> Truth:
     """Read ``truth.npz``."""
     file = Path(path)
-    a = _arrays(file, _TRUTH, _TRUTH_EXTRA)
+    a = _arrays(file, _TRUTH, (*_TRUTH_EXTRA, *_TRUTH_NAMES))
     _check_shape(file, a, "x", "y", "elevation")
     _check_shape(file, a, "safe_x", "safe_y", "safe")
+    _check_length(file, "box", a["box"], 4, "xmin, xmax, ymin, ymax")
     xmin, xmax, ymin, ymax = (float(value) for value in a.pop("box"))
     scans = a["scan_stamp_ns"].size
     a.setdefault("scan_outline", np.empty((scans, 0, 2)))
     a.setdefault("scan_flight", np.zeros(scans, np.int64))
     for name in _TRUTH_EXTRA:
-        if len(a[name]) != scans:
-            msg = f"{file}: {name} has {len(a[name])} rows, expected one per scan: {scans}"
-            raise EvaluationError(msg)
+        _check_length(file, name, a[name], scans, "one per scan")
+    for name, kind in (("bag_name", str), ("seed", int)):
+        if name in a:
+            a[name] = kind(a[name].item()) if a[name].size == 1 else None
     return Truth(**{**a, "safe": a["safe"].astype(bool)}, box=(xmin, xmax, ymin, ymax))
 
 
@@ -263,18 +292,32 @@ def load_results(directory: str | Path) -> Results:
     if not folder.is_dir():
         msg = f"{folder} is not a directory of results"
         raise EvaluationError(msg)
-    summary_path = folder / "summary.json"
-    try:
-        summary = json.loads(summary_path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        msg = f"{summary_path} is missing or not JSON"
-        raise EvaluationError(msg) from error
     timing = folder / "timing.csv"
+    summary = _summary(folder / "summary.json")
     return Results(
         leaves=load_leaves(folder / "cells.npz"),
         grid=load_grid(folder / "grid.npz"),
         sites=_columns(folder / "sites.csv", ("x", "y", "z"), float),
         map_ms=_columns(timing, ("map_ms",), float)[:, 0],
         stamps_ns=_columns(timing, ("stamp_ns",), int)[:, 0],
+        counts=_columns(timing, ("points", "points_used", "leaves"), int),
         summary=summary,
     )
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        msg = f"{path} does not exist: {path.parent} is no folder that replay wrote"
+        raise EvaluationError(msg) from error
+    except OSError as error:
+        msg = f"{path} cannot be read: {error.strerror}"
+        raise EvaluationError(msg) from error
+    except ValueError as error:
+        msg = f"{path} is not JSON: {error}"
+        raise EvaluationError(msg) from error
+    if not isinstance(content, dict):
+        msg = f"{path} is not JSON of an object"
+        raise EvaluationError(msg)
+    return content

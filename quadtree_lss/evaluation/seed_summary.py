@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from quadtree_lss.evaluation.evaluate import EvaluationResult
+from quadtree_lss.evaluation.evaluate import EvaluationResult, show
 from quadtree_lss.evaluation.statistics import Statistic, summarise, upper_bound
 from quadtree_lss.replay.results import plain
 
@@ -134,22 +134,27 @@ class SeedsResult:
         rows = [head]
         for quantity in QUANTITIES:
             s = self.summary[quantity.name]
-            show = _formatter(quantity.digits)
+            digits = f".{quantity.digits}f"
             unit = f" [{quantity.unit}]" if quantity.unit else ""
             seed = "-" if s.worst_seed is None else str(s.worst_seed)
-            interval = f"{show(s.low)} … {show(s.high)}"
-            rows.append((quantity.label + unit, show(s.mean), interval, show(s.worst), seed))
+            mean, worst = show(s.mean, digits), show(s.worst, digits)
+            interval = "-"
+            if s.count > 1:
+                interval = f"{show(s.low, digits)} … {show(s.high, digits)}"
+            rows.append((quantity.label + unit, mean, interval, worst, seed))
         widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
         lines = [
             f"{row[0]:<{widths[0]}}" + "".join(f"  {row[k]:>{widths[k]}}" for k in range(1, 5))
             for row in rows
         ]
         unsafe, judged, unknown = self.sites_judged
-        bound = 100.0 * upper_bound(unsafe, judged)
-        text = f"Truly unsafe sites: {unsafe} of {judged} (with 95 % confidence ≤ {bound:.1f} %)"
+        text = f"Truly unsafe sites: {unsafe} of {judged}"
+        if judged:
+            text += f" (with 95 % confidence ≤ {100.0 * upper_bound(unsafe, judged):.1f} %)"
         if unknown:
             text += f"; {unknown} beyond the true terrain could not be judged"
-        lines += [f"{count} seeds of {self.flight['scenario']}", text]
+        seeds = "1 seed" if count == 1 else f"{count} seeds"
+        lines += [f"{seeds} of {self.flight['scenario']}", text]
         lines += [f"seed {seed} failed: {reason}" for seed, reason in self.failed.items()]
         return "\n".join(lines)
 
@@ -183,7 +188,3 @@ def csv_rows(result: SeedsResult) -> list[Mapping[str, Any]]:
         row["largest_missed_y"] = round(largest.y, 2) if largest else ""
         rows.append(row)
     return rows
-
-
-def _formatter(digits: int) -> Callable[[float], str]:
-    return lambda value: "-" if math.isnan(value) else f"{value:.{digits}f}"

@@ -18,7 +18,8 @@ class Statistic:
     """One quantity over many seeds; NaN where it exists for none.
 
     ``low`` and ``high`` bound the mean with 95 % confidence (bootstrap over seeds, which assumes no
-    shape of the distribution); ``worst`` is that of seed ``worst_seed``.
+    shape of the distribution; NaN for fewer than two values, which tell no spread); ``worst`` is
+    that of seed ``worst_seed``.
     """
 
     mean: float
@@ -40,8 +41,10 @@ def summarise(
         return Statistic(nan, nan, None, nan, nan, 0)
     value = all_values[kept]
     at = int(value.argmin() if worst == "smallest" else value.argmax())
-    draws = np.random.default_rng(0).integers(0, value.size, (_RESAMPLES, value.size))
-    low, high = np.percentile(value[draws].mean(axis=1), (2.5, 97.5))
+    low = high = float("nan")
+    if value.size > 1:
+        draws = np.random.default_rng(0).integers(0, value.size, (_RESAMPLES, value.size))
+        low, high = np.percentile(value[draws].mean(axis=1), (2.5, 97.5))
     return Statistic(
         mean=float(value.mean()),
         worst=float(value[at]),

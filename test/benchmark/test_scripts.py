@@ -18,6 +18,7 @@ SMALL = {
     ),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "binned_statistic_2d"]),
+    "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "live": (["--seconds", "3"], ["scans sent", "mapping_node", "lss_node"]),
     "soak": (["--minutes", "0.1"], ["By the minute", "mapping_node", "lss_node"]),

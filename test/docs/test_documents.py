@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documents say what is true: marked blocks run as written, links lead somewhere."""
 
+import json
 import os
 import re
 import shutil
@@ -8,9 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from quadtree_lss.configuration import load_config
 from quadtree_lss.core.config import parameters
+from quadtree_lss.replay.replay import replay
 from quadtree_lss.simulation.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -109,6 +113,60 @@ def test_the_table_of_equations_names_files_and_functions_that_exist():
             source = (ROOT / "quadtree_lss" / file).read_text()
             for name in re.findall(r"`(\w+)`", functions):
                 assert re.search(rf"(def|class) {name}\b", source), (file, name)
+
+
+def test_the_table_of_equations_leads_to_code_that_names_them():
+    text = (ROOT / "docs" / "how_it_works.md").read_text()
+    for row in re.findall(r"^\| Eq\..*$", text, re.MULTILINE):
+        files = re.findall(r"`(\w+/\w+\.py)`", row)
+        code = "".join((ROOT / "quadtree_lss" / file).read_text() for file in files)
+        for number in re.findall(r"Eq\. (\d+)", row.split("|")[1]):
+            assert re.search(rf"Eq\. {number}\b", code), (number, files)
+
+
+def test_every_name_in_the_files_is_documented(flight, tmp_path):
+    """Columns, arrays and keys as they are written, each in the section of its file."""
+    config = load_config(["morpheus"])
+    replay(flight / "bag", tmp_path, config, report=False)
+    names = {
+        "sites.csv": (tmp_path / "sites.csv").read_text().splitlines()[0].split(","),
+        "timing.csv": (tmp_path / "timing.csv").read_text().splitlines()[0].split(","),
+        "cells.npz": list(np.load(tmp_path / "cells.npz")),
+        "grid.npz": list(np.load(tmp_path / "grid.npz")),
+        "summary.json": list(json.loads((tmp_path / "summary.json").read_text())),
+        "What a simulation writes": list(np.load(flight / "truth.npz")),
+    }
+    page = (ROOT / "docs" / "topics_and_files.md").read_text()
+    for title, written in names.items():
+        section = re.search(rf"^##+ {re.escape(title)}\n(.*?)^##", page, re.DOTALL | re.MULTILINE)
+        documented = re.findall(r"`(\w+)`", section[1])
+        assert set(written) <= set(documented), (title, set(written) - set(documented))
+
+
+def test_the_rule_of_nan_is_as_documented(flight, tmp_path):
+    """docs/topics_and_files.md: measured, inherited and unestimated leaves; unseen nodes."""
+    replay(flight / "bag", tmp_path, load_config(["morpheus"]), report=False)
+    cells = np.load(tmp_path / "cells.npz")
+    measured, known = cells["measured"], np.isfinite(cells["z"])
+    assert not (measured & ~known).any()
+    inherited = known & ~measured
+    assert measured.any() and inherited.any() and not known.all()
+    for name in ("nx", "ny", "nz", "covariance"):
+        finite = np.isfinite(cells[name]).reshape(len(known), -1)
+        np.testing.assert_array_equal(finite.all(axis=1), known)
+        np.testing.assert_array_equal(finite.any(axis=1), known)
+    for name in ("roughness", "exception_fraction"):
+        np.testing.assert_array_equal(np.isfinite(cells[name]), measured)
+    np.testing.assert_array_equal(cells["count"] > 0, measured)
+    feature = np.isfinite(cells["feature"])
+    assert (feature.all(axis=1) == feature.any(axis=1)).all()
+    assert feature.any() and not feature[~measured].any()
+    grid = np.load(tmp_path / "grid.npz")
+    seen = grid["hazard"] & 128 == 0
+    np.testing.assert_array_equal(np.isfinite(grid["elevation"]), seen)
+    np.testing.assert_array_equal(np.isfinite(grid["slope_deg"]), seen)
+    np.testing.assert_array_equal(np.isfinite(grid["score"]), grid["safe"])
+    assert not grid["safe"][~seen].any()
 
 
 def test_the_picture_is_small():

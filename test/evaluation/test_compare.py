@@ -20,13 +20,27 @@ def test_a_row_for_each_run_and_figures_of_all(tmp_path):
     assert list(result.runs) == ["ff13", "ff14"]
     assert result.runs["ff13"].detection.safe_found == 1.0
     assert result.runs["ff14"].detection.safe_found < 0.6
-    assert [line.split()[0] for line in result.table().splitlines()] == ["run", "ff13", "ff14"]
+    *rows, note = result.table().splitlines()
+    assert [row.split()[0] for row in rows] == ["run", "ff13", "ff14"]
+    assert note == "ff13, ff14: Table 2: needs --bag"
+    assert not (second / "evaluation").exists()
     assert {path.name for path in result.figures} == {
         "fig11_processing_time.png",
         "fig25_selected_sites.png",
     }
     assert set(json.loads((tmp_path / "out" / "evaluation.json").read_text())) == set(result.runs)
     assert (tmp_path / "out" / "ff14" / "evaluation.json").is_file()
+
+
+def test_without_a_place_several_go_into_a_new_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folders = [write_results(tmp_path / name) for name in ("a", "b")]
+    truth = write_truth(tmp_path / "truth.npz")
+    one = evaluate(folders[1], truth, figures=False)
+    before = (one.out / "evaluation.json").read_bytes()
+    result = compare(folders, truth, figures=False)
+    assert result.out.parent.resolve() == tmp_path / "results"
+    assert (one.out / "evaluation.json").read_bytes() == before
 
 
 def test_runs_of_one_name_cannot_be_told_apart(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from evaluation.scores import ground, write_results, write_truth
 
+from quadtree_lss.cli import main
 from quadtree_lss.evaluation import EvaluationError, evaluate
 from quadtree_lss.evaluation.metrics import fill_holes, seen_at
 from quadtree_lss.evaluation.results import Grid
@@ -202,6 +203,54 @@ def test_bad_results_are_one_clear_line(tmp_path, name, damage):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", "cut", "array"])
+@pytest.mark.parametrize("name", ["truth.npz", "results/cells.npz", "results/grid.npz"])
+def test_damaged_arrays_are_one_clear_line(tmp_path, name, content):
+    folder = write_results(tmp_path / "results")
+    truth = write_truth(tmp_path / "truth.npz")
+    path = tmp_path / name
+    if content == "array":
+        with path.open("wb") as file:
+            np.save(file, np.zeros(3))
+    else:
+        path.write_bytes(path.read_bytes()[:1000] if content == "cut" else content)
+    with pytest.raises(EvaluationError, match=path.name) as caught:
+        evaluate(folder, truth)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["level", "z", "nx", "domain"])
+def test_arrays_of_wrong_lengths_are_one_clear_line(tmp_path, name):
+    folder = write_results(tmp_path / "results")
+    cells = dict(np.load(folder / "cells.npz"))
+    np.savez(folder / "cells.npz", **{**cells, name: cells[name][:3]})
+    with pytest.raises(EvaluationError, match=r"cells\.npz: \w+ has \d+ rows, expected"):
+        evaluate(folder, write_truth(tmp_path / "truth.npz"))
+
+
+def test_a_summary_that_is_missing_and_one_that_is_damaged_are_told_apart(tmp_path):
+    folder = write_results(tmp_path / "results")
+    truth = write_truth(tmp_path / "truth.npz")
+    (folder / "summary.json").write_text("{")
+    with pytest.raises(EvaluationError, match="summary.json is not JSON"):
+        evaluate(folder, truth)
+    (folder / "summary.json").unlink()
+    with pytest.raises(EvaluationError, match="no folder that replay wrote"):
+        evaluate(folder, truth)
+
+
+def test_numbers_that_do_not_exist_are_dashes(tmp_path):
+    folder = write_results(tmp_path / "results", unseen=lambda x, y: x < 99.0, sites=[])
+    header = (folder / "timing.csv").read_text().splitlines()[0]
+    (folder / "timing.csv").write_text(header + "\n")  # as of a bag of maps
+    result = evaluate(folder, write_truth(tmp_path / "truth.npz"))
+    table = result.table()
+    assert "nan" not in table
+    for row in ("RMS with the mean removed", "Map update, median / 99 %", "Landing site selection"):
+        line = next(line for line in table.splitlines() if row in line)
+        assert line.split()[-1] == "-"
+
+
 def test_missing_truth_and_missing_folder(tmp_path):
     folder = write_results(tmp_path / "results")
     with pytest.raises(EvaluationError, match="truth"):
@@ -242,3 +291,25 @@ def test_missed_places_are_listed_with_what_stands_there(tmp_path):
     assert first.depth == result.detection.missed_depth
     assert first.relief == pytest.approx(0.8, abs=0.15)
     assert np.hypot(first.peak_x - 3.0, first.peak_y + 2.0) < 0.35
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--config", "parabola", "--set", "lss.margin=1"], ["--config", "--set"]),
+        (["--outliers", "0.5", "--jobs", "2"], ["--outliers", "--jobs"]),
+        (["--range-noise", "0", "--figures"], ["--range-noise", "--figures"]),
+        (["--scenario", "morpheus", "--bags", "x"], ["--scenario", "--bags"]),
+    ],
+)
+def test_options_of_seeds_do_not_go_with_a_folder(tmp_path, capsys, arguments, words):
+    assert main(["evaluate", str(tmp_path), "--truth", "t.npz", *arguments]) == 2
+    text = capsys.readouterr().err.splitlines()[-1]
+    assert "only with --seeds" in text
+    assert all(word in text for word in words)
+
+
+@pytest.mark.parametrize("seeds", ["abc", "1,1"])
+def test_what_is_no_list_of_seeds_is_wrong_usage(capsys, seeds):
+    assert main(["evaluate", "--seeds", seeds]) == 2
+    assert "--seeds" in capsys.readouterr().err.splitlines()[-1]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import os
 import shutil
@@ -36,13 +37,15 @@ def run(tmp_path_factory, config):
 
 @pytest.mark.parametrize(
     ("text", "seeds"),
-    [("7", [7]), ("101-103", [101, 102, 103]), ("5,1-2,5", [5, 1, 2]), (" 3 - 4 ", [3, 4])],
+    [("7", [7]), ("101-103", [101, 102, 103]), ("5,1-2,9", [5, 1, 2, 9]), (" 3 - 4 ", [3, 4])],
 )
 def test_lists_of_seeds(text, seeds):
     assert parse_seeds(text) == seeds
 
 
-@pytest.mark.parametrize("text", ["", "a", "1-", "5-3", "1,,2", "-4", "1.5", "0-99999999"])
+@pytest.mark.parametrize(
+    "text", ["", "a", "1-", "5-3", "1,,2", "-4", "1.5", "0-99999999", "1,1", "5,4-6"]
+)
 def test_what_is_no_list_of_seeds_is_named(text):
     with pytest.raises(EvaluationError, match="seeds"):
         parse_seeds(text)
@@ -74,6 +77,15 @@ def test_table_shows_mean_worst_and_the_seed(run):
     for word in ("mean", "95 % interval", "worst", "2 seeds of parabola", "Truly unsafe sites"):
         assert word in table
     assert len({len(line) for line in table.splitlines()[:-2]}) == 1
+
+
+def test_one_seed_has_no_interval(run):
+    whole, _ = run
+    one = dataclasses.replace(whole, scored={4: whole.scored[4]})
+    table = one.table()
+    assert "…" not in table and "nan" not in table
+    assert "1 seed of parabola" in table
+    assert one.as_dict()["summary"]["safe_found"]["low"] is None
 
 
 def test_flights_made_with_the_same_options_are_used_again(run, tmp_path, config):

@@ -31,6 +31,12 @@ def test_equal_values_leave_no_doubt():
     assert (s.low, s.mean, s.high) == (4.0, 4.0, 4.0)
 
 
+def test_one_value_tells_no_spread():
+    s = summarise([7], [0.9], "smallest")
+    assert (s.mean, s.worst, s.worst_seed, s.count) == (0.9, 0.9, 7, 1)
+    assert np.isnan([s.low, s.high]).all()
+
+
 def test_missing_values_are_left_out():
     s = summarise([1, 2, 3], [np.nan, 2.0, 4.0], "smallest")
     assert (s.mean, s.worst, s.worst_seed, s.count) == (3.0, 2.0, 2, 2)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subscale features of hemispheres in flat 2 m cells: found, how high, where, and false alarms."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import configuration, machine, table
+
+from quadtree_lss.core import bump
+from quadtree_lss.core.config import Config
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mapping import Mapper
+
+Ground = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Height (m) at places x, y (m)."""
+
+SIDE, CELLS = 2.0, 16
+"""Of a cell, m, and cells along a side of the field, one hemisphere in each."""
+
+ROOM = 0.05
+"""Least distance of a hemisphere from the edge of its cell, m."""
+
+CLASSES = ((0.15, 0.2), (0.2, 0.3), (0.3, 0.4), (0.15, 0.4))
+"""Radii, m; the last: all."""
+
+
+@dataclass(frozen=True)
+class Hemispheres:
+    """One in each cell, row by row: radius and centre (K,), m."""
+
+    radius: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+
+    def ground(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """See `Ground`; flat between them."""
+        cell = (y // SIDE).astype(int) * CELLS + (x // SIDE).astype(int)
+        square = self.radius[cell] ** 2 - (x - self.x[cell]) ** 2 - (y - self.y[cell]) ** 2
+        return np.sqrt(np.maximum(square, 0.0))
+
+
+def main() -> None:
+    """Print what was found of hemispheres, and what was imagined on plain ground."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 111)))
+    parser.add_argument("--density", type=float, default=100.0, help="points / m^2 and scan")
+    parser.add_argument("--scans", type=int, default=3)
+    parser.add_argument("--noise", type=float, default=0.04, help="of the range, m")
+    options = parser.parse_args()
+    config = configuration(
+        domain__xmin=0.0,
+        domain__ymin=0.0,
+        domain__size=SIDE * CELLS,
+        domain__min_level=int(np.log2(CELLS)),
+        domain__max_level=int(np.log2(CELLS)),
+        lidar__range_noise=options.noise,
+        lss__grid_spacing=SIDE,
+    )
+    print(machine())
+    print(
+        f"seeds {' '.join(map(str, options.seeds))}; {options.scans} scans from straight above of"
+        f" {options.density:g} points/m^2, {options.noise:g} m noise"
+    )
+    fields = [hemispheres(np.random.default_rng(seed)) for seed in options.seeds]
+    found = [
+        features(config, field.ground, seed, options.density, options.scans)
+        for seed, field in zip(options.seeds, fields, strict=True)
+    ]
+    show_found(fields, np.concatenate(found))
+    rows = []
+    for name, ground in PLAIN.items():
+        alarms = [
+            np.isfinite(features(config, ground, seed, options.density, options.scans)[:, 1])
+            for seed in options.seeds
+        ]
+        rows.append([name, np.size(alarms), f"{100.0 * np.mean(alarms):.2f}"])
+    table("Plain ground (false alarms: must < 4 %, aim < 1 %)", ["ground", "cells", "%"], rows)
+
+
+PLAIN: dict[str, Ground] = {
+    "level": lambda x, y: np.zeros(np.shape(x)),
+    "slope of 10 degrees": lambda x, y: 0.15 * x - 0.09 * y,
+}
+
+
+def hemispheres(rng: np.random.Generator) -> Hemispheres:
+    """Radii and places drawn evenly."""
+    smallest, largest = CLASSES[-1]
+    count = CELLS**2
+    radius = rng.uniform(smallest, largest, count)
+    reach = 0.5 * SIDE - radius - ROOM
+    row, column = np.divmod(np.arange(count), CELLS)
+    x = SIDE * (column + 0.5) + reach * rng.uniform(-1.0, 1.0, count)
+    y = SIDE * (row + 0.5) + reach * rng.uniform(-1.0, 1.0, count)
+    return Hemispheres(radius, x, y)
+
+
+def features(config: Config, ground: Ground, seed: int, density: float, scans: int) -> np.ndarray:
+    """Features (K, 5) of the cells, row by row, after some scans with an exact pose."""
+    rng = np.random.default_rng((seed, 1))
+    size = config.domain.size
+    lidar = np.array([0.5 * size, 0.5 * size, 500.0])
+    looking_down = np.diag([1.0, -1.0, -1.0])
+    mapper = Mapper(config)
+    for k in range(scans):
+        x, y = rng.uniform(0.0, size, (2, round(density * size**2)))
+        ray = np.column_stack([x, y, ground(x, y)]) - lidar
+        noise = config.lidar.range_noise * rng.standard_normal(len(ray))
+        ray *= (1.0 + noise / np.linalg.norm(ray, axis=1))[:, None]
+        pose = Pose(1 + k, lidar, looking_down, 1e-12 * np.eye(6))
+        mapper.update(ray @ looking_down, pose)
+    cells = mapper.snapshot()
+    return cells.feature[np.lexsort((cells.ix, cells.iy))]
+
+
+def show_found(fields: list[Hemispheres], state: np.ndarray) -> None:
+    """One row for each class of radii."""
+    radius, x, y = (
+        np.concatenate([getattr(f, name) for f in fields]) for name in ("radius", *"xy")
+    )
+    row, column = np.divmod(np.arange(len(state)) % CELLS**2, CELLS)
+    there = np.isfinite(state[:, 1])
+    height = bump.peak(state) / radius - 1.0
+    centre = np.hypot(SIDE * (column + 0.5) + state[:, 2] - x, SIDE * (row + 0.5) + state[:, 3] - y)
+    rows = []
+    for low, high in CLASSES:
+        of = (radius >= low) & (radius <= high)
+        seen = of & there
+        off = np.abs(height[seen])
+        rows.append(
+            [
+                f"{low:g} - {high:g} m",
+                np.count_nonzero(of),
+                percent(there[of]),
+                f"{100.0 * np.median(height[seen]):+.1f}",
+                f"{100.0 * np.percentile(off, 95.0):.1f}",
+                percent(off <= 0.35),
+                percent(off <= 0.15),
+                f"{100.0 * np.median(centre[seen]):.1f}",
+                f"{100.0 * np.percentile(centre[seen], 95.0):.1f}",
+                percent(centre[seen] <= 0.1),
+            ]
+        )
+    table(
+        "Hemispheres (must: found 90 %, height within 35 %, centre within 10 cm; aim: height 15 %)",
+        [
+            "radius",
+            "cells",
+            "found %",
+            "height off %",
+            "95 % of |.|",
+            "in 35 %",
+            "in 15 %",
+            "centre cm",
+            "95 %",
+            "in 10 cm",
+        ],
+        rows,
+    )
+    print("height off: median of (estimate / radius - 1); 'in': share of those found")
+
+
+def percent(share: np.ndarray) -> str:
+    """Mean of truth values."""
+    return f"{100.0 * np.mean(share):.1f}"
+
+
+if __name__ == "__main__":
+    main()

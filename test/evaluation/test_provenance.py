@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results, truth and bag of different flights are told; of one flight they are taken."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from evaluation.scores import write_results, write_truth
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.evaluation import EvaluationError, evaluate
+from quadtree_lss.replay.replay import replay
+from quadtree_lss.simulation.simulate import simulate
+
+SEEDS = (7, 8)
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    """Two flights with the same stamps over other ground: folder/<seed>/{bag, truth.npz, out}."""
+    folder = tmp_path_factory.mktemp("flights")
+    config = load_config(["morpheus"])
+    for seed in SEEDS:
+        place = folder / str(seed)
+        simulate("morpheus", place / "bag", seed=seed, duration=1.0)
+        replay(place / "bag", place / "out", config, report=False)
+        tell(place / "out", bag=str((place / "bag").resolve()))
+    return folder
+
+
+@pytest.fixture
+def both(flights, tmp_path):
+    """A copy of the flights to spoil; the bags that results name lie in it."""
+    for seed in SEEDS:
+        place = tmp_path / str(seed)
+        shutil.copytree(flights / str(seed), place)
+        tell(place / "out", bag=str(place / "bag"))
+        name_truth(place / "truth.npz", bag_name="bag")
+    return tmp_path
+
+
+def tell(results, **entries):
+    path = results / "summary.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **entries}))
+
+
+def name_truth(path, **entries):
+    known = dict(np.load(path))
+    np.savez(path, **{**known, **entries})
+
+
+def score(results, truth, **options):
+    return evaluate(results, truth, figures=False, **options)
+
+
+def refused(results, truth, word, **options):
+    with pytest.raises(EvaluationError, match=word) as caught:
+        score(results, truth, **options)
+    assert "\n" not in str(caught.value)
+    assert not (results / "evaluation").exists()
+
+
+def test_own_truth_and_own_bag_are_taken(both):
+    result = score(both / "7" / "out", both / "7" / "truth.npz")
+    assert result.notes == () and result.consistency is not None
+    assert result.consistency.scans == 20
+    given = score(both / "7" / "out", both / "7" / "truth.npz", bag=both / "7" / "bag")
+    assert given.consistency == result.consistency
+
+
+def test_scans_that_the_truth_does_not_know(tmp_path):
+    results = write_results(tmp_path / "results")
+    truth = write_truth(tmp_path / "truth.npz")
+    name_truth(truth, scan_stamp_ns=np.arange(20), scan_position=np.zeros((20, 3)))
+    refused(results, truth, "79 of 98 mapped scans are not among its 19, the first at 20 ns")
+    name_truth(truth, scan_stamp_ns=np.arange(200), scan_position=np.zeros((200, 3)))
+    score(results, truth)  # a part of the flight
+
+
+def test_truth_of_another_seed_with_the_same_stamps(both):
+    results, other = both / "7" / "out", both / "8" / "truth.npz"
+    refused(results, other, "which holds other scans")
+    tell(results, seed=7)
+    name_truth(other, seed=8)
+    refused(results, other, "is of seed 8, but .* of seed 7")
+
+
+def test_truth_that_was_replaced_by_the_next_flights(both):
+    for seed, name in ((7, "a"), (8, "b")):
+        shutil.move(both / str(seed) / "bag", both / name)
+        tell(both / str(seed) / "out", bag=str(both / name))
+    truth = both / "truth.npz"
+    shutil.copy(both / "8" / "truth.npz", truth)
+    name_truth(truth, bag_name="b")
+    refused(both / "7" / "out", truth, "of the bag b, not of .*a, which holds other scans")
+    assert score(both / "8" / "out", truth).notes == ()
+    shutil.rmtree(both / "a")
+    refused(both / "7" / "out", truth, "of the bag b, not of .*a")
+
+
+def test_a_bag_that_was_moved_copied_or_cut_is_the_same_flight(both):
+    results, truth = both / "7" / "out", both / "7" / "truth.npz"
+    copy = both / "elsewhere" / "copy"
+    shutil.copytree(both / "7" / "bag", copy)
+    tell(results, bag=str(copy))
+    assert score(results, truth).notes == ()
+    tell(results, bag=str(next(copy.glob("*.mcap"))))
+    assert score(results, truth).notes == ()
+    shutil.rmtree(both / "7" / "bag")
+    (doubt,) = score(results, truth).notes
+    assert "by the stamps of their scans alone" in doubt
+    tell(results, bag=str(copy / "bag"))
+    assert score(results, truth).notes == ("Table 2: needs --bag",)
+
+
+def test_files_that_name_no_bag_are_taken(both):
+    truth = both / "7" / "truth.npz"
+    known = {
+        name: array for name, array in np.load(truth).items() if name not in ("bag_name", "seed")
+    }
+    np.savez(truth, **known)
+    assert score(both / "7" / "out", truth).notes == ()
+    tell(both / "7" / "out", bag="7/bag")
+    assert score(both / "7" / "out", truth).notes == ("Table 2: needs --bag",)
+
+
+def test_a_bag_of_another_flight(both):
+    results, truth = both / "7" / "out", both / "7" / "truth.npz"
+    name_truth(truth, bag_name="unknown")  # so that the results have to tell
+    refused(results, truth, "holds other scans than were mapped", bag=both / "8" / "bag")
+    table = (results / "timing.csv").read_text().splitlines()
+    extra = table[-1].replace(table[-1].split(",")[0], "1700000009000000000")
+    (results / "timing.csv").write_text("\n".join([*table, extra]) + "\n")
+    known = dict(np.load(truth))
+    stamps = np.append(known["scan_stamp_ns"], 1700000009000000000)
+    more = {name: known[name][[*range(20), 19]] for name in known if name.startswith("scan_")}
+    np.savez(truth, **{**known, **more, "scan_stamp_ns": stamps})
+    refused(results, truth, "lacks 1 of the 21 scans", bag=both / "7" / "bag")
+
+
+def test_a_bag_that_has_changed_since_costs_table_2_alone(both):
+    results, truth = both / "7" / "out", both / "7" / "truth.npz"
+    name_truth(truth, bag_name="unknown")
+    tell(results, bag=str(both / "8" / "bag"))
+    result = score(results, truth)
+    assert result.consistency is None and result.elevation.rms_mean_removed < 0.05
+    assert any("Table 2: needs --bag (" in note for note in result.notes)
+
+
+def test_table_2_is_of_the_part_that_was_mapped(both):
+    place = both / "7"
+    config = load_config(["morpheus"])
+    replay(place / "bag", place / "part", config, start=0.4, report=False)
+    tell(place / "part", bag=str(place / "bag"))
+    result = score(place / "part", place / "truth.npz")
+    assert result.notes == ()
+    assert 0 < result.consistency.scans < 20
+
+
+def test_results_of_recorded_maps_have_no_scans(both):
+    place = both / "7"
+    config = load_config(["morpheus"])
+    replay(place / "bag", None, config, report=False, record=place / "products")
+    replay(place / "products", place / "again", config, report=False)
+    tell(place / "again", bag=str(place / "products"))
+    result = score(place / "again", place / "truth.npz")
+    assert result.notes == (
+        "Table 2: needs --bag with the scans: these results are of recorded maps",
+    )
+    given = score(place / "again", place / "truth.npz", bag=place / "bag")
+    assert given.consistency.scans == 20
