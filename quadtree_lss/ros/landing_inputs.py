@@ -29,12 +29,20 @@ BINDING = ("area", "keep_out")
 MAX_VERTICES = 1000
 """More are taken for a damaged message."""
 
+JOIN_S = 5.0
+"""How long after the node has come it may not know another, whose latched messages are waiting for
+it: nodes announce themselves at their start and then every three seconds, and some of that is lost.
+"""
+
 SETTLE_S = 1.0
-"""How long after the first map latched messages may still be on their way."""
+"""How long after the first map latched messages may be on their way from whoever came with it."""
 
 UNHEARD_S = 4.0
 """The same while a latched publisher is there from which nothing came: the middleware repeats what
 was lost after three seconds, and the publisher may have nothing to say."""
+
+QUIET_S = 0.2
+"""A publisher may have kept more than its last message: they come at once, oldest first."""
 
 LOOK_S = 0.05
 
@@ -127,6 +135,7 @@ class LandingInputs:
     def __init__(self, node: Node, problems: Problems, changed: Callable[[], None]) -> None:
         self._node, self._problems, self._changed = node, problems, changed
         self._frame: str | None = None
+        self._joined = self._heard = time.monotonic()
         self._began: float | None = None
         self._timer: Timer | None = None
         self._settled = False
@@ -174,34 +183,36 @@ class LandingInputs:
                 self._judge(given)
 
     def settled(self) -> bool:
-        """True once all that was latched before the first map has had the time to come.
+        """True once both area and keep-out have come, or have had the time to.
 
-        Until then nobody knows where landing is wanted. The time runs from the first call.
+        Until then nobody knows where landing is wanted. Call it first with the first map.
         """
         if self._settled:
             return True
+        now = time.monotonic()
         if self._began is None:
-            self._began = time.monotonic()
+            self._began = now
             clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = self._node.create_timer(LOOK_S, self._look, clock=clock)
-        unheard = any(
-            self._inputs[name].message is None and self._latched[name].get_publisher_count()
-            for name in BINDING
-        )
-        elapsed = time.monotonic() - self._began
-        self._settled = elapsed >= (UNHEARD_S if unheard else SETTLE_S)
-        if self._settled and self._timer is not None:
-            self._timer.cancel()
+        unheard = [name for name in BINDING if self._inputs[name].message is None]
+        expected = any(self._latched[name].get_publisher_count() for name in unheard)
+        time_out = self._began + (UNHEARD_S if expected else SETTLE_S)
+        in_time = now >= max(self._joined + JOIN_S, time_out)
+        complete = not unheard and now >= self._heard + QUIET_S
+        self._settled = in_time or complete
         return self._settled
 
     def _look(self) -> None:
-        if self.settled():
+        """Whoever asked in vain is told, whoever else may have asked in between."""
+        if self.settled() and self._timer is not None:
+            self._timer.cancel()
             self._changed()
 
     def _taker(self, given: _Input) -> Any:
         def take(message: Any, info: dict[str, int]) -> None:
             if not given.take(message, info):
                 return
+            self._heard = time.monotonic()
             value, unusable = given.value, given.unusable
             self._judge(given, new=True)
             if given.unusable != unusable or not np.array_equal(given.value, value):

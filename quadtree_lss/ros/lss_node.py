@@ -158,7 +158,7 @@ class LssNode(Node):
         if self._inputs.withheld:
             status.note(ERROR, f"no site is given out: {self._inputs.withheld}")
         result = self._result
-        if self._cells is not None and not self._inputs.settled():
+        if result is None and self._cells is not None:
             status.note(
                 WARN, "no site is given out yet: landing/area and landing/keep_out may come"
             )

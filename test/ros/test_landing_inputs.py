@@ -133,13 +133,14 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
     wait = vehicle.listener.wait_for
     vehicle.send("landing/keep_out", polygon(WEST))
     stamp = vehicle.send_map(0)
-    for _ in range(2):
+    for _ in range(2):  # first without an area, for which it waits in vain, then with both
         lss = ros.start("lss_node")
         assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
         assert all(east(places).all() for _, _, places in vehicle.said), vehicle.said
         lss.process.kill()
         lss.process.wait(10.0)
         vehicle.said.clear()
+        vehicle.send("landing/area", polygon([]))
 
 
 def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle):
