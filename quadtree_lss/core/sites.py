@@ -102,6 +102,7 @@ class LandingSiteSelector:
         area: ArrayLike | None = None,
         keep_out: ArrayLike | None = None,
         target: ArrayLike | None = None,
+        withheld: str = "",
     ) -> LandingAssessment:
         """Rank landing sites on a map.
 
@@ -110,6 +111,8 @@ class LandingSiteSelector:
             area: (V, 2) polygon that the landing zone must lie in, map frame, m.
             keep_out: (V, 2) polygon that the zone must not touch.
             target: (2,) or (3,) place to be near to.
+            withheld: Why no site may be given out, however safe the ground, such as a keep-out
+                that cannot be read; empty if nothing speaks against it.
 
         A polygon that crosses itself is inside where a ray to it crosses it an odd number of
         times. With one of fewer than three or not finite vertices, or a target that is not finite,
@@ -135,6 +138,9 @@ class LandingSiteSelector:
         else:
             if safe.any() and not np.isfinite(score).any():
                 explanation = "no safe ground within the landing area and outside the keep-out"
+        if withheld:
+            score[...] = np.nan
+            explanation = f"no site is given out: {withheld}"
         sites = self._rank(nodes, at, score, x, y)
         hazard = at.any(nodes.hazard)
         unseen = (hazard & hazards.UNSEEN) > 0

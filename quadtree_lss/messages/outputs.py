@@ -88,8 +88,13 @@ def map_from_messages(cloud: Any, grid: Any) -> CellMap:
     """The map of one stamp from ``map/cells`` and ``map/observed``.
 
     Raises:
-        MapMessageError: a message is not what ``mapping_node`` sends.
+        MapMessageError: a message is not what ``mapping_node`` sends, or the two are not of one
+            frame (``frame``).
     """
+    frames = (str(cloud.header.frame_id), str(grid.header.frame_id))
+    if frames[0].lstrip("/") != frames[1].lstrip("/"):
+        msg = f"map/cells is in frame '{frames[0]}', map/observed in '{frames[1]}'"
+        raise MapMessageError("frame", msg)
     records = cloud_records(cloud, CELL_FIELDS)
     values = np.frombuffer(grid.data, dtype=np.int8)
     if values.size != grid.info.height * grid.info.width:

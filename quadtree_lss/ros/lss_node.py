@@ -17,7 +17,9 @@ from quadtree_lss.core.config import Config
 from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.maps import MapMessageError
-from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
+from quadtree_lss.messages.poses import check_frame
+from quadtree_lss.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Status
+from quadtree_lss.ros.landing_inputs import LandingInputs
 from quadtree_lss.ros.markers import MarkerPublisher, site_markers
 from quadtree_lss.ros.messages import landing_messages, map_from_messages
 from quadtree_lss.ros.monitor import Arrivals, Durations
@@ -42,6 +44,9 @@ class LssNode(Node):
         self._settings = NodeParameters(self, self._reconfigure)
         config = self._settings.config
         self._problems = Problems(self.get_logger())
+        self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
+        # Before the map: of what is there when the node starts, they are to be looked at first.
+        self._inputs = LandingInputs(self, self._problems, self._output.changed)
         self._map_topic = self.resolve_topic_name(CELLS)
         effect = "maps of either are assessed"
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
@@ -72,15 +77,10 @@ class LssNode(Node):
             advertise(self, MarkerArray, "landing/markers", latched()),
             self._site_markers,
         )
-        self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
-        # These take a second to load, in which the middleware already finds mapping_node.
+        # This takes a while to load, in which the middleware already finds mapping_node.
         from quadtree_lss.core.sites import LandingSiteSelector
-        from quadtree_lss.ros.landing_inputs import LandingInputs
 
         self._selector = LandingSiteSelector(config)
-        self._inputs = LandingInputs(
-            self, lambda: self._frame, self._problems, self._output.changed
-        )
 
     def _reconfigure(self, config: Config) -> None:
         self._selector.configure(config)
@@ -97,34 +97,37 @@ class LssNode(Node):
     def _join(self) -> None:
         """A map is complete when both its messages carry the same stamp.
 
-        Only the newest is kept and decoded when its turn comes: maps are skipped, not queued.
+        Neither is used twice: the next map may have the same stamp, and its cells must not be
+        joined with what was observed before. Only the newest map is kept and decoded when its
+        turn comes: maps are skipped, not queued.
         """
         cells, observed = self._newest.get("cells"), self._newest.get("observed")
         if cells is None or observed is None or cells.header.stamp != observed.header.stamp:
             return
-        self._newest["map"] = (cells, observed)
+        self._newest = {"map": (cells, observed)}
         self._maps.add()
         self._output.changed()
 
     def _decode(self) -> None:
         cells, observed = self._newest.pop("map")
+        frame = cells.header.frame_id
         try:
+            if "frames.map" in self._settings.given:
+                check_frame(frame, self._settings.config.frames.map, "map/cells")
             self._cells = map_from_messages(cells, observed)
         except (MapMessageError, MessageError) as error:
             self._problems.report(f"map.{error.reason}", f"map not used: {error}")
         else:
-            self._frame = cells.header.frame_id
+            self._frame = frame
+            self._inputs.use_frame(frame)
 
     def _assess(self) -> None:
         if "map" in self._newest:
             self._decode()
-        if self._cells is None:
+        if self._cells is None or not self._inputs.settled():
             return
         start = time.perf_counter()
-        given = self._inputs
-        result = self._selector.assess(
-            self._cells, area=given.area, keep_out=given.keep_out, target=given.target
-        )
+        result = self._selector.assess(self._cells, **self._inputs.restrictions())
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
         for topic, message in landing_messages(result, self._frame).items():
             self._landing[topic].publish(message)
@@ -151,9 +154,14 @@ class LssNode(Node):
                 "latency_ms": self._latency_ms.take(),
             }
         )
-        for name in ("area", "keep_out", "target"):
-            status.add({f"landing.{name}": getattr(self._inputs, name) is not None})
+        status.add({f"landing.{name}": state for name, state in self._inputs.states().items()})
+        if self._inputs.withheld:
+            status.note(ERROR, f"no site is given out: {self._inputs.withheld}")
         result = self._result
+        if result is None and self._cells is not None:
+            status.note(
+                WARN, "no site is given out yet: landing/area and landing/keep_out may come"
+            )
         if result is None or self._cells is None:
             return
         count = len(result.sites.score)
@@ -165,6 +173,8 @@ class LssNode(Node):
                 "explanation": result.explanation,
             }
         )
+        if self._inputs.withheld:
+            return
         if count:
             status.note(OK, f"{count} sites; {result.explanation}")
         else:

@@ -61,6 +61,10 @@ class NodeParameters:
         node: Its overrides are checked, then every row of the table is declared on it.
         changed: Called with the new configuration after live parameters were set.
 
+    Attributes:
+        config: As it is now.
+        given: Names that the command line or a file set at the start.
+
     Raises:
         ConfigError: unknown key (names the nearest one), wrong type or range, values that
             contradict one another.
@@ -73,6 +77,7 @@ class NodeParameters:
             if not is_ros_own(name) or name.startswith(ROS_OWN_PREFIXES):
                 node.undeclare_parameter(name)
         own = {name: item.value for name, item in given.items() if not is_ros_own(name)}
+        self.given = frozenset(own)
         self.config = config_from_values(own)
         values = values_from_config(self.config)
         for row in parameters():

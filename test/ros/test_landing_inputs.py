@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No site inside a keep-out or outside an area that lss_node was told or could have read."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point32, PointStamped, PolygonStamped, PoseArray
+from nav_msgs.msg import OccupancyGrid
+from ros.conftest import status_values
+from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.messages.clouds import MessageError, stamp_ns
+from quadtree_lss.ros.landing_inputs import (
+    MAX_VERTICES,
+    polygon_from_message,
+    target_from_message,
+)
+from quadtree_lss.ros.messages import header_message, map_messages
+from quadtree_lss.ros.qos import latched
+
+pytestmark = pytest.mark.xdist_group("ros_landing")
+
+EVERYWHERE = [(-16, -16), (16, -16), (16, 16), (-16, 16)]
+WEST = [(-16, -16), (5, -16), (5, 16), (-16, 16)]
+
+
+def polygon(corners, frame="map"):
+    message = PolygonStamped(header=header_message(1, frame))
+    message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
+    return message
+
+
+def target(x, y):
+    message = PointStamped(header=header_message(1, "map"))
+    message.point.x, message.point.y = x, y
+    return message
+
+
+@pytest.fixture(scope="module")
+def cells():
+    """A map that has room for sites everywhere."""
+    domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
+    mapper = Mapper(load_config(overrides={"domain": domain}))
+    for event in events(2):
+        if event.points_lidar is not None:
+            mapper.update(event.points_lidar, Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE))
+    return mapper.snapshot()
+
+
+class Vehicle:
+    """What lss_node hears, latched, and all it says: stamps and places of the sites."""
+
+    def __init__(self, listener, cells):
+        node = listener.node
+        self.listener, self._cells = listener, cells
+        self._publishers = {
+            topic: node.create_publisher(kind, topic, latched())
+            for topic, kind in (
+                ("map/cells", PointCloud2),
+                ("map/observed", OccupancyGrid),
+                ("landing/area", PolygonStamped),
+                ("landing/keep_out", PolygonStamped),
+            )
+        }
+        self.said = []
+        node.create_subscription(PoseArray, "landing/sites", self._on_sites, latched())
+
+    def _on_sites(self, message):
+        places = np.array([(p.position.x, p.position.y) for p in message.poses]).reshape(-1, 2)
+        self.said.append((stamp_ns(message.header), message.header.frame_id, places))
+
+    def send_map(self, seconds, frame="map", observed_frame=None):
+        """The map with a stamp ``seconds`` after the start; the stamp."""
+        stamp = START_NS + seconds * 10**9
+        cloud, grid = map_messages(dataclasses.replace(self._cells, stamp_ns=stamp), frame)
+        grid.header.frame_id = observed_frame or frame
+        self.send("map/observed", grid)
+        self.send("map/cells", cloud)
+        return stamp
+
+    def send(self, topic, message):
+        self._publishers[topic].publish(message)
+
+    def last(self):
+        return self.said[-1] if self.said else (None, None, None)
+
+    def sites_of(self, stamp, condition):
+        """True once the sites of this map were last sent, and are some that fulfil it all."""
+        last, _, places = self.last()
+        return last == stamp and len(places) > 0 and bool(np.all(condition(places)))
+
+    def none_of(self, stamp):
+        """True once it was last said that the map of this stamp has no site."""
+        last, _, places = self.last()
+        return last == stamp and len(places) == 0
+
+    def values(self):
+        return status_values(self.listener, "lss_node")
+
+    def told(self, level, *words):
+        status = self.listener.diagnostics.get("lss_node")
+        return (
+            status is not None
+            and status.level == level
+            and all(word in status.message for word in words)
+        )
+
+
+@pytest.fixture
+def vehicle(ros, cells):
+    with ros.listen({}) as listener:
+        yield Vehicle(listener, cells)
+
+
+def anywhere(places):
+    return np.isfinite(places[:, 0])
+
+
+def east(places):
+    return places[:, 0] >= 5.0
+
+
+def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
+    wait = vehicle.listener.wait_for
+    vehicle.send("landing/keep_out", polygon(WEST))
+    stamp = vehicle.send_map(0)
+    for _ in range(2):  # first without an area, for which it waits in vain, then with both
+        lss = ros.start("lss_node")
+        assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+        assert all(east(places).all() for _, _, places in vehicle.said), vehicle.said
+        lss.process.kill()
+        lss.process.wait(10.0)
+        vehicle.said.clear()
+        vehicle.send("landing/area", polygon([]))
+
+
+def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle):
+    wait = vehicle.listener.wait_for
+    vehicle.send("landing/keep_out", polygon(WEST, "moon"))
+    lss = ros.start("lss_node")
+    assert wait(lambda: vehicle.values().get("landing.keep_out") == "True"), lss.output()
+    stamp = vehicle.send_map(1, "moon")
+    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    assert vehicle.last()[1] == "moon"
+
+    stamp = vehicle.send_map(2, "map")
+    assert wait(functools.partial(vehicle.none_of, stamp)), lss.output()
+    words = ("no site is given out", "landing/keep_out", "'moon'", "'map'")
+    assert wait(lambda: vehicle.told(DiagnosticStatus.ERROR, *words)), lss.output()
+    assert vehicle.values()["landing.keep_out"] == "unusable"
+    assert vehicle.values()["problems.keep_out_frame"] == "1", "it came by two ways, but once"
+
+    stamp = vehicle.send_map(3, "moon")
+    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    assert all(east(places).all() for _, _, places in vehicle.said), vehicle.said
+    assert wait(lambda: vehicle.told(DiagnosticStatus.OK, "sites")), lss.output()
+
+
+def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
+    wait = vehicle.listener.wait_for
+    lss = ros.start("lss_node")
+    stamp = vehicle.send_map(0)
+    free = functools.partial(vehicle.sites_of, stamp, anywhere)
+    none = functools.partial(vehicle.none_of, stamp)
+    assert wait(free), lss.output()
+    bad = (
+        ("landing/area", polygon(EVERYWHERE[:2]), "area_polygon"),
+        ("landing/keep_out", polygon(EVERYWHERE, "odom"), "keep_out_frame"),
+        ("landing/keep_out", polygon([(0, 0), (1, float("nan")), (2, 2)]), "keep_out_polygon"),
+        ("landing/area", polygon([(-3e38, -3e38), (3e38, -3e38), (0, 3e38)]), "area_polygon"),
+    )
+    counts = {}
+    for topic, message, problem in bad:
+        vehicle.send(topic, message)
+        assert wait(none), (problem, lss.output())
+        counts[problem] = counts.get(problem, 0) + 1
+        key, number = f"problems.{problem}", str(counts[problem])
+        assert wait(lambda key=key, number=number: vehicle.values().get(key) == number), key
+        told = functools.partial(vehicle.told, DiagnosticStatus.ERROR, topic)
+        assert wait(told), vehicle.listener.diagnostics
+        vehicle.send(topic, polygon([]))
+        assert wait(free), (problem, lss.output())
+    found = {k: v for k, v in vehicle.values().items() if k.startswith("problems.")}
+    assert found == {f"problems.{key}": str(n) for key, n in counts.items()}
+
+
+def test_halves_of_two_maps_are_not_joined(ros, vehicle):
+    """Neither those of one stamp that belong to two maps, nor those of two frames."""
+    wait = vehicle.listener.wait_for
+    lss = ros.start("lss_node", "-p", "publish.lss_rate:=50.0")
+    stamp = vehicle.send_map(0)
+    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    received, said = int(vehicle.values().get("map.received", 1)), len(vehicle.said)
+    _, grid = map_messages(
+        dataclasses.replace(
+            vehicle._cells, stamp_ns=stamp, observed=np.zeros_like(vehicle._cells.observed)
+        ),
+        "map",
+    )
+    vehicle.send("map/observed", grid)
+    stamp = vehicle.send_map(0, "odom", observed_frame="map")
+    assert wait(lambda: vehicle.values().get("problems.map.frame") == "1"), lss.output()
+    assert int(vehicle.values()["map.received"]) == received + 1
+    assert all(len(places) for _, _, places in vehicle.said[said:]), "of a map without ground"
+    stamp = vehicle.send_map(1)
+    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    assert {frame for _, frame, _ in vehicle.said} == {"map"}
+
+
+def test_a_frame_that_was_asked_for_is_insisted_on(ros, vehicle):
+    wait = vehicle.listener.wait_for
+    lss = ros.start("lss_node", "-p", "frames.map:=map")
+    vehicle.send_map(0, "moon")
+    assert wait(lambda: vehicle.values().get("problems.map.frame") == "1"), lss.output()
+    assert "frames.map" in lss.output()
+    stamp = vehicle.send_map(1)
+    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    assert [frame for _, frame, _ in vehicle.said] == ["map"]
+
+
+def test_polygons_and_targets():
+    np.testing.assert_array_equal(polygon_from_message(polygon(WEST), "/map"), WEST)
+    assert polygon_from_message(polygon([]), "map") is None
+    np.testing.assert_array_equal(target_from_message(target(1.0, 2.0), "map"), (1.0, 2.0))
+    assert target_from_message(target(float("nan"), float("nan")), "map") is None
+    many = [(np.cos(a), np.sin(a)) for a in np.linspace(0.0, 6.0, MAX_VERTICES + 1)]
+    for corners, frame, reason in (
+        (WEST, "odom", "frame"),
+        ([], "odom", "frame"),
+        (WEST[:2], "map", "polygon"),
+        (many, "map", "polygon"),
+        ([(0, 0), (1, float("inf")), (1, 1)], "map", "polygon"),
+        ([(0, 0), (1e13, 0), (1, 1)], "map", "polygon"),
+    ):
+        with pytest.raises(MessageError) as caught:
+            polygon_from_message(polygon(corners, frame), "map")
+        assert caught.value.reason == reason
+    for x, y in ((float("nan"), 0.0), (float("inf"), 0.0), (0.0, 1e300)):
+        with pytest.raises(MessageError) as caught:
+            target_from_message(target(x, y), "map")
+        assert caught.value.reason == "point"
