@@ -321,6 +321,12 @@ class LssConfig:
     min_separation: float = _p(
         3.7, "least distance between ranked sites", unit="m", low=0.0, high=1e5, live=True
     )
+    required_input: str = _p(
+        "none",
+        "lss_node gives out no site before it has heard these topics of landing/: for a vehicle "
+        "that flies with an area or a keep-out",
+        choices=("none", "area", "keep_out", "both"),
+    )
     hysteresis: float = _p(
         0.0,
         "a new first site must score better than the last by this; 0 is off",

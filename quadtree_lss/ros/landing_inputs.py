@@ -29,15 +29,16 @@ BINDING = ("area", "keep_out")
 MAX_VERTICES = 1000
 """More are taken for a damaged message."""
 
-JOIN_S = 5.0
-"""How long after the node has come it may not know another, whose latched messages are waiting for
-it: nodes announce themselves at their start and then every three seconds, and some of that is lost.
+JOIN_S = 3.0
+"""How long after the node has come it may well not know another, whose latched messages are waiting
+for it: nodes announce themselves at their start and then every three seconds. Some of that may be
+lost, so where a site in a keep-out would be a disaster, ``lss.required_input`` is to be set.
 """
 
 SETTLE_S = 1.0
 """How long after the first map latched messages may be on their way from whoever came with it."""
 
-UNHEARD_S = 4.0
+UNHEARD_S = 3.5
 """The same while a latched publisher is there from which nothing came: the middleware repeats what
 was lost after three seconds, and the publisher may have nothing to say."""
 
@@ -130,9 +131,13 @@ class LandingInputs:
         node: Owner.
         problems: Where unusable messages are told.
         changed: Called after each change, and when `settled` has become true.
+        required: ``lss.required_input``: those without which `settled` stays false.
     """
 
-    def __init__(self, node: Node, problems: Problems, changed: Callable[[], None]) -> None:
+    def __init__(
+        self, node: Node, problems: Problems, changed: Callable[[], None], required: str
+    ) -> None:
+        self._required = BINDING if required == "both" else (required,)
         self._node, self._problems, self._changed = node, problems, changed
         self._frame: str | None = None
         self._joined = self._heard = time.monotonic()
@@ -183,7 +188,7 @@ class LandingInputs:
                 self._judge(given)
 
     def settled(self) -> bool:
-        """True once both area and keep-out have come, or have had the time to.
+        """True once both area and keep-out have come, or have had the time to and need not come.
 
         Until then nobody knows where landing is wanted. Call it first with the first map.
         """
@@ -194,13 +199,19 @@ class LandingInputs:
             self._began = now
             clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = self._node.create_timer(LOOK_S, self._look, clock=clock)
-        unheard = [name for name in BINDING if self._inputs[name].message is None]
+        unheard = self.unheard()
+        if any(name in self._required for name in unheard):
+            return False
         expected = any(self._latched[name].get_publisher_count() for name in unheard)
         time_out = self._began + (UNHEARD_S if expected else SETTLE_S)
         in_time = now >= max(self._joined + JOIN_S, time_out)
         complete = not unheard and now >= self._heard + QUIET_S
         self._settled = in_time or complete
         return self._settled
+
+    def unheard(self) -> list[str]:
+        """Which of area and keep-out have not come."""
+        return [name for name in BINDING if self._inputs[name].message is None]
 
     def _look(self) -> None:
         """Whoever asked in vain is told, whoever else may have asked in between."""

@@ -46,7 +46,9 @@ class LssNode(Node):
         self._problems = Problems(self.get_logger())
         self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
         # Before the map: of what is there when the node starts, they are to be looked at first.
-        self._inputs = LandingInputs(self, self._problems, self._output.changed)
+        self._inputs = LandingInputs(
+            self, self._problems, self._output.changed, config.lss.required_input
+        )
         self._map_topic = self.resolve_topic_name(CELLS)
         effect = "maps of either are assessed"
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
@@ -159,9 +161,8 @@ class LssNode(Node):
             status.note(ERROR, f"no site is given out: {self._inputs.withheld}")
         result = self._result
         if result is None and self._cells is not None:
-            status.note(
-                WARN, "no site is given out yet: landing/area and landing/keep_out may come"
-            )
+            names = " and ".join(f"landing/{name}" for name in self._inputs.unheard())
+            status.note(WARN, f"no site is given out yet: waiting for {names}")
         if result is None or self._cells is None:
             return
         count = len(result.sites.score)

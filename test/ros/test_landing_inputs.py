@@ -20,7 +20,9 @@ from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.ros.landing_inputs import (
+    JOIN_S,
     MAX_VERTICES,
+    UNHEARD_S,
     polygon_from_message,
     target_from_message,
 )
@@ -141,6 +143,19 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
         lss.process.wait(10.0)
         vehicle.said.clear()
         vehicle.send("landing/area", polygon([]))
+
+
+def test_a_required_input_is_waited_for(ros, vehicle):
+    """However late it comes: longer than any wait for what may come."""
+    wait = vehicle.listener.wait_for
+    lss = ros.start("lss_node", "-p", "lss.required_input:=keep_out")
+    stamp = vehicle.send_map(0)
+    told = functools.partial(vehicle.told, DiagnosticStatus.WARN, "waiting for", "landing/keep_out")
+    assert wait(told), lss.output()
+    assert not wait(lambda: vehicle.said, timeout=JOIN_S + UNHEARD_S + 1.0)
+    vehicle.send("landing/keep_out", polygon(WEST))
+    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    assert all(east(places).all() for _, _, places in vehicle.said), vehicle.said
 
 
 def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle):
