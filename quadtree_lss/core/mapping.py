@@ -33,14 +33,16 @@ class ScanReport:
     Attributes:
         stamp_ns: The scan's stamp.
         points: Points in the message.
-        points_used: Points inside the domain, fitted or stored.
-        dropped: Points that were not used, by reason (``scan.register``).
+        points_used: Points that entered the map, fitted or stored.
+        dropped: Points that were unsound or outside, by reason (``scan.register``).
         leaves: Leaves after the scan.
         divisions: Cells divided by it.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
-        refused_points: Points that found no room to be stored.
+        refused_points: Points that found no room to be stored; with ``points_used`` and
+            ``dropped`` they are all points.
         noise_ratio: Observed over configured range noise (running mean of the scans' medians), NaN
             if unknown.
+        centre: x and y of the middle of the sound returns, map frame, m; None if there was none.
     """
 
     stamp_ns: int
@@ -52,6 +54,7 @@ class ScanReport:
     refused_divisions: int
     refused_points: int
     noise_ratio: float
+    centre: tuple[float, float] | None
 
 
 class Mapper:
@@ -129,16 +132,18 @@ class Mapper:
                 residuals = self._accumulate(below)
             self._stored.close_scan()
             divisions, refused = change.divisions, change.refused
+        refused_points = self._stored.refused - refused_before
         return ScanReport(
             stamp_ns=pose.stamp_ns,
             points=points_lidar.size // 3,
-            points_used=len(scan.finest),
+            points_used=len(scan.finest) - refused_points,
             dropped=dropped,
             leaves=self.leaves.count,
             divisions=divisions,
             refused_divisions=refused,
-            refused_points=self._stored.refused - refused_before,
+            refused_points=refused_points,
             noise_ratio=self._noise.ratio,
+            centre=scan.centre,
         )
 
     def _rocky(self, rows: Index) -> Index:

@@ -424,6 +424,7 @@ def test_stored_points_are_bounded_refused_and_counted():
     none = configured(domain={"min_level": 5, "max_level": 5}, mapping={"max_stored_points": 0})
     report = Mapper(none).update(scan(flat(), x, y, pose, 0.05, rng), pose)
     assert report.refused_points > 0
+    assert report.points_used == 400 - report.refused_points - report.dropped["outside"]
 
 
 def test_points_that_made_a_fit_leave_room_for_others():
