@@ -17,6 +17,7 @@ from quadtree_lss.core.config import Config
 from quadtree_lss.core.features import FeatureEstimator
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.pose_buffer import SECOND_NS
 from quadtree_lss.core.quadtree import CellMap, Domain, morton_order
 from quadtree_lss.core.scan import register
 from quadtree_lss.core.stored import StoredPoints
@@ -24,6 +25,9 @@ from quadtree_lss.core.update import ScanUpdate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+
+#: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
+JUMP_NS = SECOND_NS
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,10 @@ class Mapper:
 
     Not thread-safe. A scan either enters whole or, if none of its points is sound, changes
     nothing.
+
+    Attributes:
+        stamp_ns: Stamp of the newest scan since time last jumped back (a looping bag, a clock set
+            right); leaves may be of scans with later stamps then. 0 if nothing is mapped.
     """
 
     def __init__(self, config: Config) -> None:
@@ -122,7 +130,8 @@ class Mapper:
         divisions = refused = 0
         if len(scan.finest):
             self.observed[scan.finest] = True
-            self.stamp_ns = max(self.stamp_ns, pose.stamp_ns)
+            if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
+                self.stamp_ns = pose.stamp_ns
             change = ScanUpdate(self.leaves, self._stored, self._alignment, self.config, scan)
             residuals = self._accumulate(change.run())
             while len(rocky := self._rocky(residuals.rows)):

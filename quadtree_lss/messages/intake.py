@@ -53,7 +53,7 @@ class Intake:
     Args:
         config: Of which ``pose``, ``frames`` and ``mount`` matter: with a mount, poses are the
             body's; with ``mount.gimbal`` the mount comes by `on_gimbal`.
-        scan_topic, pose_topic: Names for messages to the user.
+        scan_topic, pose_topic, gimbal_topic: Names for messages to the user.
 
     Attributes:
         rejected: Unusable messages by reason, ``cloud_<reason>``, ``pose_<reason>``, ….
@@ -67,14 +67,15 @@ class Intake:
         *,
         scan_topic: str = "lidar/points",
         pose_topic: str = "nav/pose",
+        gimbal_topic: str = "lidar/gimbal",
     ) -> None:
         self._pose_config = config.pose
         self._map_frame = config.frames.map
         self._body = self._buffer()
-        self._gimbal = self._buffer() if config.mount.gimbal else None
+        self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
         held = self._gimbal if self._gimbal is not None else fixed_mount(config.mount)
         self.queue = ScanQueue(
-            self._body if held is None else MountedPoses(self._body, held),
+            self._body if held is None else MountedPoses(self._body, held, gimbal_topic),
             max_scans=config.pose.queue,
             max_wait_ns=round(config.pose.max_wait * SECOND_NS),
             scan_topic=scan_topic,
@@ -176,9 +177,10 @@ class Intake:
         self.rejected[f"{what}_{error.reason}"] += 1
         self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
 
-    def _buffer(self) -> PoseBuffer:
+    def _buffer(self, what: str = "pose") -> PoseBuffer:
         limits = self._pose_config
-        return PoseBuffer(round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS))
+        span_ns, gap_ns = round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS)
+        return PoseBuffer(span_ns, gap_ns, what=what)
 
     def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> None:
         reason = buffer.add(pose)
