@@ -8,15 +8,19 @@ class MapStamps:
     """No two maps in a row have the same stamp: the two messages of a map are matched by it.
 
     After a late scan or the loading of a file a map may differ from the last one while its newest
-    scan is the same: it is a nanosecond later then.
+    scan is the same: it is a nanosecond later then. Only the empty map has stamp 0.
 
     Attributes:
         content_changed: Set it whenever the map is another than the one published last.
     """
 
     def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """The map is empty."""
         self.content_changed = False
-        self._newest_ns = self._last_ns = -1
+        self._newest_ns = self._last_ns = 0
 
     def next(self, newest_ns: int) -> int:
         """Stamp of the next publication of a map whose newest scan has this stamp."""

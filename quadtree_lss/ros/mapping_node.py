@@ -243,7 +243,7 @@ class MappingNode(Node):
 
     def _after_reset(self) -> None:
         self._report = None
-        self._stamps.content_changed = True
+        self._stamps.reset()
         self._output.now()
         self._markers.delete_all(header_message(0, self._frame))
         if self._checkpoints is not None:
