@@ -9,8 +9,8 @@ NAME = "quadtree_lss"
 
 # The programs that `ros2 run quadtree_lss <name>` finds in lib/quadtree_lss.
 ROS_EXECUTABLES = {
-    "mapping_node": "quadtree_lss.ros.mapping_node:main",
-    "lss_node": "quadtree_lss.ros.lss_node:main",
+    "mapping_node": "quadtree_lss.ros.entry:mapping_node",
+    "lss_node": "quadtree_lss.ros.entry:lss_node",
     "replay_bag": "quadtree_lss.cli:main_replay_bag",
     "simulate": "quadtree_lss.cli:main_simulate",
     "evaluate": "quadtree_lss.cli:main_evaluate",

@@ -154,6 +154,9 @@ def values_from_config(config: Config) -> dict[str, Value]:
 
 def _check_together(config: Config) -> None:
     domain, lidar, mapping = config.domain, config.lidar, config.mapping
+    if not config.frames.map:
+        msg = "frames.map is empty: it is the name of the frame of poses and map"
+        raise ConfigError(msg)
     if domain.min_level > domain.max_level:
         msg = f"domain.min_level = {domain.min_level} exceeds domain.max_level = {domain.max_level}"
         raise ConfigError(msg)

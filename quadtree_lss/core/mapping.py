@@ -17,6 +17,7 @@ from quadtree_lss.core.config import Config
 from quadtree_lss.core.features import FeatureEstimator
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.pose_buffer import SECOND_NS
 from quadtree_lss.core.quadtree import CellMap, Domain, morton_order
 from quadtree_lss.core.scan import register
 from quadtree_lss.core.stored import StoredPoints
@@ -24,6 +25,9 @@ from quadtree_lss.core.update import ScanUpdate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+
+#: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
+JUMP_NS = SECOND_NS
 
 
 @dataclass(frozen=True)
@@ -33,14 +37,16 @@ class ScanReport:
     Attributes:
         stamp_ns: The scan's stamp.
         points: Points in the message.
-        points_used: Points inside the domain, fitted or stored.
-        dropped: Points that were not used, by reason (``scan.register``).
+        points_used: Points that entered the map, fitted or stored.
+        dropped: Points that were unsound or outside, by reason (``scan.register``).
         leaves: Leaves after the scan.
         divisions: Cells divided by it.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
-        refused_points: Points that found no room to be stored.
+        refused_points: Points that found no room to be stored; with ``points_used`` and
+            ``dropped`` they are all points.
         noise_ratio: Observed over configured range noise (running mean of the scans' medians), NaN
             if unknown.
+        centre: x and y of the middle of the sound returns, map frame, m; None if there was none.
     """
 
     stamp_ns: int
@@ -52,6 +58,7 @@ class ScanReport:
     refused_divisions: int
     refused_points: int
     noise_ratio: float
+    centre: tuple[float, float] | None
 
 
 class Mapper:
@@ -59,6 +66,10 @@ class Mapper:
 
     Not thread-safe. A scan either enters whole or, if none of its points is sound, changes
     nothing.
+
+    Attributes:
+        stamp_ns: Stamp of the newest scan since time last jumped back (a looping bag, a clock set
+            right); leaves may be of scans with later stamps then. 0 if nothing is mapped.
     """
 
     def __init__(self, config: Config) -> None:
@@ -119,7 +130,8 @@ class Mapper:
         divisions = refused = 0
         if len(scan.finest):
             self.observed[scan.finest] = True
-            self.stamp_ns = max(self.stamp_ns, pose.stamp_ns)
+            if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
+                self.stamp_ns = pose.stamp_ns
             change = ScanUpdate(self.leaves, self._stored, self._alignment, self.config, scan)
             residuals = self._accumulate(change.run())
             while len(rocky := self._rocky(residuals.rows)):
@@ -129,16 +141,18 @@ class Mapper:
                 residuals = self._accumulate(below)
             self._stored.close_scan()
             divisions, refused = change.divisions, change.refused
+        refused_points = self._stored.refused - refused_before
         return ScanReport(
             stamp_ns=pose.stamp_ns,
             points=points_lidar.size // 3,
-            points_used=len(scan.finest),
+            points_used=len(scan.finest) - refused_points,
             dropped=dropped,
             leaves=self.leaves.count,
             divisions=divisions,
             refused_divisions=refused,
-            refused_points=self._stored.refused - refused_before,
+            refused_points=refused_points,
             noise_ratio=self._noise.ratio,
+            centre=scan.centre,
         )
 
     def _rocky(self, rows: Index) -> Index:

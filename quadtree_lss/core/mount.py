@@ -17,11 +17,15 @@ class MountedPoses:
     Args:
         body: Poses of the body in the map frame (``rotation_map_lidar`` is then map from body).
         mount: Pose of the lidar in body axes, or a buffer of such poses (a gimbal).
+        gimbal_topic: Where the latter come from, for texts.
     """
 
-    def __init__(self, body: PoseBuffer, mount: Pose | PoseBuffer) -> None:
+    def __init__(
+        self, body: PoseBuffer, mount: Pose | PoseBuffer, gimbal_topic: str = "lidar/gimbal"
+    ) -> None:
         self.body = body
         self.mount = mount
+        self.gimbal_topic = gimbal_topic
 
     @property
     def jumps(self) -> int:
@@ -57,10 +61,16 @@ class MountedPoses:
             reason = None if of_mount is None else f"gimbal_{of_mount}"
         return reason
 
+    def lacking(self, stamp_ns: int) -> str:
+        """``no_pose`` of the body, or ``gimbal_no_pose``."""
+        if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
+            return f"gimbal_{self.mount.lacking(stamp_ns)}"
+        return self.body.lacking(stamp_ns)
+
     def explain(self, stamp_ns: int, topic: str) -> str:
         """As of the body, unless it is the gimbal that is missing."""
         if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
-            return self.mount.explain(stamp_ns, "lidar/gimbal")
+            return self.mount.explain(stamp_ns, self.gimbal_topic)
         return self.body.explain(stamp_ns, topic)
 
 

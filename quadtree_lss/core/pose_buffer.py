@@ -41,12 +41,16 @@ class PoseBuffer:
         span_ns: Poses older than the newest by more than this are forgotten.
         max_gap_ns: Poses farther apart than this are not interpolated between.
         jump_ns: Steps back by at most this are late messages and sorted in.
+        what: Word for one of them in texts.
     """
 
-    def __init__(self, span_ns: int, max_gap_ns: int, jump_ns: int = SECOND_NS) -> None:
+    def __init__(
+        self, span_ns: int, max_gap_ns: int, jump_ns: int = SECOND_NS, what: str = "pose"
+    ) -> None:
         self.span_ns = span_ns
         self.max_gap_ns = max_gap_ns
         self.jump_ns = jump_ns
+        self.what = what
         self.jumps = 0
         self._stamps: list[int] = []
         self._poses: list[Pose] = []
@@ -106,6 +110,10 @@ class PoseBuffer:
         """True if ``at`` has an answer."""
         return self._bracket(stamp_ns) is not None
 
+    def lacking(self, stamp_ns: int) -> str:
+        """``no_pose``: the key to count a scan by that has waited for one in vain."""
+        return "no_pose"
+
     def hopeless(self, stamp_ns: int) -> str | None:
         """``before_poses`` or ``pose_gap`` if later poses cannot help any more, else None."""
         if not self._stamps or self._stamps[-1] < stamp_ns or self.covers(stamp_ns):
@@ -116,24 +124,26 @@ class PoseBuffer:
         """One clause for a log line: stamps held on ``topic`` and the likely cause."""
         if not self._stamps:
             return (
-                f"no pose has arrived on '{topic}': is anything publishing there, with matching"
-                " QoS and frame?"
+                f"no {self.what} has arrived on '{topic}': is anything publishing there, with"
+                " matching QoS and frame?"
             )
         oldest, newest = self._stamps[0], self._stamps[-1]
-        held = f"'{topic}' holds {seconds(oldest)} .. {seconds(newest)} ({len(self)} poses)"
+        what = f"{self.what}s"
+        held = f"'{topic}' holds {seconds(oldest)} .. {seconds(newest)} ({len(self)} {what})"
         ahead, behind = (stamp_ns - newest) / SECOND_NS, (oldest - stamp_ns) / SECOND_NS
         if max(ahead, behind) > 2.0 * max(self.span_ns / SECOND_NS, 10.0):
             return f"{held}: the stamps come from different clocks"
         if ahead > 0.0:
-            return f"{held}: poses are {ahead:.3f} s behind, late (pose.max_wait) or no longer sent"
+            return (
+                f"{held}: {what} are {ahead:.3f} s behind, late (pose.max_wait) or no longer sent"
+            )
         if behind > 0.0:
-            return f"{held}: the scan is {behind:.3f} s older (pose.buffer), or poses began later"
+            return f"{held}: the scan is {behind:.3f} s older (pose.buffer), or {what} began later"
         place = bisect.bisect_left(self._stamps, stamp_ns)
         gap = (self._stamps[place] - self._stamps[max(place - 1, 0)]) / SECOND_NS
         limit = self.max_gap_ns / SECOND_NS
-        return (
-            f"{held}: the poses around it are {gap:.3f} s apart, limit {limit:.3f} s (pose.max_gap)"
-        )
+        apart = f"{gap:.3f} s apart, limit {limit:.3f} s (pose.max_gap)"
+        return f"{held}: the {what} around it are {apart}"
 
     def _bracket(self, stamp_ns: int) -> tuple[Pose, Pose] | None:
         """The poses to interpolate between, twice the same if one has this stamp; else None."""

@@ -56,7 +56,7 @@ class CellMap:
     """What the mapping publishes: one row per leaf in Morton order, map frame, m and rad.
 
     Attributes:
-        stamp_ns: Stamp of the newest scan in the map, 0 if there is none.
+        stamp_ns: Stamp of the newest scan in the map, 0 if there is none; see `Mapper`.
         domain: Extent and levels.
         level: (M,) uint8.
         ix, iy: (M,) uint32 index at the leaf's own level.

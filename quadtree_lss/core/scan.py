@@ -29,12 +29,15 @@ class RegisteredScan:
         pose_root: (6, 6) root of the pose covariance.
         points: (3, N) map frame, m.
         finest: (N,) index iy * n + ix of the finest cell under each point.
+        centre: x and y of the middle of the sound returns, those outside the domain included,
+            map frame, m; None if there is none.
     """
 
     pose: Pose
     pose_root: Array
     points: Array
     finest: Index
+    centre: tuple[float, float] | None
 
 
 def register(
@@ -67,6 +70,7 @@ def register(
     if kept < len(flat):
         points = points.take(np.flatnonzero(valid), axis=1)
     points += pose.position[:, None]
+    centre = (float(points[0].mean()), float(points[1].mean())) if kept else None
     n = domain.finest_count
     scale = 1.0 / domain.finest_size
     column = np.floor((points[0] - domain.xmin) * scale)
@@ -83,7 +87,7 @@ def register(
     }
     root = covariance_root(pose.covariance)
     pose = replace(pose, covariance=root @ root.T)
-    scan = RegisteredScan(pose, root, points, finest)
+    scan = RegisteredScan(pose, root, points, finest, centre)
     return scan, dropped
 
 

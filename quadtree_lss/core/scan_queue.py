@@ -40,6 +40,9 @@ class PoseSource(Protocol):
     def hopeless(self, stamp_ns: int) -> str | None:
         """Short key of the reason why no later pose can help, or None while one can."""
 
+    def lacking(self, stamp_ns: int) -> str:
+        """Short key of what there is not yet at the stamp."""
+
     def explain(self, stamp_ns: int, topic: str) -> str:
         """Why there is no pose at the stamp: what is held, and the likely cause."""
 
@@ -60,8 +63,9 @@ class ScanQueue:
 
     A scan never overtakes one that waits before it. Scans are dropped, counted in ``dropped`` and
     reported by `expire`: ``no_pose`` (waited ``max_wait_ns`` since arrival), ``before_poses``,
-    ``pose_gap`` (no later pose can help), ``queue_full`` (the oldest goes), ``duplicate`` (the
-    stamp of the scan before) and ``time_jump`` (waiting when stamps jumped back).
+    ``pose_gap`` (no later pose can help), each with ``gimbal_`` in front if that is what lacks,
+    ``queue_full`` (the oldest goes), ``duplicate`` (the stamp of the scan before) and
+    ``time_jump`` (waiting when stamps jumped back).
 
     Attributes:
         poses: Where poses come from; the caller adds to it.
@@ -136,7 +140,8 @@ class ScanQueue:
             if self.poses.at(first.stamp_ns) is not None:
                 break
             waited = (now_ns - first.arrival_ns) / SECOND_NS
-            self._drop(first.stamp_ns, "no_pose", f"waited {waited:.3f} s; {self._why(first)}")
+            reason = self.poses.lacking(first.stamp_ns)
+            self._drop(first.stamp_ns, reason, f"waited {waited:.3f} s; {self._why(first)}")
             self._waiting.popleft()
         drops, self._drops = self._drops, []
         return drops
@@ -145,7 +150,8 @@ class ScanQueue:
         """Drops what still waits, because nothing more will come."""
         while self._waiting:
             first = self._waiting.popleft()
-            self._drop(first.stamp_ns, "no_pose", f"the data end; {self._why(first)}")
+            reason = self.poses.lacking(first.stamp_ns)
+            self._drop(first.stamp_ns, reason, f"the data end; {self._why(first)}")
         drops, self._drops = self._drops, []
         return drops
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,10 @@ from numpy.typing import NDArray
 
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mapping import ScanReport
 from quadtree_lss.core.mount import MountedPoses, fixed_mount
-from quadtree_lss.core.pose_buffer import SECOND_NS, PoseBuffer
+from quadtree_lss.core.pose_buffer import SECOND_NS, PoseBuffer, seconds
+from quadtree_lss.core.quadtree import Domain
 from quadtree_lss.core.scan_queue import Drop, ScanQueue
 from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import (
@@ -50,7 +53,7 @@ class Intake:
     Args:
         config: Of which ``pose``, ``frames`` and ``mount`` matter: with a mount, poses are the
             body's; with ``mount.gimbal`` the mount comes by `on_gimbal`.
-        scan_topic, pose_topic: Names for messages to the user.
+        scan_topic, pose_topic, gimbal_topic: Names for messages to the user.
 
     Attributes:
         rejected: Unusable messages by reason, ``cloud_<reason>``, ``pose_<reason>``, ….
@@ -64,14 +67,15 @@ class Intake:
         *,
         scan_topic: str = "lidar/points",
         pose_topic: str = "nav/pose",
+        gimbal_topic: str = "lidar/gimbal",
     ) -> None:
         self._pose_config = config.pose
         self._map_frame = config.frames.map
         self._body = self._buffer()
-        self._gimbal = self._buffer() if config.mount.gimbal else None
+        self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
         held = self._gimbal if self._gimbal is not None else fixed_mount(config.mount)
         self.queue = ScanQueue(
-            self._body if held is None else MountedPoses(self._body, held),
+            self._body if held is None else MountedPoses(self._body, held, gimbal_topic),
             max_scans=config.pose.queue,
             max_wait_ns=round(config.pose.max_wait * SECOND_NS),
             scan_topic=scan_topic,
@@ -107,7 +111,8 @@ class Intake:
                     "pose_covariance_unknown",
                     "pose covariance is all zero, taken as unknown: using"
                     f" {limits.unknown_position_sigma:g} m and"
-                    f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_*_sigma)",
+                    f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
+                    " pose.unknown_attitude_sigma_deg)",
                 )
             )
         self._add(self._body, pose, "pose")
@@ -172,9 +177,10 @@ class Intake:
         self.rejected[f"{what}_{error.reason}"] += 1
         self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
 
-    def _buffer(self) -> PoseBuffer:
+    def _buffer(self, what: str = "pose") -> PoseBuffer:
         limits = self._pose_config
-        return PoseBuffer(round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS))
+        span_ns, gap_ns = round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS)
+        return PoseBuffer(span_ns, gap_ns, what=what)
 
     def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> None:
         reason = buffer.add(pose)
@@ -189,6 +195,55 @@ class Intake:
         self._notices += [Notice(drop.reason, drop.text) for drop in drops]
 
 
+NO_POINTS_USED = "no_points_used"
+"""Key of the notice that `unused_points_text` is the text of."""
+
+REASONS = {
+    "no_return": "without a return",
+    "range": "out of range (lidar.min_range, lidar.max_range)",
+    "isolated": "isolated (lidar.outlier_gate)",
+    "outside": "outside the domain",
+    "refused": "without room to be stored (mapping.max_stored_points, mapping.max_stored_per_cell)",
+}
+"""What became of points that did not enter the map, by the keys of ``ScanReport.dropped``."""
+
+
+def unused_points_text(report: ScanReport, domain: Domain) -> str | None:
+    """Why not one point of a scan entered the map, in one line; None if one did.
+
+    For the one notice `NO_POINTS_USED` that a flight may need: the domain is named with the scan's
+    middle if points missed it.
+    """
+    if report.points_used:
+        return None
+    text = f"no point of scan {seconds(report.stamp_ns)} entered the map: "
+    text += lost_points_text({**report.dropped, "refused": report.refused_points})
+    if report.dropped["outside"]:
+        text += f"; {domain_text(domain)}"
+        if report.centre is not None:
+            text += f", the scan's middle is at x {report.centre[0]:.1f}, y {report.centre[1]:.1f}"
+    return text
+
+
+def lost_points_text(lost: Mapping[str, int]) -> str:
+    """``16384 outside the domain, 3 without a return``: counts by reason, the largest first.
+
+    Args:
+        lost: By the keys of `REASONS`.
+    """
+    told = sorted(((n, key) for key, n in lost.items() if n), reverse=True)
+    return ", ".join(f"{n} {REASONS[key]}" for n, key in told)
+
+
+def domain_text(domain: Domain) -> str:
+    """Extent of the domain with the parameters that set it."""
+    x, y, size = domain.xmin, domain.ymin, domain.size
+    return (
+        f"the domain is x {x:g} ... {x + size:g}, y {y:g} ... {y + size:g} m"
+        " (domain.xmin, domain.ymin, domain.size)"
+    )
+
+
 def noise_notice(ratio: float, config: Config) -> Notice | None:
     """Warning if the observed range noise is not the configured one; the leaf count hangs on it.
 
@@ -200,9 +255,13 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
     if not config.mapping.noise_check or math.isnan(ratio) or agrees:
         return None
     configured = config.lidar.range_noise
-    effect = "too many" if ratio > 1.0 else "too few"
+    cause = (
+        "rough ground, or too many cells for a wrong setting"
+        if ratio > 1.0
+        else "a setting too large makes too few cells"
+    )
     text = (
         f"points scatter about flat cells by {ratio * configured:.3g} m, but lidar.range_noise is"
-        f" {configured:g} m: rough ground, or {effect} cells for a wrong setting"
+        f" {configured:g} m: {cause}"
     )
     return Notice("range_noise", text)

@@ -86,7 +86,12 @@ class Stream:
 
     def intake(self, config: Config) -> Intake:
         """What turns the messages into scans with their pose."""
-        return Intake(config, scan_topic=self.scans, pose_topic=self.poses)
+        return Intake(
+            config,
+            scan_topic=self.scans,
+            pose_topic=self.poses,
+            gimbal_topic=self.gimbal or GIMBAL_TOPIC,
+        )
 
     def take(self, bag: Bag, intake: Intake, message: RawMessage) -> int | None:
         """Gives one message to ``intake``; the stamp if it is a usable scan."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import threading
 import time
 from pathlib import Path
@@ -27,27 +28,68 @@ class MapFileError(QuadtreeLssError):
     """A map file cannot be written, read or used; one line that names it."""
 
 
+class WrongContentError(MapFileError):
+    """It can be read, but what is in it is no map, or not one of this domain."""
+
+
+def regular_file(path: Path) -> Path:
+    """The file a path means, links followed; it need not exist yet.
+
+    Raises:
+        MapFileError: there is something that is no regular file (a folder, a device, a pipe), or
+            it cannot be looked at.
+    """
+    try:
+        target = Path(os.path.realpath(path))
+        mode = target.stat().st_mode
+    except FileNotFoundError:
+        return target
+    except (OSError, ValueError) as error:
+        raise MapFileError(_text(path, "used", error)) from None
+    if not stat.S_ISREG(mode):
+        kind = "folder" if stat.S_ISDIR(mode) else "device, pipe or socket"
+        msg = f"{path}: is a {kind}, not a file"
+        raise MapFileError(msg)
+    return target
+
+
+def sibling(path: Path, ending: str) -> Path:
+    """The path of a `regular_file` with something behind its name."""
+    return path.parent / (path.name + ending)
+
+
+def _text(path: Path, done: str, error: Exception) -> str:
+    reason = error.strerror if isinstance(error, OSError) else None
+    return f"{path}: cannot be {done}: {reason or str(error).removeprefix(f'{path}: ')}"
+
+
 def write_atomically(path: Path, content: bytes) -> None:
     """Replace the file in one step, once its new content is safely on the disk.
 
+    A link stays one: what it points to is replaced.
+
     Raises:
-        MapFileError: not writable, disk full; the old file is then untouched.
+        MapFileError: no regular file, not writable, disk full; the old file is then untouched.
     """
-    part = path.with_name(path.name + ".part")
+    target = regular_file(path)
+    part = sibling(target, ".part")
     try:
         with part.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError:
+                part.unlink(missing_ok=True)  # it takes the room that there is not
+                raise
+        part.replace(target)
+        folder = os.open(target.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
         finally:
             os.close(folder)
     except OSError as error:
-        msg = f"{path}: cannot be written: {error.strerror or error}"
-        raise MapFileError(msg) from None
+        raise MapFileError(_text(path, "written", error)) from None
 
 
 def save(path: Path, mapper: Mapper) -> None:
@@ -63,23 +105,31 @@ def load(path: Path, mapper: Mapper) -> None:
     """Put the mapper into the state in a file.
 
     Raises:
-        MapFileError: not readable, damaged, of another domain; the mapper is then unchanged.
+        MapFileError: not readable; the mapper is then unchanged.
+        WrongContentError: damaged, of another domain; the mapper is then unchanged.
     """
     try:
-        restore(mapper, from_bytes(path.read_bytes()))
+        content = regular_file(path).read_bytes()
     except OSError as error:
-        msg = f"{path}: cannot be read: {error.strerror or error}"
-        raise MapFileError(msg) from None
+        raise MapFileError(_text(path, "read", error)) from None
+    try:
+        restore(mapper, from_bytes(content))
     except CheckpointError as error:
         msg = f"{path}: {error}"
-        raise MapFileError(msg) from None
+        raise WrongContentError(msg) from None
 
 
 class Checkpoints:
     """Keeps a file in step with the map; the writing is done beside the node's own work.
 
+    A file that was there from the start and could not be read may hold a good map: it is not
+    replaced.
+
     Args:
         path: The file; its folder must exist.
+
+    Attributes:
+        written: How often it was written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -88,25 +138,33 @@ class Checkpoints:
         self._error: str | None = None
         self._thread: threading.Thread | None = None
         self._changed = False
+        self._unread = False
         self._due = time.monotonic()
 
     def take_up(self, mapper: Mapper) -> str:
         """Continue from the file if there is one; what became of it, for the log.
 
         Raises:
-            MapFileError: the file cannot be used. It is set aside, and the mapper unchanged.
+            MapFileError: the file cannot be used, and the mapper is unchanged. A file of wrong
+                content is set aside, one that cannot be read is left alone.
         """
-        if not self.path.exists():
-            return f"no checkpoint at {self.path} yet: starting with an empty map"
         try:
+            target = regular_file(self.path)
+            if not target.exists():
+                return f"no checkpoint at {self.path} yet: starting with an empty map"
             load(self.path, mapper)
-        except MapFileError as error:
-            aside = self.path.with_name(self.path.name + ".refused")
+        except WrongContentError as error:
+            aside = sibling(target, ".refused")
             try:
-                self.path.replace(aside)
-                msg = f"checkpoint {error}; set aside as {aside.name}, starting with an empty map"
+                target.replace(aside)
+                done = f"set aside as {aside.name}, "
             except OSError:
-                msg = f"checkpoint {error}; starting with an empty map"
+                done = ""
+            msg = f"checkpoint {error}; {done}starting with an empty map"
+            raise MapFileError(msg) from None
+        except MapFileError as error:
+            self._unread = True
+            msg = f"checkpoint {error}; left as it is, starting with an empty map"
             raise MapFileError(msg) from None
         return (
             f"checkpoint {self.path} taken up: {mapper.leaves.count} leaves,"
@@ -137,32 +195,47 @@ class Checkpoints:
         Raises:
             MapFileError: it cannot be removed.
         """
-        self._join()
+        if not self._join():
+            self._changed = True  # the empty map then replaces what is still being written
+            msg = f"{self.path}: cannot be removed: it is still being written"
+            raise MapFileError(msg)
         self._changed = False
         try:
-            self.path.unlink(missing_ok=True)
-        except OSError as error:
-            msg = f"{self.path}: cannot be removed: {error.strerror or error}"
-            raise MapFileError(msg) from None
+            regular_file(self.path).unlink(missing_ok=True)
+        except (OSError, MapFileError) as error:
+            raise MapFileError(_text(self.path, "removed", error)) from None
+        self._unread = False
 
     def close(self, mapper: Mapper) -> str | None:
         """Write what the file lacks; the answer is what went wrong."""
-        self._join()
+        if not self._join():
+            return (
+                f"checkpoint {self.path}: not written within {END_TIMEOUT_S:g} s; the one before is"
+                " intact"
+            )
         if self._changed:
-            self._changed = False
+            self._changed, self._error = False, None
             self._write(export_checkpoint(mapper))
         return self._error
 
-    def _join(self) -> None:
+    def _join(self) -> bool:
+        """Wait for what is being written; False if it still is."""
         if self._thread is not None:
             self._thread.join(END_TIMEOUT_S)
+            if self._thread.is_alive():
+                return False
             self._thread = None
+        return True
 
     def _write(self, state: State) -> None:
         try:
+            if self._unread and regular_file(self.path).exists():
+                msg = f"{self.path}: could not be read at the start and is not replaced"
+                raise MapFileError(msg)
             write_atomically(self.path, to_bytes(state))
         except MapFileError as error:
             self._error = f"checkpoint {error}"
             self._changed = True  # the next one tries again
         else:
+            self._unread = False
             self.written += 1

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,17 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.core.mapping import Mapper, ScanReport
-from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
+from quadtree_lss.messages.intake import (
+    NO_POINTS_USED,
+    Intake,
+    ReadyScan,
+    noise_notice,
+    unused_points_text,
+)
 from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
 from quadtree_lss.ros.map_files import Checkpoints, MapFileError
 from quadtree_lss.ros.map_services import MapServices
+from quadtree_lss.ros.map_stamps import MapStamps
 from quadtree_lss.ros.markers import MarkerPublisher, cell_markers
 from quadtree_lss.ros.messages import header_message, map_messages
 from quadtree_lss.ros.monitor import Arrivals, Durations
@@ -72,7 +80,10 @@ class MappingNode(Node):
         self._mapper = Mapper(config)
         self._topics = {name: self.resolve_topic_name(name) for name in (SCANS, POSES, GIMBAL)}
         self._intake = Intake(
-            config, scan_topic=self._topics[SCANS], pose_topic=self._topics[POSES]
+            config,
+            scan_topic=self._topics[SCANS],
+            pose_topic=self._topics[POSES],
+            gimbal_topic=self._topics[GIMBAL],
         )
         self._problems = Problems(self.get_logger())
         self._gaps = ScanGaps(self._topics[SCANS], self._problems)
@@ -99,6 +110,7 @@ class MappingNode(Node):
             advertise(self, MarkerArray, "map/markers", latched()),
             lambda: cell_markers(self._mapper.snapshot(), self._frame),
         )
+        self._stamps = MapStamps()
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
         self._checkpoints = self._take_up_checkpoint(config.checkpoint.path)
         self._map_services = MapServices(
@@ -117,7 +129,7 @@ class MappingNode(Node):
         if self._checkpoints is not None:
             error = self._checkpoints.close(self._mapper)
             if error is not None:
-                self._problems.report("checkpoint", error)
+                self.get_logger().error(f"{error}; what it lacks is lost")
         super().destroy_node()
 
     def _subscribe(self) -> None:
@@ -213,9 +225,13 @@ class MappingNode(Node):
         self._divisions_refused += report.refused_divisions
         self._points_refused += report.refused_points
         self._points_dropped.update(report.dropped)
-        self._map_changed()
+        unused = unused_points_text(report, self._mapper.domain)
+        if unused is not None:
+            self._problems.report(NO_POINTS_USED, unused)
+        self._map_changed(report.points_used + report.refused_points > 0)
 
-    def _map_changed(self) -> None:
+    def _map_changed(self, content: bool = True) -> None:
+        self._stamps.content_changed |= content
         self._output.changed()
         self._markers.changed()
         if self._checkpoints is not None:
@@ -227,6 +243,7 @@ class MappingNode(Node):
 
     def _after_reset(self) -> None:
         self._report = None
+        self._stamps.reset()
         self._output.now()
         self._markers.delete_all(header_message(0, self._frame))
         if self._checkpoints is not None:
@@ -237,7 +254,9 @@ class MappingNode(Node):
 
     def _publish(self) -> None:
         start = time.perf_counter()
-        cells, observed = map_messages(self._mapper.snapshot(), self._frame)
+        snapshot = self._mapper.snapshot()
+        snapshot = replace(snapshot, stamp_ns=self._stamps.next(snapshot.stamp_ns))
+        cells, observed = map_messages(snapshot, self._frame)
         self._observed.publish(observed)
         self._cells.publish(cells)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))

@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from types import FrameType
 
 import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -19,12 +18,15 @@ from rclpy.utilities import remove_ros_args
 
 from quadtree_lss.core.config import parameters
 from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.ros.entry import stop_on_signal
 
 ARGUMENT_ERRORS = (
     rclpy_implementation.RCLInvalidROSArgsError,
     rclpy_implementation.UnknownROSArgsError,
     rclpy_implementation.RCLError,
 )
+
+START_ERRORS = (rclpy_implementation.RCLError, NameValidationException, ParameterException)
 
 STOP_PERIOD_S = 0.2
 """How often an idle node looks whether it was asked to end."""
@@ -39,7 +41,7 @@ net.core.rmem_max allows; docs/onboard.md says what was measured.
 
 
 def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | None = None) -> int:
-    """Run one node until SIGINT, SIGTERM or shutdown.
+    """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown.
 
     Args:
         make_node: Called once ROS is initialised.
@@ -69,13 +71,15 @@ def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | N
 def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
     executor: SingleThreadedExecutor | None = None
     node: Node | None = None
-    stop = _StopOnSignal()
+    stop = stop_on_signal()
+    if stop.asked:
+        return 0
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except ARGUMENT_ERRORS as error:
         return _wrong_arguments(error)
     try:
-        node = make_node()
+        node = _made(make_node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.asked:
@@ -94,29 +98,31 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
     return 0
 
 
+def _made(make_node: Callable[[], Node]) -> Node:
+    """The node.
+
+    Raises:
+        QuadtreeLssError: it cannot be made of these parameters, names and overrides.
+    """
+    try:
+        return make_node()
+    except START_ERRORS as error:
+        raise QuadtreeLssError(_line(error)) from None
+
+
+def _line(error: Exception) -> str:
+    """What rcl says, without where in its source."""
+    return " ".join(str(error).split(", at /")[0].split())
+
+
 def _wrong_arguments(error: Exception) -> int:
     """One line of what rcl says to arguments or ROS_… variables it does not understand."""
     if isinstance(error, rclpy_implementation.UnknownROSArgsError):
         text = f"unknown ROS arguments {error}"
     else:
-        text = " ".join(str(error).split(", at /")[0].split())
+        text = _line(error)
     print(f"error: {text}", file=sys.stderr)
     return 2
-
-
-class _StopOnSignal:
-    """Remembers SIGINT and SIGTERM, so that a callback in progress ends before the node does.
-
-    ROS's own handlers invalidate the context at once, and whatever is being published fails.
-    """
-
-    def __init__(self) -> None:
-        self.asked = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._ask)
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
 
 
 def _help(program: str, description: str) -> str:

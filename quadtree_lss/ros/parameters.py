@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -12,8 +13,10 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from quadtree_lss.core.config import (
     Config,
@@ -26,12 +29,21 @@ from quadtree_lss.core.config import (
 
 #: Parameters that every ROS node has, whatever its package.
 ROS_OWN = ("use_sim_time", "start_type_description_service")
-ROS_OWN_PREFIXES = ("qos_overrides.",)
+QOS = "qos_overrides."
+ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
+
+#: What may be overridden of a topic's QoS, and the words for it; none for a number.
+QOS_POLICIES: dict[str, list[str]] = {
+    "depth": [],
+    "durability": DurabilityPolicy.short_keys(),
+    "history": HistoryPolicy.short_keys(),
+    "reliability": ReliabilityPolicy.short_keys(),
+}
 
 
 def is_ros_own(name: str) -> bool:
     """True for parameters that belong to ROS itself."""
-    return name in ROS_OWN or name.startswith(ROS_OWN_PREFIXES)
+    return name in ROS_OWN or name.startswith(QOS)
 
 
 def descriptor(row: Parameter) -> ParameterDescriptor:
@@ -48,6 +60,39 @@ def descriptor(row: Parameter) -> ParameterDescriptor:
             span = FloatingPointRange(from_value=float(row.low), to_value=float(row.high))
             result.floating_point_range = [span]
     return result
+
+
+def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Topics, each with ``publisher`` or ``subscription``, whose QoS is overridden.
+
+    Args:
+        values: Parameters by name: those that begin with ``qos_overrides.`` are looked at.
+
+    Raises:
+        ConfigError: not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an unknown policy
+            (names the nearest one) or an impossible value.
+    """
+    found = []
+    for name, value in values.items():
+        topic, _, ending = name.removeprefix(QOS).partition(".")
+        if not name.startswith(QOS) or topic in ROS_TOPICS:
+            continue
+        endings = [f"{end}.{p}" for end in ("subscription", "publisher") for p in QOS_POLICIES]
+        if ending not in endings:
+            near = difflib.get_close_matches(ending, endings, n=1, cutoff=0.0)[0]
+            msg = f"unknown parameter {name!r}; did you mean '{QOS}{topic}.{near}'?"
+            raise ConfigError(msg)
+        entity, _, policy = ending.partition(".")
+        words = [word for word in QOS_POLICIES[policy] if word != "unknown"]
+        if words and not (isinstance(value, str) and value.lower() in words):
+            msg = f"{name} = {value!r} is none of {', '.join(words)}"
+            raise ConfigError(msg)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not words and not (whole and 0 <= value < 2**31):  # type: ignore[operator]
+            msg = f"{name} = {value!r} is no number of messages"
+            raise ConfigError(msg)
+        found.append((topic, entity))
+    return found
 
 
 class NodeParameters:
@@ -74,11 +119,12 @@ class NodeParameters:
         given = node.get_parameters_by_prefix("")
         # Declared anew, with descriptors, by whoever they belong to.
         for name in given:
-            if not is_ros_own(name) or name.startswith(ROS_OWN_PREFIXES):
+            if not is_ros_own(name) or name.startswith(QOS):
                 node.undeclare_parameter(name)
         own = {name: item.value for name, item in given.items() if not is_ros_own(name)}
         self.given = frozenset(own)
-        self.config = config_from_values(own)
+        self.config = _checked(config_from_values(own))
+        overridden = checked_qos_overrides({name: item.value for name, item in given.items()})
         values = values_from_config(self.config)
         for row in parameters():
             node.declare_parameter(
@@ -87,6 +133,26 @@ class NodeParameters:
         self._changed = changed
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
+        if overridden:
+            self._tell_unused_once(node, overridden)
+
+    def _tell_unused_once(self, node: Node, overridden: list[tuple[str, str]]) -> None:
+        """A warning for topics the node has not, once it has all; other nodes may share a file."""
+
+        def tell() -> None:
+            timer.cancel()
+            has = {
+                "subscription": sorted({item.topic_name for item in node.subscriptions}),
+                "publisher": sorted({item.topic_name for item in node.publishers}),
+            }
+            for topic, entity in sorted(set(overridden)):
+                if topic not in has[entity]:
+                    node.get_logger().warning(
+                        f"{QOS}{topic}.{entity}.* has no effect: this node has no {entity} of it,"
+                        f" but of {', '.join(has[entity])}"
+                    )
+
+        timer = node.create_timer(0.0, tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _check(self, changes: Iterable[RosParameter]) -> SetParametersResult:
         try:
@@ -104,4 +170,18 @@ class NodeParameters:
 
     def _with(self, changes: Iterable[RosParameter]) -> Config:
         own = {item.name: item.value for item in changes if not is_ros_own(item.name)}
-        return config_from_values(own, self.config)
+        return _checked(config_from_values(own, self.config))
+
+
+def _checked(config: Config) -> Config:
+    """The same, if paths are those of files.
+
+    Raises:
+        ConfigError: one is not.
+    """
+    paths = {"map_file.path": config.map_file.path, "checkpoint.path": config.checkpoint.path}
+    for name, path in paths.items():
+        if path and (path.rpartition("/")[2] in ("", ".", "..") or "\0" in path):
+            msg = f"{name} = {path!r} is no name of a file"
+            raise ConfigError(msg)
+    return config

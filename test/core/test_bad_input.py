@@ -185,7 +185,8 @@ def try_scans(seed: int, method: tuple[str, str, str], lidar: str, poses: list[s
         for value in (statistics.residual, statistics.normalised, statistics.mahalanobis):
             assert np.isfinite(value).all()
         report = mapper.update(points, pose)
-        assert report.points_used + sum(report.dropped.values()) == len(points)
+        accounted = report.points_used + report.refused_points + sum(report.dropped.values())
+        assert accounted == len(points)
         cells = mapper.snapshot()
         assert_sound(cells)
         for name in ("division_sum", "misfit", "distance_sum", "exception_sum"):

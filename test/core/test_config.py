@@ -115,6 +115,7 @@ def test_odd_keys_are_configuration_errors_too(key):
     [
         ({"domain.min_level": 6, "domain.max_level": 5}, "domain.min_level"),
         ({"domain.min_level": 4, "mapping.max_cells": 255}, "mapping.max_cells"),
+        ({"frames.map": ""}, "frames.map"),
         ({"lidar.min_range": 10.0, "lidar.max_range": 10.0}, "lidar.min_range"),
         ({"domain.size": 50_000.0, "lss.grid_spacing": 0.1}, "lss.grid_spacing"),
     ],

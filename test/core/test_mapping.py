@@ -291,13 +291,16 @@ def test_observed_is_where_points_fell_and_count_is_how_many():
     np.testing.assert_array_equal(cells.count, 2 * np.bincount(leaf, minlength=16))
 
 
-def test_the_stamp_is_the_newest():
+def test_the_stamp_is_the_newest_since_time_jumped_back():
     mapper = Mapper(configured())
     x, y = scattered(np.random.default_rng(9), 0.0, 0.0, 16.0, 500)
-    for stamp in (500, 900, 700):
+    second, hour = 10**9, 3600 * 10**9
+    stamps = (500, 900, 700, 900 + hour, 2 * second, 2 * second - 1, second, 3 * second, -hour)
+    expected = (500, 900, 900, 900 + hour, 2 * second, 2 * second, 2 * second, 3 * second, -hour)
+    for stamp, newest in zip(stamps, expected, strict=True):
         pose = make_pose(stamp_ns=stamp)
         mapper.update(scan(flat(), x, y, pose, 0.0), pose)
-    assert mapper.snapshot().stamp_ns == 900
+        assert mapper.snapshot().stamp_ns == newest
 
 
 @pytest.mark.parametrize(
@@ -424,6 +427,7 @@ def test_stored_points_are_bounded_refused_and_counted():
     none = configured(domain={"min_level": 5, "max_level": 5}, mapping={"max_stored_points": 0})
     report = Mapper(none).update(scan(flat(), x, y, pose, 0.05, rng), pose)
     assert report.refused_points > 0
+    assert report.points_used == 400 - report.refused_points - report.dropped["outside"]
 
 
 def test_points_that_made_a_fit_leave_room_for_others():

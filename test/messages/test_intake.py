@@ -6,7 +6,9 @@ import pytest
 from messages.samples import cloud, pose
 
 from quadtree_lss.core.config import config_from_values
-from quadtree_lss.messages.intake import Intake, noise_notice
+from quadtree_lss.core.lidar import Pose
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.messages.intake import Intake, noise_notice, unused_points_text
 
 MS = 1_000_000
 CONFIG = config_from_values({"pose.max_wait": 0.2, "pose.queue": 4})
@@ -52,6 +54,7 @@ def test_unknown_covariance_is_told_and_replaced():
     assert ready.pose.covariance[0, 0] == CONFIG.pose.unknown_position_sigma**2
     (notice,) = intake.notices()
     assert notice.reason == "pose_covariance_unknown"
+    assert "(pose.unknown_position_sigma, pose.unknown_attitude_sigma_deg)" in notice.text
 
 
 def test_scans_without_a_pose_are_given_up_and_those_behind_them_come():
@@ -93,3 +96,35 @@ def test_a_wrong_range_noise_is_told(ratio, effect):
     assert (notice is not None) == bool(effect)
     assert notice is None or effect in notice.text
     assert noise_notice(ratio, config_from_values({"mapping.noise_check": False})) is None
+
+
+def test_only_too_large_a_scatter_may_be_the_ground():
+    assert "rough ground" in noise_notice(3.0, CONFIG).text
+    assert "rough ground" not in noise_notice(0.2, CONFIG).text
+
+
+def unused(points, **values):
+    """Text for one scan from 100 m above (50, 0), looking down; domain x and y -32 ... 32 m."""
+    values = {"domain.xmin": -32.0, "domain.ymin": -32.0, "domain.size": 64.0, **values}
+    mapper = Mapper(config_from_values(values))
+    down = np.diag([1.0, -1.0, -1.0])
+    pose = Pose(1_500_000_000, np.array([50.0, 0.0, 100.0]), down, np.zeros((6, 6)))
+    return unused_points_text(mapper.update(np.array(points), pose), mapper.domain)
+
+
+def test_a_scan_of_which_nothing_enters_the_map_says_why_and_where():
+    assert unused([[-30.0, 0.0, 100.0], [0.0, 0.0, 100.0]]) is None
+    text = unused([[0.0, 0.0, 100.0], [2.0, 4.0, 100.0], [np.nan] * 3])
+    assert "scan 1.500000 s" in text
+    assert "2 outside the domain, 1 without a return" in text
+    assert "x -32 ... 32, y -32 ... 32 m" in text
+    assert "middle is at x 51.0, y -2.0" in text
+    text = unused([[np.nan] * 3] * 4)
+    assert "4 without a return" in text and "x -32" not in text and "middle" not in text
+    far = unused([[0.0, 0.0, 100.0]], **{"lidar.max_range": 50.0})
+    assert "1 out of range (lidar.min_range, lidar.max_range)" in far
+
+
+def test_points_that_find_no_room_are_not_used():
+    text = unused([[-30.0, 0.0, 100.0]] * 2, **{"mapping.max_stored_points": 0})
+    assert "2 without room to be stored (mapping.max_stored_points" in text

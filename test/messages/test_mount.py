@@ -84,13 +84,25 @@ def test_a_gimbal_is_interpolated_to_the_scan():
 
 
 def test_a_scan_without_gimbal_is_told_as_such():
-    intake = Intake(config_from_values({"mount.gimbal": True, "pose.max_wait": 0.1}))
+    config = config_from_values({"mount.gimbal": True, "pose.max_wait": 0.1})
+    intake = Intake(config, gimbal_topic="/my/gimbal")
     for stamp in (0, 100):
         intake.on_pose(pose(stamp * MS))
     intake.on_cloud(scan(50), 0)
     assert intake.ready(200 * MS) == []
     (notice,) = intake.notices()
-    assert notice.reason == "no_pose" and "lidar/gimbal" in notice.text
+    assert notice.reason == "gimbal_no_pose"
+    assert "no gimbal angle has arrived on '/my/gimbal'" in notice.text
+    intake.on_gimbal(transform(0, (0.0, 0.0, 0.0), np.eye(3)))
+    intake.on_cloud(scan(60), 0)
+    intake.finish()
+    (notice,) = intake.notices()
+    assert "(1 gimbal angles): gimbal angles are 0.060 s behind" in notice.text
+    intake.on_cloud(scan(150), 0)
+    intake.finish()
+    (notice,) = intake.notices()
+    assert notice.reason == "no_pose" and "'nav/pose'" in notice.text
+    assert intake.dropped == {"gimbal_no_pose": 2, "no_pose": 1}
 
 
 def test_a_gimbal_and_a_fixed_mount_contradict():

@@ -39,6 +39,16 @@ def status_values(listener: Listener, name: str) -> dict[str, str]:
     return {} if status is None else {item.key: item.value for item in status.values}
 
 
+def has(listener: Listener, key: str, number: int, node: str = "mapping_node") -> bool:
+    """True if a diagnostic value is this number."""
+    return status_values(listener, node).get(key) == str(number)
+
+
+def at_least(listener: Listener, key: str, number: int, node: str = "mapping_node") -> bool:
+    """True if a diagnostic value is this number or more."""
+    return int(status_values(listener, node).get(key, 0)) >= number
+
+
 class Ros:
     """A domain with the processes and listeners of one test."""
 

@@ -17,6 +17,10 @@ from quadtree_lss.ros.parameters import NodeParameters
 pytestmark = pytest.mark.xdist_group("ros")
 
 
+POSE_QOS = "qos_overrides__/nav/pose__subscription__"
+TOLD_QOS = POSE_QOS.replace("__", ".")
+
+
 @pytest.fixture
 def context(ros) -> Iterator[Context]:
     """An initialised context in the test's domain."""
@@ -58,6 +62,20 @@ def test_overrides_reach_the_configuration_and_integers_serve_as_floats(context)
     assert node.get_parameter("use_sim_time").value is True
 
 
+def test_qos_overrides_of_topics_that_the_node_lacks_are_told(ros):
+    """No error: both nodes may share a file."""
+    wrong = "qos_overrides./nav/poses.subscription.depth:=4"
+    right = "qos_overrides./nav/pose.subscription.depth:=4"
+    node = ros.start("mapping_node", "-p", wrong, "-p", right)
+    told = (
+        "/nav/poses.subscription.* has no effect: this node has no subscription of it, but of"
+        " /lidar/points, /nav/pose\n"
+    )
+    with ros.listen() as listener:
+        assert listener.wait_for(lambda: told in node.output()), node.output()
+    assert node.output().count("has no effect") == 1
+
+
 def test_qos_overrides_are_left_to_ros(context):
     node = make_node(context)
     name = "qos_overrides./lidar/points.subscription.depth"
@@ -73,6 +91,17 @@ def test_qos_overrides_are_left_to_ros(context):
         ({"domain__min_level": "four"}, ["domain.min_level", "int"]),
         ({"domain__min_level": 9, "domain__max_level": 8}, ["min_level", "max_level"]),
         ({"mapping__fit": "cubic"}, ["mapping.fit", "height", "ml"]),
+        ({"frames__map": ""}, ["frames.map"]),
+        ({"checkpoint__path": "/"}, ["checkpoint.path", "'/'"]),
+        ({"map_file__path": "maps/."}, ["map_file.path", "no name of a file"]),
+        ({f"{POSE_QOS}reliability": "nonsense"}, [TOLD_QOS + "reliability", "best_effort"]),
+        ({f"{POSE_QOS}depth": -3}, [TOLD_QOS + "depth", "-3"]),
+        ({f"{POSE_QOS}depth": "abc"}, [TOLD_QOS + "depth", "'abc'"]),
+        ({f"{POSE_QOS}reliabilty": "reliable"}, ["reliabilty", f"'{TOLD_QOS}reliability'"]),
+        (
+            {"qos_overrides__/nav/pose__depth": 5},
+            ["unknown", "'qos_overrides./nav/pose.", "depth'"],
+        ),
     ],
 )
 def test_wrong_overrides_are_refused_in_one_line(context, overrides, words):
@@ -91,7 +120,12 @@ def test_live_parameters_change_and_others_do_not(context):
     (done,) = node.set_parameters([Parameter("lss.margin", value=1.5)])
     assert done.successful
     assert held.config.lss.margin == 1.5 and seen == [held.config]
-    for name, value in (("domain.size", 10.0), ("lss.margin", -1.0), ("lss.margin", "wide")):
+    for name, value in (
+        ("domain.size", 10.0),
+        ("lss.margin", -1.0),
+        ("lss.margin", "wide"),
+        ("map_file.path", "/"),
+    ):
         (done,) = node.set_parameters([Parameter(name, value=value)])
         assert not done.successful and done.reason
     assert held.config.lss.margin == 1.5 and len(seen) == 1

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checkpoints of a running node: taken up, set aside, left alone, and what is told."""
+
+from __future__ import annotations
+
+import functools
+import resource
+import shutil
+import signal
+import time
+
+import numpy as np
+import pytest
+from ros.conftest import at_least, has
+from ros_scene import Sensors
+
+from quadtree_lss.configuration import load_config
+from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.ros.map_files import MapFileError, load
+
+pytestmark = pytest.mark.xdist_group("ros_checkpoints")
+
+SCANS = 4
+TEN_SECONDS_NS = 10**10
+SMALL = {
+    "domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6},
+}
+
+
+def test_killed_mapping_node_takes_up_its_checkpoint(ros):
+    """The sensors stay and are heard by the successor, as on a vehicle."""
+    path = ros.folder / "checkpoint.map"
+    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    mapping = ros.start("mapping_node", *args)
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        before = bytes(listener.newest["map/cells"].data)
+        assert listener.wait_for(lambda: _stamp_in(path) == last), mapping.output()
+        mapping.process.kill()
+        mapping.process.wait(10.0)
+        listener.newest.clear()
+        again = ros.start("mapping_node", *args)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), again.output()
+        assert bytes(listener.newest["map/cells"].data) == before
+        assert "taken up" in again.output()
+        later = _publish_until_mapped(listener, sensors, 1)
+        assert later, again.output()
+        assert ros.call(listener, "/mapping_node/reset").success
+        assert not path.exists(), "a reset forgets the checkpoint, too"
+        last = sensors.publish(SCANS, offset_ns=100 * TEN_SECONDS_NS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), again.output()
+    assert again.stop(signal.SIGHUP) == 0
+    assert _stamp_in(path) == last, "a clean end leaves the last state"
+
+
+def _publish_until_mapped(listener, sensors, first, topic="map/cells"):
+    """Sends scans, from ``first`` times ten seconds on, until one is in; its stamp or None.
+
+    That a killed node's successor has subscribed cannot be seen by number of subscribers: the
+    killed one counts until its lease ends.
+    """
+    for k in range(first, first + 30):
+        last = sensors.publish(SCANS, offset_ns=k * TEN_SECONDS_NS)
+        if listener.wait_for(lambda last=last: listener.stamp(topic) == last, timeout=1.0):
+            return last
+    return None
+
+
+def _stamp_in(path):
+    mapper = Mapper(load_config(overrides=SMALL))
+    try:
+        load(path, mapper)
+    except MapFileError:
+        return None
+    return mapper.stamp_ns
+
+
+def test_damaged_checkpoint_is_set_aside_and_mapping_goes_on(ros):
+    path = ros.folder / "checkpoint.map"
+    path.write_bytes(b"PK\x03\x04 something else")
+    mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={path}")
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        assert listener.wait_for(lambda: has(listener, "problems.checkpoint", 1))
+    assert path.with_name("checkpoint.map.refused").exists()
+    assert "starting with an empty map" in mapping.output()
+    assert "Traceback" not in mapping.output()
+
+
+def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
+    path = ros.folder / "checkpoint.map"
+    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    mapping = ros.start("mapping_node", *args)
+    before = resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE, (20_000, before[1]))
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 3))
+        lines = [line for line in mapping.output().splitlines() if "File too large" in line]
+        assert len(lines) == 1, "told once, though it fails again and again"
+        assert not path.exists()
+        resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE, before)
+        assert listener.wait_for(path.exists), "written once there is room again"
+    assert mapping.stop() == 0
+
+
+def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
+    path = ros.folder / "checkpoint.map"
+    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=3600.0")
+    mapping = ros.start("mapping_node", *args)
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        assert listener.wait_for(path.exists), mapping.output()
+        path.unlink()
+        path.mkdir()
+        answer = ros.call(listener, "/mapping_node/reset")
+        assert answer.success, answer.message
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == 0), mapping.output()
+        assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 1))
+        assert "cannot be removed" in mapping.output()
+
+
+def test_a_last_checkpoint_that_fails_is_told(ros):
+    """However lately another one was told."""
+    folder = ros.folder / "disk"
+    folder.mkdir()
+    args = ("-p", f"checkpoint.path:={folder / 'a.map'}", "-p", "checkpoint.interval:=0.1")
+    mapping = ros.start("mapping_node", *args)
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        sensors.publish(SCANS)
+        assert listener.wait_for((folder / "a.map").exists), mapping.output()
+        shutil.rmtree(folder)
+        sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS)
+        assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 1))
+    assert mapping.stop() == 0
+    assert "is lost" in mapping.output().splitlines()[-1]
+    assert "[ERROR]" in mapping.output().splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_both_nodes_recover_from_kills_while_sensors_stay(ros):
+    path = ros.folder / "checkpoint.map"
+    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.05")
+    nodes = {name: ros.start(name, *args) for name in ("mapping_node", "lss_node")}
+    rng = np.random.default_rng(5)
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        for attempt in range(8):
+            newest = _publish_until_mapped(listener, sensors, 100 * attempt, "landing/sites")
+            assert newest, "".join(node.output() for node in nodes.values())
+            time.sleep(0.2 + 0.3 * rng.random())
+            name = ("mapping_node", "lss_node")[attempt % 2]
+            nodes[name].process.kill()
+            nodes[name].process.wait(10.0)
+            listener.newest.clear()
+            nodes[name] = ros.start(name, *args)
+            topic = {"mapping_node": "map/cells", "lss_node": "landing/sites"}[name]
+            kept = functools.partial(_newer, listener, topic, newest)
+            assert listener.wait_for(kept), nodes[name].output()
+
+
+def _newer(listener, topic, stamp_ns):
+    found = listener.stamp(topic)
+    return found is not None and found >= stamp_ns

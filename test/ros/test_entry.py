@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How nodes begin and end: signals at any moment, and stamps of the maps in between."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from quadtree_lss.ros.map_stamps import MapStamps
+
+pytestmark = pytest.mark.xdist_group("ros")
+
+
+def hears(pid: int, number: int) -> bool:
+    """True if a process has a handler of a signal, False if it does not run either."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    caught = next((line.split()[1] for line in lines if line.startswith("SigCgt:")), "0")
+    return bool(int(caught, 16) >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
+    node = ros.start(name)
+    while not hears(node.process.pid, signal.SIGTERM):
+        node.check()
+    assert node.stop(number) == 0
+    assert node.output() == ""
+
+
+def test_signals_are_heard_before_anything_slow_is_imported():
+    program = (
+        "import sys; before = set(sys.modules)\n"
+        "import quadtree_lss.ros.entry\n"
+        "print(*sorted(name for name in sys.modules if name not in before))"
+    )
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    loaded = {name.partition(".")[0] for name in done.stdout.split()}
+    assert "quadtree_lss" in loaded and not loaded & {"numpy", "scipy", "rclpy", "yaml"}
+
+
+def test_a_hangup_that_is_ignored_stays_ignored():
+    program = (
+        "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "from quadtree_lss.ros.entry import stop_on_signal\n"
+        "stop = stop_on_signal()\n"
+        "signal.raise_signal(signal.SIGHUP); assert not stop.asked\n"
+        "signal.raise_signal(signal.SIGTERM); assert stop.asked\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_maps_that_differ_have_different_stamps_one_after_the_other():
+    stamps = MapStamps()
+
+    def published(newest_ns, changed=True):
+        stamps.content_changed |= changed
+        return stamps.next(newest_ns)
+
+    assert published(0) == 1, "a scan of stamp 0"
+    stamps.reset()
+    assert published(0, changed=False) == 0, "the empty map"
+    assert published(0) == 1
+    assert published(900) == 900
+    assert published(900, changed=False) == 900, "nothing new"
+    assert published(900) == 901 and published(900) == 902, "late scans"
+    assert published(902) == 903
+    assert published(500) == 500, "time jumped back"
