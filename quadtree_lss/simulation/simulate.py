@@ -100,9 +100,10 @@ def simulate(
     Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
     lidar's estimated pose in frame ``map``, with covariance). ``truth.npz`` goes into the bag's
     parent directory; one of another bag that is there is replaced with ``overwrite`` only, as is a
-    bag. Its ``bag_name`` and ``seed`` tell which flight it is of. ``terrain`` is a DEM or the path of one;
-    ``flights`` > 1 flies again over the same ground with new navigation errors, into the same bag.
-    ``progress(done, total)`` is called after every scan. The same arguments give the same messages.
+    bag. Its ``bag_name`` and ``seed`` tell which flight it is of. ``terrain`` is a DEM or the path
+    of one; ``flights`` > 1 flies again over the same ground with new navigation errors, into the
+    same bag. ``progress(done, total)`` is called after every scan. The same arguments give the same
+    messages.
     ``stop`` is asked before every message; once it answers True, bag and truth are of what was
     flown so far.
 
@@ -290,9 +291,7 @@ def _fly(
     )
 
 
-def _write_truth(
-    path: Path, plan: Flight, flown: list[_Flown], bag_name: str, seed: int
-) -> float:
+def _write_truth(path: Path, plan: Flight, flown: list[_Flown], bag_name: str, seed: int) -> float:
     """Write the truth file; returns the fraction of safe nodes."""
     xmin, xmax, ymin, ymax = plan.box
     safe_x = xmin + NODE_SPACING * np.arange(round((xmax - xmin) / NODE_SPACING) + 1)
