@@ -108,8 +108,9 @@ class Recorder:
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.open()
         except (WriterError, OSError) as error:
-            of_system = isinstance(error, OSError) and error.strerror
-            text = f"{error.filename}: {error.strerror}" if of_system else str(error)
+            text = str(error)
+            if isinstance(error, OSError) and error.strerror:
+                text = f"{error.filename}: {error.strerror}"
             if self._path.exists():
                 text = "it exists already"
             msg = f"--record {self._path}: cannot be written: {text}"
