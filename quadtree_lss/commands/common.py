@@ -80,7 +80,7 @@ def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and fits(value)):
-        msg = f"{text!r} is no number {wanted}"
+        msg = f"{text!r} is no finite number {wanted}"
         raise argparse.ArgumentTypeError(msg)
     return value
 
