@@ -63,6 +63,15 @@ _Loader.add_implicit_resolver(
 )
 
 
+def parse_value(text: str) -> object:
+    """One value as it would stand in a file.
+
+    Raises:
+        yaml.YAMLError: it cannot.
+    """
+    return yaml.load(text, Loader=_Loader)
+
+
 def load_config(
     paths: Iterable[str | os.PathLike[str]] = (),
     overrides: Mapping[str, object] | None = None,
@@ -102,13 +111,17 @@ def _check_keys(values: Mapping[str, object], where: str) -> None:
     table = {row.name: row for row in parameters()}
     for key, value in values.items():
         if key not in table:
-            msg = f"{where}: unknown parameter '{key}'; did you mean '{nearest_key(key)}'?"
+            msg = f"{where}: unknown parameter '{key}'{_suggestion(key)}"
             raise ConfigError(msg)
         try:
             checked_value(table[key], value)
         except ConfigError as error:
             msg = f"{where}: {error}"
             raise ConfigError(msg) from None
+
+
+def _suggestion(key: str) -> str:
+    return f"; did you mean '{nearest_key(key)}'?" if key.strip(" .") else ""
 
 
 def find_config(path: str | os.PathLike[str]) -> Path:
@@ -244,10 +257,7 @@ def explain(name: str) -> list[Parameter]:
     rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
     if not rows:
         sections = sorted({row.name.partition(".")[0] for row in table})
-        msg = (
-            f"unknown parameter '{name}'; did you mean '{nearest_key(name)}'?"
-            f" (sections: {', '.join(sections)})"
-        )
+        msg = f"unknown parameter '{name}'{_suggestion(name)} (sections: {', '.join(sections)})"
         raise ConfigError(msg)
     return rows
 

@@ -95,6 +95,8 @@ def wants_progress(verbose: bool) -> bool:
 
 def print_result(result: ReplayResult) -> None:
     """Key figures of a replay and its ranked sites, on stdout."""
+    from quadtree_lss.replay.points import points_line  # the core: slow to import
+
     summary, sites = result.summary, result.assessment.sites
     dropped = sum(summary["scans_dropped"].values())
     speed = f"{summary['duration']:.1f} s of bag at {summary['real_time_factor']:.1f} x real time"
@@ -102,6 +104,7 @@ def print_result(result: ReplayResult) -> None:
         print(
             f"{summary['scans']} scans mapped, {dropped} dropped; {summary['leaves']} leaves;"
             f" {speed}\n"
+            f"{points_line(summary['points'], summary['points_dropped'])}\n"
             f"map update {summary['map_ms_median']:.2f} ms median,"
             f" {summary['map_ms_p99']:.2f} ms 99 %;"
             f" landing site selection {summary['lss_ms']:.1f} ms;"

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import yaml
 
-from quadtree_lss.configuration import load_config
+from quadtree_lss.configuration import load_config, parse_value
 from quadtree_lss.core.config import Config
 
 DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
@@ -40,6 +41,48 @@ def add_command(
     text = "progress bar even if this is no terminal; where internal errors come from"
     add("-v", "--verbose", action="store_true", help=text)
     return parser
+
+
+def positive(text: str) -> float:
+    """Type of an option: a finite number greater than zero."""
+    return _number(text, lambda value: value > 0.0, "greater than 0")
+
+
+def not_negative(text: str) -> float:
+    """Type of an option: a finite number, zero or greater."""
+    return _number(text, lambda value: value >= 0.0, "0 or greater")
+
+
+def share(text: str) -> float:
+    """Type of an option: a number from 0 to 1."""
+    return _number(text, lambda value: 0.0 <= value <= 1.0, "from 0 to 1")
+
+
+def whole(least: int) -> Callable[[str], int]:
+    """Type of an option: a whole number, ``least`` or greater."""
+
+    def convert(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            msg = f"{text!r} is no whole number from {least}"
+            raise argparse.ArgumentTypeError(msg)
+        return value
+
+    return convert
+
+
+def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and fits(value)):
+        msg = f"{text!r} is no finite number {wanted}"
+        raise argparse.ArgumentTypeError(msg)
+    return value
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -73,8 +116,10 @@ def chosen_config(options: argparse.Namespace) -> Config:
         key, equals, value = item.partition("=")
         if not equals:
             options.parser.error(f"--set {item}: expected KEY=VALUE")
+        if not key.strip():
+            options.parser.error(f"--set {item}: no key before the =")
         try:
-            overrides[key.strip()] = yaml.safe_load(value)
+            overrides[key.strip()] = parse_value(value)
         except yaml.YAMLError:
             options.parser.error(f"--set {item}: not a value")
     return load_config(options.config, overrides, origin="--set")

@@ -15,6 +15,8 @@ from quadtree_lss.commands.common import (
     add_config_options,
     add_json,
     chosen_config,
+    not_negative,
+    positive,
     print_json,
 )
 from quadtree_lss.console import (
@@ -23,7 +25,6 @@ from quadtree_lss.console import (
     first_line,
     print_result,
     say,
-    wants_progress,
     warn,
 )
 from quadtree_lss.errors import QuadtreeLssError
@@ -36,6 +37,7 @@ EXAMPLES = """examples:
   quadtree-lss replay flight_bag --record products      (map and landing topics, for Foxglove)
   quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
   quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes; space bar pauses)
+  quadtree-lss replay products --publish                (a bag of maps, for lss_node alone)
 
 Ctrl-C ends the replay there: the results are those of what was processed so far. Once more
 stops at once.
@@ -51,18 +53,20 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add_config_options(parser)
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    add("--start", metavar="S", type=float, default=0.0, help="begin S seconds into the bag")
-    add("--duration", metavar="D", type=float, help="process D seconds only")
+    add("--start", metavar="S", type=not_negative, default=0.0, help="begin S seconds into the bag")
+    add("--duration", metavar="D", type=positive, help="process D seconds only")
     add("--no-report", action="store_true", help="no figures and no report.html")
     add("--record", metavar="BAG", type=Path, help="write what the nodes would publish, as mcap")
     add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
-    add("--rate", metavar="R", type=float, default=1.0, help="speed of --publish (default 1)")
+    add("--rate", metavar="R", type=positive, help="speed of --publish (default 1)")
     add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
     if options.publish:
         return _publish(options)
+    if options.rate is not None:
+        options.parser.error("--rate is for --publish: without it a replay is as fast as it can")
     from quadtree_lss.replay.replay import replay
     from quadtree_lss.replay.results import link_latest, new_folder
 
@@ -82,8 +86,8 @@ def _run(options: argparse.Namespace) -> int:
             progress=bar.update,
             stop=interruption.asked,
         )
-    if options.out is None:
-        link_latest(out)
+    if options.out is None and link_latest(out) is None:
+        warn(f"warning: {out.parent / 'latest'} does not point at these results: it is no link")
     for line in result.warnings:
         warn(f"warning: {line}")
     for line in result.losses:
@@ -102,24 +106,33 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
+    offline = ("out", "config", "set", "no_report", "record")
+    given = ", ".join(f"--{name.replace('_', '-')}" for name in offline if getattr(options, name))
+    if given:
+        text = "goes" if "," not in given else "go"
+        options.parser.error(f"{given} {text} not with --publish: the nodes map and rank the sites")
     try:
         from quadtree_lss.ros.player import play
     except ImportError as error:
         msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
         raise QuadtreeLssError(msg) from None
-    report = play(
-        options.bag,
-        rate=options.rate,
-        scan_topic=options.scan_topic,
-        pose_topic=options.pose_topic,
-        start=options.start,
-        duration=options.duration,
-        progress=wants_progress(options.verbose),
-    )
+    with ProgressBar("play", "s", options.verbose) as bar:
+        report = play(
+            options.bag,
+            rate=1.0 if options.rate is None else options.rate,
+            scan_topic=options.scan_topic,
+            pose_topic=options.pose_topic,
+            start=options.start,
+            duration=options.duration,
+            progress=bar.update,
+        )
+    sent = f"{report.scans} scans and {report.poses} poses"
+    if report.maps:
+        sent = f"{report.maps} maps"
     if options.json:
         print_json(asdict(report))
     else:
-        print(f"{report.scans} scans and {report.poses} poses sent in {report.duration:.1f} s")
+        print(f"{sent} sent in {report.duration:.1f} s")
     for line in report.losses:
         warn(f"damaged: {line}")
     return IN_PART if report.losses else DONE

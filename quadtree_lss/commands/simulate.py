@@ -6,7 +6,17 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from quadtree_lss.commands.common import DONE, INTERRUPTED, add_command, add_json, print_json
+from quadtree_lss.commands.common import (
+    DONE,
+    INTERRUPTED,
+    add_command,
+    add_json,
+    not_negative,
+    positive,
+    print_json,
+    share,
+    whole,
+)
 from quadtree_lss.console import Interruption, ProgressBar, say
 
 SCENARIOS = ("morpheus", "parabola", "descent")
@@ -27,24 +37,24 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = add_command(commands, "simulate", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("scenario", choices=SCENARIOS, help="which flight")
-    add("--seed", type=int, default=1, metavar="N", help="of terrain and noise (default 1)")
+    add("--seed", type=whole(0), default=1, metavar="N", help="of terrain and noise (default 1)")
     add("--out", required=True, type=Path, metavar="BAG", help="bag to write")
     add_flight_options(parser)
-    add("--overwrite", action="store_true", help="replace an existing bag")
+    add("--overwrite", action="store_true", help="replace an existing bag and truth.npz")
     add_json(parser)
 
 
 def add_flight_options(parser: argparse._ActionsContainer) -> None:
     """What is flown, over what, with which noise."""
     add = parser.add_argument
-    add("--duration", type=float, metavar="D", help="seconds of flight")
+    add("--duration", type=positive, metavar="D", help="seconds of flight")
     add("--terrain", type=Path, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
-    add("--range-noise", type=float, metavar="M", help="one sigma of a range, m")
-    add("--outliers", type=float, default=0.0, metavar="F", help="share of false returns")
-    add("--dropouts", type=float, default=0.0, metavar="F", help="share of missing returns")
+    add("--range-noise", type=not_negative, metavar="M", help="one sigma of a range, m")
+    add("--outliers", type=share, default=0.0, metavar="F", help="share of false returns")
+    add("--dropouts", type=share, default=0.0, metavar="F", help="share of missing returns")
     add(
         "--flights",
-        type=int,
+        type=whole(1),
         default=1,
         metavar="N",
         help="fly N times over the same ground, with other navigation errors, into one bag",

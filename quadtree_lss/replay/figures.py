@@ -34,7 +34,9 @@ HAZARDS = (
     (4, "exception", "#56b4e9"),
     (8, "touchdown", "#e69f00"),
 )
-SAFE_COLOUR, CLEAR_COLOUR = "#009e73", "#f0e9c8"
+CLEAR_COLOUR = "#f0e9c8"  # no hazard
+# Of where landing is allowed; the latter is no colour of a hazard nor of the absence of one.
+SAFE_COLOUR, EXCLUDED_COLOUR = "#009e73", "#882255"
 SITE_COLOUR = "#1c1c1c"  # of no map and no kind of hazard; ringed in white
 NONE_COLOUR = "#cdcdcd"
 
@@ -96,6 +98,7 @@ def hazard_figure(assessment: LandingAssessment, config: Config) -> Figure:
     figure.subplots_adjust(left=0.07, right=0.98, top=0.95, bottom=0.18, wspace=0.05)
     for axes, title in ((left, f"Hazards by kind{note}"), (right, "Where landing is allowed")):
         _label(axes, title)
+        axes.title.set_size(10.5)  # the note is as long as the axes are wide
     right.set_ylabel("")
     kind = np.zeros(assessment.hazard.shape, dtype=np.int64)
     for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=1))):
@@ -105,7 +108,7 @@ def hazard_figure(assessment: LandingAssessment, config: Config) -> Figure:
     _scale_bar(left, float(np.ptp(assessment.x)))
     unseen = (assessment.hazard & UNSEEN) > 0
     allowed = np.where(assessment.safe, 1, np.where(unseen, 2, 0))
-    names = [("excluded", CLEAR_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
+    names = [("excluded", EXCLUDED_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
     decisions = _draw_classes(right, assessment, allowed, names)
     figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
     figure.legend(handles=decisions, loc="lower right", ncols=3, frameon=False)

@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.core.config import Config
+from quadtree_lss.core.quadtree import Domain
+from quadtree_lss.core.scan import register
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.replay.bags import POSE_TYPE, SCAN_TYPE, Bag, BagError
 from quadtree_lss.replay.map_messages import MapPairs
+from quadtree_lss.replay.points import points_line, points_warning
 from quadtree_lss.replay.rescue import RawMessage
 from quadtree_lss.replay.results import plain
 from quadtree_lss.replay.run import Progress
-from quadtree_lss.replay.stream import SECOND_NS, Stream
+from quadtree_lss.replay.stream import SECOND_NS, Span, Stream
 
 OLD_STAMP_NS = 365 * 86400 * SECOND_NS
 """Stamps of 1970 count from the start of a computer, not from an epoch."""
@@ -32,7 +35,8 @@ class TopicInfo:
 
     Attributes:
         name, type, count: As recorded.
-        rate: Messages per second between the first and the last one's stamps (else reception).
+        rate: Messages per second between the first and the last one's stamps; of clouds and poses
+            that would not be used by their reception, of other topics unknown.
         frames: Frame names and how many messages carry each.
         first_stamp_ns, last_stamp_ns: Least and greatest stamp.
         backward: Stamps smaller than the one before.
@@ -66,6 +70,8 @@ class BagInfo:
         scan_topic, pose_topic: Those a replay would read, empty if not found.
         scans_with_pose: Scans that could be mapped.
         scans_dropped: Scans that could not, by reason.
+        points: Points of the scans that could be mapped.
+        points_dropped: Those of them that would not enter the map, by reason.
         problems: Why it would not work, one line each; empty if it would.
         notes: What to know, one line each.
         losses: What cannot be read of the bag.
@@ -80,6 +86,8 @@ class BagInfo:
     pose_topic: str = ""
     scans_with_pose: int = 0
     scans_dropped: dict[str, int] = field(default_factory=dict)
+    points: int = 0
+    points_dropped: dict[str, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
@@ -126,9 +134,6 @@ def inspect_bag(
             seconds=(opened.end_ns - opened.start_ns) / SECOND_NS,
             topics=[TopicInfo(t.name, t.type, t.count) for t in opened.topics],
         )
-        for topic in info.topics:
-            if topic.count > 1 and info.seconds > 0:
-                topic.rate = (topic.count - 1) / info.seconds
         stream = Stream(scan_topic, pose_topic)
         pairs = MapPairs.alone(opened) if scan_topic is None else None
         try:
@@ -146,14 +151,32 @@ def inspect_bag(
             info.kind = "scans"
             info.scan_topic, info.pose_topic = stream.scans, stream.poses
             _read(info, opened, stream, config, progress)
+        _rates_by_reception(info, opened)
         info.losses = list(opened.losses)
     return info
+
+
+def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
+    """Of the clouds and poses that are not read: what they may be chosen by."""
+    spans = {t.name: Span() for t in info.topics if t.type in (SCAN_TYPE, POSE_TYPE)}
+    for topic in info.topics:
+        if topic.first_stamp_ns is not None:
+            spans.pop(topic.name, None)
+    for message in bag.messages(list(spans)):
+        spans[message.topic].add(message.received_ns)
+    for topic in info.topics:
+        if topic.name in spans:
+            topic.rate = spans[topic.name].rate
 
 
 def _read(
     info: BagInfo, bag: Bag, stream: Stream, config: Config, progress: Progress | None
 ) -> None:
     intake = stream.intake(config)
+    d = config.domain
+    domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
+    dropped: Counter[str] = Counter()
+    missed_at: tuple[float, float] | None = None
     seen = {topic.name: _Stamps() for topic in info.topics}
     texts: dict[str, str] = {}
     shown = time.monotonic()
@@ -162,7 +185,13 @@ def _read(
         if message.topic != stream.gimbal:
             seen[message.topic].add(bag, message, kind)
         stream.take(bag, intake, message)
-        info.scans_with_pose += len(intake.ready(message.received_ns))
+        for ready in intake.ready(message.received_ns):
+            info.scans_with_pose += 1
+            scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain)
+            info.points += ready.points_lidar.size // 3
+            dropped.update(lost)
+            if missed_at is None and not len(scan.finest):
+                missed_at = scan.centre
         for notice in intake.notices():
             texts.setdefault(notice.reason, notice.text)
         if progress is not None and time.monotonic() - shown > 0.2:
@@ -171,7 +200,10 @@ def _read(
     intake.finish()
     for notice in intake.notices():
         texts.setdefault(notice.reason, notice.text)
-    info.scans_dropped = dict(intake.dropped)
+    info.scans_dropped, info.points_dropped = dict(intake.dropped), dict(dropped)
+    warning = points_warning(info.points, dropped, domain, missed_at)
+    if warning is not None:
+        (info.notes if info.points > dropped.total() else info.problems).append(warning)
     for topic in info.topics:
         seen[topic.name].tell(topic)
     _judge(info, texts, config)
@@ -286,6 +318,8 @@ def _lines(info: BagInfo) -> list[str]:
             f"scans {info.scan_topic}, poses {info.pose_topic}: {info.scans_with_pose} scans have"
             f" a pose at their stamp; dropped: {dropped or 'none'}"
         )
+        if info.points:
+            lines.append(f"{points_line(info.points, info.points_dropped)} with this configuration")
     lines += [f"note: {line}" for line in info.notes]
     lines += [f"damaged: {line}" for line in info.losses]
     lines += [f"problem: {line}" for line in info.problems]

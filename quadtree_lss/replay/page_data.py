@@ -16,6 +16,7 @@ from quadtree_lss.core.quadtree import CellMap
 from quadtree_lss.core.sites import LandingAssessment
 from quadtree_lss.replay.figures import (
     CLEAR_COLOUR,
+    EXCLUDED_COLOUR,
     HAZARDS,
     SAFE_COLOUR,
     SITE_COLOUR,
@@ -48,6 +49,7 @@ def page_data(result: ReplayResult, config: Config) -> dict[str, Any]:
         "hazard_note": hazard_note(config),
         "colours": {
             "clear": CLEAR_COLOUR,
+            "excluded": EXCLUDED_COLOUR,
             "safe": SAFE_COLOUR,
             "site": SITE_COLOUR,
             **{name: _base64(colour_table(name)) for name in ("viridis", "cividis", "magma")},

@@ -70,7 +70,7 @@ const allowedClass = i => (nodes.hazard.raw[i] & UNSEEN.bit ? 2 : nodes.safe.raw
 const hazardClasses = [{ name: "none", colour: data.colours.clear }, ...data.hazards];
 const allowedClasses = [
   { name: "allowed", colour: data.colours.safe },
-  { name: "excluded", colour: data.colours.clear },
+  { name: "excluded", colour: data.colours.excluded },
   { name: "unseen", colour: UNSEEN.colour },
 ];
 const onNodes = (title, unit, name, lut, none, reversed) =>
@@ -158,7 +158,13 @@ function fit() {
   view.x = (extent.x0 + extent.x1) / 2; view.y = (extent.y0 + extent.y1) / 2;
   view.scale = 0.98 * Math.min((width() - MARGIN.left) / (extent.x1 - extent.x0),
                                (height() - MARGIN.bottom) / (extent.y1 - extent.y0));
+  view.whole = { x: view.x, y: view.y, scale: view.scale };
   draw();
+}
+function resized() { // the whole map stays whole; another view stays where it is
+  const { x, y, scale, whole } = view;
+  if (x === whole.x && y === whole.y && scale === whole.scale) fit();
+  else draw();
 }
 function zoom(factor, p = px(view.x), q = py(view.y)) {
   const x = mx(p), y = my(q);
@@ -462,7 +468,7 @@ chart("chart-points", "", [
   { name: "points used", y: data.timing.used, colour: "#009e73" },
 ]);
 
-window.addEventListener("resize", () => { legend(); draw(); plots.forEach(p => p()); });
+window.addEventListener("resize", () => { legend(); resized(); plots.forEach(p => p()); });
 fit();
 legend();
 if (sites.length) tell(sites[0].x, sites[0].y);

@@ -16,7 +16,7 @@ h1 { font-size: 1.5rem; margin: .2rem 0 .6rem; } h2 { font-size: 1.15rem; margin
 .cards b { display: block; font-size: 1.15rem; font-variant-numeric: tabular-nums; }
 .cards span { color: #5a6472; font-size: .85rem; }
 .view { display: grid; grid-template-columns: minmax(0, 1fr) 18.5rem; gap: 1rem; }
-@media (max-width: 56rem) { .view { grid-template-columns: 1fr; } }
+@media (max-width: 56rem) { .view { grid-template-columns: minmax(0, 1fr); } }
 .frame { position: relative; }
 #map { width: 100%; height: min(82vh, 46rem); display: block; cursor: crosshair;
   touch-action: none; }

@@ -108,7 +108,11 @@ class Recorder:
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.open()
         except (WriterError, OSError) as error:
-            text = "it exists already" if self._path.exists() else str(error)
+            text = str(error)
+            if isinstance(error, OSError) and error.strerror:
+                text = f"{error.filename}: {error.strerror}"
+            if self._path.exists():
+                text = "it exists already"
             msg = f"--record {self._path}: cannot be written: {text}"
             raise ReplayError(msg) from None
         return writer

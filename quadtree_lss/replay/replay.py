@@ -7,6 +7,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace as changed
 from pathlib import Path
 
 from quadtree_lss.configuration import dump_config
@@ -17,6 +18,7 @@ from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.map_messages import MapPairs
+from quadtree_lss.replay.points import points_line
 from quadtree_lss.replay.record import Recorder
 from quadtree_lss.replay.result import ReplayResult
 from quadtree_lss.replay.run import Progress, Run
@@ -95,6 +97,8 @@ def replay(
     if progress is not None and not run.interrupted:
         progress(stream.seconds, stream.seconds)
     decoded, assessment, lss_ms = assess(cells, config)
+    if not decoded.observed.any():
+        assessment = changed(assessment, explanation=_why_nothing(run))
     seconds = stream.seconds
     if run.interrupted:
         seconds = min(seconds, max(run.done_ns - stream.start_ns, 0) / 1e9)
@@ -103,13 +107,18 @@ def replay(
     summary = {
         **run_summary(run.timings, len(decoded.level), config, speed, lss_ms),
         "scans_dropped": dict(run.intake.dropped),
+        "points_used": run.points_used,
         "points_dropped": dict(run.points_dropped),
         "bag": stream.bag,
+        "first_stamp_ns": min((row.stamp_ns for row in run.timings), default=None),
+        "last_stamp_ns": max((row.stamp_ns for row in run.timings), default=None),
         "scan_topic": stream.scans,
         "pose_topic": stream.poses,
         "duration": seconds,
         "maps": run.maps,
         "poses": run.intake.poses_taken,
+        "scan_rate": stream.rate(stream.scans),
+        "pose_rate": stream.rate(stream.poses),
         "messages_rejected": dict(run.intake.rejected),
         "range_noise_ratio": run.noise_ratio,
         "refused_divisions": run.refused_divisions,
@@ -147,6 +156,13 @@ def assess(cells: CellMap, config: Config) -> tuple[CellMap, LandingAssessment, 
     began = time.perf_counter()
     assessment = LandingSiteSelector(config).assess(decoded)
     return decoded, assessment, 1e3 * (time.perf_counter() - began)
+
+
+def _why_nothing(run: Run) -> str:
+    """Instead of a node's ``nothing is mapped yet``: no more will come."""
+    if run.maps:
+        return "nothing is mapped: the last map holds no measurement"
+    return f"nothing is mapped: {points_line(run.points, run.points_dropped)}"
 
 
 def _make_folder(folder: Path | None) -> Path | None:

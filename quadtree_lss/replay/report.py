@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
@@ -75,7 +76,7 @@ def _png(figure: Figure) -> bytes:
 
 def page(result: ReplayResult, config: Config) -> str:
     """The page as text."""
-    title = f"Landing sites from {escape(str(result.summary['bag']))}"
+    title = f"Landing sites from {escape(short_name(result.summary['bag']))}"
     warnings = "".join(
         f'<p class="warning">{escape(line)}</p>' for line in (*result.losses, *result.warnings)
     )
@@ -173,15 +174,25 @@ def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     topics = ", ".join(filter(None, (summary["scan_topic"], summary["pose_topic"])))
-    seconds = max(summary["duration"], 1e-9)
     return [
         ("bag", f"{summary['bag']}, {summary['duration']:.2f} s"),
         ("topics", topics or "map topics alone"),
-        ("scans mapped", f"{summary['scans']} ({summary['scans'] / seconds:.1f} /s)"),
+        ("scans mapped", _with_rate(summary["scans"], summary["scan_rate"])),
         ("scans dropped", _counts(summary["scans_dropped"])),
-        ("poses", f"{summary['poses']} ({summary['poses'] / seconds:.1f} /s)"),
+        ("poses", _with_rate(summary["poses"], summary["pose_rate"])),
         ("messages rejected", _counts(summary["messages_rejected"])),
     ]
+
+
+def short_name(bag: str) -> str:
+    """The name of a bag; with its folder's if it is plain ``bag``."""
+    path = Path(bag)
+    return f"{path.parent.name}/{path.name}" if path.name == "bag" else path.name
+
+
+def _with_rate(count: int, rate: float) -> str:
+    """A number of messages and the rate of their topic, as ``info`` tells it."""
+    return f"{count}" if rate != rate else f"{count}, recorded at {rate:.2f} Hz"
 
 
 def _points(summary: Mapping[str, Any]) -> str:
@@ -190,7 +201,7 @@ def _points(summary: Mapping[str, Any]) -> str:
     if not total:
         return ""
     dropped = {reason: n for reason, n in summary["points_dropped"].items() if n}
-    parts = {"used": total - sum(dropped.values()), **dropped}
+    parts = {"used": summary["points_used"], **dropped}
     body = "".join(
         f"<tr><td>{escape(reason.replace('_', ' '))}</td><td>{n}</td><td>{n / total:.2%}</td>"
         f'<td class="text"><span class="bar" style="width:{8.0 * n / total:.2f}rem"></span></td>'

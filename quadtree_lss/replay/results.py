@@ -7,6 +7,7 @@ one and a failed run leaves the files of the last.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -86,7 +87,7 @@ def new_folder(root: Path) -> Path:
 
 
 def link_latest(folder: Path) -> Path | None:
-    """Lets ``latest`` beside ``folder`` point at it; None where that cannot be."""
+    """Lets ``latest`` beside ``folder`` point at it; None where that cannot be: it is no link."""
     link = folder.parent / "latest"
     if link.exists() and not link.is_symlink():
         return None
@@ -101,10 +102,18 @@ def link_latest(folder: Path) -> Path | None:
 
 
 def remove_report(out: Path) -> None:
-    """Takes away the page and figures of an earlier run, which would contradict this one."""
+    """Takes away page, figures and evaluation of an earlier run, which would contradict this one.
+
+    Of the folder ``evaluation`` those files go that `evaluate` writes.
+    """
     (out / REPORT).unlink(missing_ok=True)
     for name in FIGURES:
         (out / "figures" / f"{name}.png").unlink(missing_ok=True)
+    folder = out / "evaluation"
+    for path in (*folder.glob("fig[0-9][0-9]_*.png"), folder / "evaluation.json"):
+        path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # not there, or somebody else's files in it
+        folder.rmdir()
 
 
 def write_sites(path: Path, assessment: LandingAssessment) -> None:

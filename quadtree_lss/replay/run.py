@@ -11,16 +11,20 @@ from typing import TYPE_CHECKING
 
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.quadtree import CellMap, Domain
 from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.map_messages import MapPairs
+from quadtree_lss.replay.points import points_warning
 from quadtree_lss.replay.results import ScanTiming
 from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
 
 if TYPE_CHECKING:
     from quadtree_lss.replay.record import Recorder
+
+REFUSED_SHARE = 0.01
+"""Of the points; so many may find no room to be stored before it is told: a few always do."""
 
 Progress = Callable[[float, float], None]
 """Called with the seconds of the bag that are done and the seconds there are."""
@@ -40,6 +44,9 @@ class Run:
         interrupted: True if ``stop`` ended it.
         done_ns: Time of reception up to which the bag was processed.
         timings: A row per mapped scan.
+        points_dropped: Points of mapped scans that are not in the map, by reason; those that
+            found no room to be stored are ``refused``.
+        refused_divisions: Cells that ``mapping.max_cells`` left whole.
         maps: Maps that were read, for a bag of maps.
     """
 
@@ -60,6 +67,7 @@ class Run:
         self._notices: Counter[str] = Counter()
         self._texts: dict[str, str] = {}
         self._decode_ms: dict[int, float] = {}
+        self._missed_at: tuple[float, float] | None = None
         self._shown_ns = 0
 
     def map_scans(self, bag: Bag, stream: Stream) -> CellMap:
@@ -117,11 +125,35 @@ class Run:
         assert last is not None
         return last
 
+    @property
+    def points(self) -> int:
+        """Points of the mapped scans."""
+        return sum(row.points for row in self.timings)
+
+    @property
+    def points_used(self) -> int:
+        """Those of them that entered the map."""
+        return self.points - sum(self.points_dropped.values())
+
+    def lost_points(self) -> str | None:
+        """Why less than half of the points entered the map; None if more did."""
+        d = self.config.domain
+        domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
+        return points_warning(self.points, self.points_dropped, domain, self._missed_at)
+
     def warnings(self) -> list[str]:
         """One line per kind of trouble, most frequent first."""
-        lines = [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
+        lost = self.lost_points()
+        lines = [] if lost is None else [lost]
+        lines += [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
         if self.refused_divisions:
             lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
+        refused = self.points_dropped["refused"]
+        if refused > REFUSED_SHARE * self.points:
+            lines.append(
+                f"{refused} points found no room to be stored (mapping.max_stored_points,"
+                " mapping.max_stored_per_cell)"
+            )
         noise = noise_notice(self.noise_ratio, self.config)
         if noise is not None:
             lines.append(noise.text)
@@ -151,6 +183,9 @@ class Run:
         if len(self._decode_ms) > 2 * self.config.pose.queue:
             self._decode_ms.clear()  # those of dropped scans
         self.points_dropped.update(report.dropped)
+        self.points_dropped["refused"] += report.refused_points
+        if not report.points_used and report.dropped["outside"] and self._missed_at is None:
+            self._missed_at = report.centre
         self.refused_divisions += report.refused_divisions
         self.noise_ratio = report.noise_ratio
         self.timings.append(

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from quadtree_lss.core.config import Config
 from quadtree_lss.errors import QuadtreeLssError
-from quadtree_lss.messages.clouds import MessageError
+from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.intake import Intake, ReadyScan
 from quadtree_lss.replay.bags import GIMBAL_TOPIC, POSE_TOPIC, SCAN_TOPIC, Bag, choose_topic
 from quadtree_lss.replay.rescue import RawMessage
@@ -23,6 +25,27 @@ class ReplayError(QuadtreeLssError):
 
 
 @dataclass
+class Span:
+    """How many times there are, and the least and the greatest of them, ns."""
+
+    count: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+    def add(self, time_ns: int) -> None:
+        """One more."""
+        self.first_ns = min(self.first_ns, time_ns) if self.count else time_ns
+        self.last_ns = max(self.last_ns, time_ns) if self.count else time_ns
+        self.count += 1
+
+    @property
+    def rate(self) -> float:
+        """Per second between the first and the last; NaN if they do not differ."""
+        length = (self.last_ns - self.first_ns) / SECOND_NS
+        return (self.count - 1) / length if length > 0.0 else math.nan
+
+
+@dataclass
 class Stream:
     """Scans and poses of an open bag, or of a part of it.
 
@@ -31,7 +54,7 @@ class Stream:
         start, duration: Part in s after the bag's first message, None for all there is.
 
     Attributes:
-        bag: Name of the bag, for people.
+        bag: Path of the bag, absolute.
         scans, poses, gimbal: Topics that are read; the last is empty without a gimbal.
         start_ns, stop_ns: Times of reception: start_ns <= t < stop_ns.
         seconds: Length of the part.
@@ -48,6 +71,7 @@ class Stream:
     start_ns: int = field(default=0, init=False)
     stop_ns: int = field(default=0, init=False)
     seconds: float = field(default=0.0, init=False)
+    _stamps: dict[str, Span] = field(default_factory=dict, init=False)
 
     def resolve(self, bag: Bag, config: Config) -> None:
         """Finds topics and limits in an open bag.
@@ -64,14 +88,13 @@ class Stream:
 
     def limit(self, bag: Bag) -> None:
         """The limits in time alone."""
-        name = bag.path.name
-        self.bag = f"{bag.path.resolve().parent.name}/{name}" if name == "bag" else name
+        self.bag = str(bag.path.resolve())
         length = (bag.end_ns - bag.start_ns) / SECOND_NS
         if not 0.0 <= self.start <= length:
             msg = f"--start {self.start:g} s is outside the bag's {length:.3f} s"
             raise ReplayError(msg)
-        if self.duration is not None and not self.duration > 0.0:
-            msg = f"--duration {self.duration:g} s is not positive"
+        if self.duration is not None and not 0.0 < self.duration < math.inf:
+            msg = f"--duration {self.duration:g} s is not positive and finite"
             raise ReplayError(msg)
         self.start_ns = bag.start_ns + round(self.start * SECOND_NS)
         self.stop_ns = bag.end_ns + 1
@@ -102,6 +125,8 @@ class Stream:
         except MessageError as error:
             intake.reject(what, error)
             return None
+        with contextlib.suppress(MessageError):  # the intake tells
+            self._stamps.setdefault(message.topic, Span()).add(stamp_ns(msg.header))
         if what == "cloud":
             return intake.on_cloud(msg, message.received_ns)
         if what == "pose":
@@ -109,6 +134,10 @@ class Stream:
         else:
             intake.on_gimbal(msg)
         return None
+
+    def rate(self, topic: str) -> float:
+        """Messages of a topic per second of their stamps, so far; NaN for fewer than two."""
+        return self._stamps[topic].rate if topic in self._stamps else math.nan
 
 
 def scans(

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays the scans and poses of a bag to running nodes, their bytes as they were recorded."""
+"""Plays scans and poses, or maps, of a bag to running nodes, their bytes as recorded."""
 
 from __future__ import annotations
 
+import math
 import struct
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,15 @@ from typing import Any
 import rclpy
 import zstandard
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
-from tqdm import tqdm
 
 from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.messages.outputs import CELLS, OBSERVED
 from quadtree_lss.replay.bags import (
     GIMBAL_TOPIC,
     GIMBAL_TYPE,
@@ -31,13 +33,26 @@ from quadtree_lss.replay.bags import (
     Bag,
     choose_topic,
 )
+from quadtree_lss.replay.map_messages import MapPairs
+from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.stream import Stream
 from quadtree_lss.ros.keyboard import Keyboard
 from quadtree_lss.ros.play_time import SECOND_NS, PlayTime
-from quadtree_lss.ros.qos import stream
+from quadtree_lss.ros.qos import latched, stream
 
 MATCH_PAUSE_S = 0.5
 """After a publisher sees its match the subscriber may not be ready yet."""
 DEPTH = 200
+BAR_S = 0.2
+"""Between two changes of the progress bar."""
+KINDS = {
+    SCAN_TOPIC: PointCloud2,
+    POSE_TOPIC: PoseWithCovarianceStamped,
+    GIMBAL_TOPIC: TransformStamped,
+    f"/{CELLS}": PointCloud2,
+    f"/{OBSERVED}": OccupancyGrid,
+}
+MAP_TOPICS = (f"/{CELLS}", f"/{OBSERVED}")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -50,8 +65,8 @@ class PlayReport:
     """What was sent.
 
     Attributes:
-        scans, poses: Number of messages.
-        duration: Time it took, s.
+        scans, poses, maps: Number of messages.
+        duration: Time from the first to the last of them, s.
         losses: One line for each piece of the bag that could not be read.
     """
 
@@ -59,6 +74,7 @@ class PlayReport:
     poses: int
     duration: float
     losses: tuple[str, ...]
+    maps: int = 0
 
 
 def play(
@@ -73,11 +89,12 @@ def play(
     wait: float = 15.0,
     namespace: str = "",
     domain_id: int | None = None,
-    progress: bool = False,
+    progress: Callable[[float, float], None] | None = None,
 ) -> PlayReport:
     """Plays a ROS 2 bag on ``lidar/points`` and ``nav/pose``, as fast as it was recorded.
 
-    ``lidar/gimbal`` is played if it was recorded. Waits until the first two have a subscriber,
+    ``lidar/gimbal`` is played if it was recorded. A bag that holds maps and no scans is played on
+    ``map/cells`` and ``map/observed``, latched. Waits until all but the gimbal have a subscriber,
     and at the end until all was acknowledged. The services ``/bag_player/pause``, ``…/resume`` and
     ``…/toggle_paused`` hold it up, as does the space bar of the terminal it runs in.
 
@@ -90,67 +107,90 @@ def play(
         wait: How long to wait for subscribers, s.
         namespace: Of the topics published on.
         domain_id: ROS domain, that of the environment if None.
-        progress: Show a progress bar.
+        progress: Called with the seconds of the bag that are played and those to play.
 
     Raises:
         BagError: the bag cannot be read or its topics are not clear.
-        PlayError: ROS 1 bag, rate not positive, no subscriber in time.
+        PlayError: ROS 1 bag, rate not positive and finite, no subscriber in time.
+        ReplayError: the part lies outside the bag.
     """
-    if not rate > 0.0:
-        msg = f"rate {rate:g} is not positive"
+    if not 0.0 < rate < math.inf:
+        msg = f"rate {rate:g} is not positive and finite"
         raise PlayError(msg)
     path = Path(bag)
     if ".bag" in path.suffixes or (path.is_dir() and any(path.glob("*.bag*"))):
         msg = f"{path} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"
         raise PlayError(msg)
     context = Context()
+    part = Stream(start=start, duration=duration)
     with Bag(path) as source:
-        names = {
-            choose_topic(source, scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic"): SCAN_TOPIC,
-            choose_topic(source, pose_topic, POSE_TOPIC, POSE_TYPE, "--pose-topic"): POSE_TOPIC,
-        }
-        if any((t.name, t.type) == (GIMBAL_TOPIC, GIMBAL_TYPE) for t in source.topics):
-            names[GIMBAL_TOPIC] = GIMBAL_TOPIC
+        names = _names(source, scan_topic, pose_topic)
+        part.limit(source)
         rclpy.init(context=context, domain_id=domain_id)
         try:
             node = Node("bag_player", context=context, namespace=namespace)
             publishers = _publishers(node, names)
-            needed = [p for name, p in publishers.items() if name != GIMBAL_TOPIC]
+            needed = [p for recorded, p in publishers.items() if names[recorded] != GIMBAL_TOPIC]
             _wait_for_subscribers(needed, wait)
-            first = source.start_ns + round(start * SECOND_NS)
-            last = source.end_ns + 1
-            if duration is not None:
-                last = min(last, first + round(duration * SECOND_NS))
-            began = time.monotonic()
-            count = sum(topic.count for topic in source.topics if topic.name in names)
-            messages = source.messages(list(names), first, last)
-            bar = tqdm(messages, total=count, unit="msg", disable=not progress)
+            messages = source.messages(list(names), part.start_ns, part.stop_ns)
             with Keyboard() as keyboard:
                 times = PlayTime(node, rate, clock=clock, pressed=keyboard.pressed)
-                sent = _send(bar, names, publishers, times)
+                began = time.monotonic()
+                sent = _send(_told(messages, part, progress), names, publishers, times)
+                seconds = time.monotonic() - began
                 times.shutdown()
             for publisher in publishers.values():
                 publisher.wait_for_all_acked(Duration(seconds=5))
-            scans, poses = (
-                sum(sent[recorded] for recorded, name in names.items() if name == wanted)
-                for wanted in (SCAN_TOPIC, POSE_TOPIC)
+            counts = {name: sent[recorded] for recorded, name in names.items()}
+            return PlayReport(
+                counts.get(SCAN_TOPIC, 0),
+                counts.get(POSE_TOPIC, 0),
+                seconds,
+                tuple(source.losses),
+                counts.get(MAP_TOPICS[0], 0),
             )
-            return PlayReport(scans, poses, time.monotonic() - began, tuple(source.losses))
         finally:
             context.try_shutdown()
 
 
+def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str, str]:
+    """The topics of the bag to play, and the name under which each is published."""
+    pairs = MapPairs.alone(bag) if scan_topic is None else None
+    if pairs is not None:
+        return dict(zip(pairs.topics, MAP_TOPICS, strict=True))
+    names = {
+        choose_topic(bag, scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic"): SCAN_TOPIC,
+        choose_topic(bag, pose_topic, POSE_TOPIC, POSE_TYPE, "--pose-topic"): POSE_TOPIC,
+    }
+    if any((t.name, t.type) == (GIMBAL_TOPIC, GIMBAL_TYPE) for t in bag.topics):
+        names[GIMBAL_TOPIC] = GIMBAL_TOPIC
+    return names
+
+
+def _told(
+    messages: Iterable[RawMessage], part: Stream, progress: Callable[[float, float], None] | None
+) -> Iterable[RawMessage]:
+    """The same messages; ``progress`` hears of them now and then."""
+    shown = -math.inf
+    for message in messages:
+        yield message
+        if progress is not None and time.monotonic() - shown > BAR_S:
+            shown = time.monotonic()
+            progress((message.received_ns - part.start_ns) / SECOND_NS, part.seconds)
+
+
 def _send(
-    messages: Iterable[Any],
+    messages: Iterable[RawMessage],
     names: Mapping[str, str],
     publishers: Mapping[str, Publisher],
     times: PlayTime,
 ) -> dict[str, int]:
     counts = dict.fromkeys(publishers, 0)
     newest = dict.fromkeys(names.values(), 0)
+    scans = SCAN_TOPIC in newest
     for topic, received_ns, raw in messages:
         # A scan that waits for the pose after it during a pause would be dropped by the node.
-        served = min(newest.values()) == newest[SCAN_TOPIC]
+        served = not scans or min(newest.values()) == newest[SCAN_TOPIC]
         times.wait_until(received_ns, may_pause=served)
         if raw[:4] == ZSTD_MAGIC:
             raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
@@ -171,14 +211,12 @@ def _stamp_ns(raw: Any) -> int:
 
 def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
     """For each topic of the bag the publisher of its messages."""
-    kinds = {
-        SCAN_TOPIC: PointCloud2,
-        POSE_TOPIC: PoseWithCovarianceStamped,
-        GIMBAL_TOPIC: TransformStamped,
-    }
-    profile = stream(DEPTH, reliable=True)
     return {
-        recorded: node.create_publisher(kinds[name], name.lstrip("/"), profile)
+        recorded: node.create_publisher(
+            KINDS[name],
+            name.lstrip("/"),
+            latched() if name in MAP_TOPICS else stream(DEPTH, reliable=True),
+        )
         for recorded, name in names.items()
     }
 

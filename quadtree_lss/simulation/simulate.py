@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -98,13 +99,15 @@ def simulate(
 
     Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
     lidar's estimated pose in frame ``map``, with covariance). ``truth.npz`` goes into the bag's
-    parent directory and replaces one that is there. ``terrain`` is a DEM or the path of one;
-    ``flights`` > 1 flies again over the same ground with new navigation errors, into the same bag.
-    ``progress(done, total)`` is called after every scan. The same arguments give the same messages.
+    parent directory; one of another bag that is there is replaced with ``overwrite`` only, as is a
+    bag. Its ``bag_name`` and ``seed`` tell which flight it is of. ``terrain`` is a DEM or the path
+    of one; ``flights`` > 1 flies again over the same ground with new navigation errors, into the
+    same bag. ``progress(done, total)`` is called after every scan. The same arguments give the same
+    messages.
     ``stop`` is asked before every message; once it answers True, bag and truth are of what was
     flown so far.
 
-    Raises `SimulationError` for options that make no sense and for an existing ``bag_path``,
+    Raises `SimulationError` for options that make no sense and for what would be overwritten,
     KeyboardInterrupt if it is stopped before the first scan.
     """
     path = Path(bag_path)
@@ -125,12 +128,14 @@ def simulate(
         dropouts=dropouts,
     )
     plans = [SCENARIOS[scenario].plan(request, flight) for flight in range(flights)]
+    safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None
+    if truth_path is not None and not overwrite:
+        _spare_truth(truth_path, path.name)
     _make_room(path, overwrite)
     navigation, noise = np.random.default_rng(navigation_seed), np.random.default_rng(lidar_seed)
     total = sum(plan.scan_times.size for plan in plans)
     flown: list[_Flown] = []
     start_ns = _START_NS
-    safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None
     try:
         with BagRecorder(path) as recorder:
             for plan in plans:
@@ -143,7 +148,7 @@ def simulate(
         if not flown[0].stamps_ns.size:
             raise KeyboardInterrupt
         if truth_path is not None:
-            safe_fraction = _write_truth(truth_path, plans[0], flown)
+            safe_fraction = _write_truth(truth_path, plans[0], flown, path.name, seed)
     except BaseException as error:
         # Half a bag looks like a whole one.
         shutil.rmtree(path, ignore_errors=True)
@@ -195,19 +200,34 @@ def _offset(progress: Callable[[int, int], None], done: int, total: int) -> Call
     return lambda scans: progress(done + scans, total)
 
 
+def _spare_truth(path: Path, bag_name: str) -> None:
+    """Refuse to replace the truth of another bag: its results would be scored against this one."""
+    if not path.exists():
+        return
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            owner = str(arrays["bag_name"])
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
+        owner = ""
+    if owner != bag_name:
+        whose = f"of the bag '{owner}'" if owner else "of a bag it does not name"
+        msg = f"{path} is {whose}; choose another folder, or --overwrite to replace it"
+        raise SimulationError(msg)
+
+
 def _make_room(path: Path, overwrite: bool) -> None:
     """Make the parent directory; remove an old bag only when asked to."""
     if path.exists():
         if not overwrite:
-            msg = f"{path} exists; choose another path or ask to overwrite it"
+            msg = f"{path} exists; choose another path, or --overwrite to replace it"
             raise SimulationError(msg)
-        if path.is_dir() and not (path / "metadata.yaml").is_file() and any(path.iterdir()):
+        if not path.is_dir():
+            msg = f"{path} is a file, and bags are directories; it is not overwritten"
+            raise SimulationError(msg)
+        if not (path / "metadata.yaml").is_file() and any(path.iterdir()):
             msg = f"{path} is a directory but no bag; it is not overwritten"
             raise SimulationError(msg)
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
+        shutil.rmtree(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -271,7 +291,7 @@ def _fly(
     )
 
 
-def _write_truth(path: Path, plan: Flight, flown: list[_Flown]) -> float:
+def _write_truth(path: Path, plan: Flight, flown: list[_Flown], bag_name: str, seed: int) -> float:
     """Write the truth file; returns the fraction of safe nodes."""
     xmin, xmax, ymin, ymax = plan.box
     safe_x = xmin + NODE_SPACING * np.arange(round((xmax - xmin) / NODE_SPACING) + 1)
@@ -291,6 +311,8 @@ def _write_truth(path: Path, plan: Flight, flown: list[_Flown]) -> float:
         scan_position=np.concatenate([leg.positions for leg in flown]),
         scan_quaternion_xyzw=np.concatenate([leg.quaternions_xyzw for leg in flown]),
         scan_outline=np.concatenate([leg.outlines for leg in flown]),
+        bag_name=np.array(bag_name),
+        seed=np.array(seed),
         scan_flight=np.repeat(np.arange(len(flown)), [leg.stamps_ns.size for leg in flown]),
     )
     return float(safe.mean())

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -121,7 +123,18 @@ def load_terrain(path: str | Path) -> Terrain:
     except KeyError as error:
         msg = f"terrain file {file}: no array {error.args[0]!r}; needed are x, y, elevation"
         raise SimulationError(msg) from error
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+    except SimulationError as error:
+        msg = f"terrain file {file}: {str(error).removeprefix('terrain: ')}"
+        raise SimulationError(msg) from error
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         msg = (
             f"terrain file {file} is not a DEM in .npz form with arrays of numbers x, y, elevation"
         )

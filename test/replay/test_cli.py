@@ -15,6 +15,14 @@ from quadtree_lss.cli import main, main_replay_bag, without_ros_arguments
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
 COARSE = [*AREA, "--set", "domain.min_level=3", "--set", "domain.max_level=5"]
+WRONG = [("--start", "-1"), ("--start", "nan"), ("--start", "inf")]
+WRONG += [("--duration", value) for value in ("0", "-1", "inf", "nan")]
+WRONG_FLIGHTS = [("--duration", "0"), ("--duration", "inf"), ("--range-noise", "-1")]
+WRONG_FLIGHTS += [("--outliers", "1.5"), ("--dropouts", "-0.1"), ("--flights", "0")]
+WRONG_FLIGHTS += [("--flights", "1.5"), ("--seed", "-1"), ("--seed", "one")]
+NOT_PUBLISHED = [["--out", "x"], ["--config", "morpheus"], ["--set", "lss.margin=1"]]
+NOT_PUBLISHED += [["--no-report"], ["--record", "x"]]
+NOT_PUBLISHED += [["--rate", value] for value in ("0", "-1", "inf", "nan")]
 FAST = [*COARSE, "--set", "lss.max_gap=3.0", "--no-report"]
 
 
@@ -34,6 +42,7 @@ def test_a_replay_prints_its_sites_and_is_quiet_otherwise(bag, tmp_path, capsys)
     code, out, err = run(capsys, "replay", bag, "--out", tmp_path, *FAST)
     assert code == 0
     assert "6 scans mapped" in out and "rank" in out and str(tmp_path) in out
+    assert "\npoints " in out and "of 3456 used" in out
     assert all(line.startswith("quadtree-lss: warning:") for line in err.splitlines())
 
 
@@ -83,6 +92,11 @@ def test_errors_are_one_line_and_exit_code_1(bag, tmp_path, capsys, arguments, w
         ["config", "print", "lss.margin"],
         ["replay", "bag", "--out", "x", "--start", "soon"],
         ["replay", "bag", "--out", "x", "--set", "lss.margin"],
+        ["replay", "bag", "--out", "x", "--set", "=1"],
+        *(["replay", "bag", option, value] for option, value in WRONG),
+        ["replay", "bag", "--rate", "2"],
+        *(["replay", "bag", "--publish", *more] for more in NOT_PUBLISHED),
+        *(["simulate", "descent", "--out", "x", option, value] for option, value in WRONG_FLIGHTS),
         ["simulate", "moon", "--out", "x"],
         ["simulate", "morpheus"],
         ["evaluate", "x"],
@@ -91,6 +105,16 @@ def test_errors_are_one_line_and_exit_code_1(bag, tmp_path, capsys, arguments, w
 def test_wrong_usage_is_exit_code_2(capsys, arguments):
     code, _, err = run(capsys, *arguments)
     assert code == 2 and "usage:" in err
+
+
+def test_options_that_do_not_go_together_are_named(capsys):
+    code, _, err = run(capsys, "replay", "bag", "--publish", "--record", "x", "--no-report")
+    assert code == 2 and "--no-report, --record go not with --publish" in err
+
+
+def test_a_number_is_the_same_in_a_file_and_after_set(capsys):
+    out = run(capsys, "config", "--set", "lidar.range_noise=6e-2", "--plain")[1]
+    assert "range_noise: 0.06" in out
 
 
 @pytest.mark.parametrize("command", ["replay", "info", "config", "simulate", "evaluate"])
@@ -224,6 +248,22 @@ def test_results_without_a_folder_get_one_by_time_and_a_link(bag, tmp_path, caps
     assert (latest / "config.yaml").exists() and (latest / "summary.json").exists()
 
 
+def test_a_folder_in_the_place_of_the_link_is_told(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "results" / "latest").mkdir(parents=True)
+    code, _, err = run(capsys, "replay", bag, *FAST)
+    (told,) = (line for line in err.splitlines() if "latest" in line)
+    assert code == 0 and "results/latest does not point at these results" in told
+
+
+def test_a_record_that_cannot_be_written_says_so_plainly(bag, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    wanted = tmp_path / "file" / "products"
+    code, _, err = run(capsys, "replay", bag, "--out", tmp_path / "o", *FAST, "--record", wanted)
+    assert code == 1 and "cannot be written: " in err and "Errno" not in err
+    assert f"{tmp_path / 'file'}: File exists" in err
+
+
 def test_an_error_leaves_no_empty_results_folder(bag, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(capsys, "replay", bag, *FAST, "--set", "frames.map=moon")[0] == 1
@@ -262,5 +302,6 @@ def test_config_checks_files_and_explains_keys(tmp_path, capsys):
     code, out, _ = run(capsys, "config", "explain", "lss.margin")
     assert code == 0 and "default" in out and "running node" in out
     assert run(capsys, "config", "explain", "lss")[1].count("default") > 10
+    assert "did you mean" not in run(capsys, "config", "explain", "")[2]
     code, _, err = run(capsys, "config", "explain", "lss.margn")
     assert code == 1 and "lss.margin" in err

@@ -47,6 +47,12 @@ def test_shipped_configurations_are_found_by_name_from_anywhere(name, form, tmp_
     assert load_config([*first, form.format(name)]).domain.size > 0.0
 
 
+def test_the_fixed_resolution_map_is_section_vi_alone_and_over_it():
+    alone, over = load_config(["parabola_fixed"]), load_config(["parabola", "parabola_fixed"])
+    assert alone == over and alone.lidar.range_noise == 0.08
+    assert alone.domain.min_level == alone.domain.max_level == 6
+
+
 def test_a_file_that_exists_wins_over_a_shipped_name(write, monkeypatch):
     path = write(section("domain.size: 10.0"), "morpheus.yaml")
     monkeypatch.chdir(path.parent)

@@ -42,6 +42,28 @@ def test_a_wrong_frame_is_a_problem_that_is_told(tmp_path):
     assert "it would not work" in info.table()
 
 
+def test_a_domain_that_no_point_reaches_is_a_problem(tmp_path):
+    path = write_ros2(tmp_path / "bag")
+    good = inspect_bag(path, CONFIG)
+    assert good.points == 5760 and sum(good.points_dropped.values()) < 100
+    info = inspect_bag(path, config_from_values({"domain.xmin": 5000.0}))
+    assert not info.works and info.points_dropped["outside"] == info.points == 5760
+    (problem,) = info.problems
+    assert "none of 5760 points" in problem and "x 5000 ..." in problem and "middle" in problem
+    assert "points 0 of 5760 used (100 % outside the domain)" in info.table()
+    info = inspect_bag(path, config_from_values({"domain.ymin": 8.0}))
+    assert info.works and any("only " in line for line in info.notes)
+
+
+def test_rates_of_topics_that_are_not_read_are_theirs(tmp_path):
+    topics = ("/lidar/points", "/camera/points")
+    path = write_ros2(tmp_path / "bag", scan_topics=topics)
+    for asked in (None, "/camera/points", "/nothing"):
+        info = inspect_bag(path, CONFIG, scan_topic=asked)
+        assert [topic(info, name).rate for name in topics] == [pytest.approx(10.0)] * 2
+        assert topic(info, "/nav/pose").rate == pytest.approx(20.0)
+
+
 @pytest.mark.parametrize(
     ("topics", "word"), [({"scan_topics": ()}, "PointCloud2"), ({"pose_topics": ()}, "Pose")]
 )

@@ -184,6 +184,61 @@ def test_without_report_an_old_one_does_not_stay(bag, tmp_path):
     assert not any(path.exists() for path in old) and other.exists()
 
 
+def test_an_evaluation_of_an_earlier_run_does_not_stay(bag, tmp_path):
+    folder = tmp_path / "evaluation"
+    folder.mkdir()
+    for name in ("evaluation.json", "fig09_quadtree_and_scans.png", "notes.txt"):
+        (folder / name).write_text("old")
+    replay(bag, tmp_path, CONFIG, report=False)
+    assert [path.name for path in folder.iterdir()] == ["notes.txt"]
+    (folder / "notes.txt").unlink()
+    replay(bag, tmp_path, CONFIG, report=False)
+    assert not folder.exists()
+
+
+def test_the_summary_says_which_bag_it_is_of_wherever_it_is_read(bag, tmp_path, monkeypatch):
+    monkeypatch.chdir(bag.parent)
+    replay(bag.name, tmp_path / "out", CONFIG, report=False)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    stamps = [int(row[0]) for row in columns(tmp_path / "out" / "timing.csv")[1]]
+    assert summary["bag"] == str(bag)
+    assert (summary["first_stamp_ns"], summary["last_stamp_ns"]) == (stamps[0], stamps[-1])
+
+
+def test_points_that_miss_the_map_are_counted_and_told(bag):
+    def run(**values):
+        config = config_from_values({k.replace("__", "."): v for k, v in values.items()}, CONFIG)
+        result = replay(bag, None, config)
+        summary = result.summary
+        assert summary["points_used"] + sum(summary["points_dropped"].values()) == summary["points"]
+        assert summary["points_used"] == sum(row.points_used for row in result.timings)
+        return summary, result.warnings, result.assessment.explanation
+
+    summary, warnings, _ = run(domain__xmin=-32.0, domain__ymin=-32.0, domain__size=64.0)
+    assert summary["points_used"] > 0.9 * summary["points"]
+    assert not any("can be used" in line for line in warnings)
+    summary, warnings, explanation = run(domain__xmin=5000.0)
+    assert summary["points_used"] == 0 and "nothing is mapped: points 0 of" in explanation
+    assert "100 % outside the domain" in explanation
+    (told,) = (line for line in warnings if "can be used" in line)
+    assert "none of 5760 points" in told and "x 5000 ... 5032" in told and "middle" in told
+    _, warnings, explanation = run(lidar__max_range=10.0)
+    (told,) = (line for line in warnings if "can be used" in line)
+    assert "out of range (lidar.min_range, lidar.max_range)" in told and "domain" not in told
+    assert "100 % out of range" in explanation
+    summary, warnings, _ = run(domain__ymin=8.0)
+    (told,) = (line for line in warnings if "can be used" in line)
+    assert told.startswith("only ") and summary["points_used"] > 0
+
+
+def test_points_without_room_are_counted_and_told(bag):
+    config = config_from_values({"mapping.max_stored_points": 0, "domain.min_level": 6}, CONFIG)
+    result = replay(bag, None, config)
+    refused = result.summary["points_dropped"]["refused"]
+    assert refused > 0.01 * result.summary["points"]
+    assert any(f"{refused} points found no room" in line for line in result.warnings)
+
+
 def test_a_part_of_the_bag(bag, tmp_path):
     seen = []
     part = replay(

@@ -14,7 +14,7 @@ import pytest
 from replay.recordings import GROUND, write_ros2
 
 from quadtree_lss.core.config import config_from_values
-from quadtree_lss.replay import page_data
+from quadtree_lss.replay import figures, page_data
 from quadtree_lss.replay.replay import replay
 
 CONFIG = config_from_values(GROUND)
@@ -123,6 +123,18 @@ def test_large_maps_stay_small_pages(result, monkeypatch):
     assert "sigma" not in data["leaves"] and "level" in data["leaves"]
 
 
+def test_rates_are_those_that_info_tells(result, text):
+    assert "10, recorded at 10.00 Hz" in text and "22, recorded at 20.00 Hz" in text
+    name = "/".join(Path(result.summary["bag"]).parts[-2:])
+    assert f"<h1>Landing sites from {name}</h1>" in text
+
+
+def test_each_colour_of_a_class_means_one_thing():
+    kinds = [colour for _, _, colour in figures.HAZARDS]
+    other = [figures.CLEAR_COLOUR, figures.SAFE_COLOUR, figures.EXCLUDED_COLOUR]
+    assert len({*kinds, *other, figures.SITE_COLOUR}) == len(kinds) + 4
+
+
 def test_names_in_a_bag_cannot_become_markup(tmp_path):
     evil = "/points</script><script>alert(1)</script>"
     folder = tmp_path / "<b>bag"
@@ -208,6 +220,19 @@ def test_a_browser_draws_it_and_tells_values(result, tmp_path):
     np.testing.assert_allclose(told("centre"), [x, y])
     assert told("zoomed") is True and told("dragged") is True
     assert told("rows") == 1
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this computer")
+def test_the_whole_map_stays_whole_in_a_narrower_window(result, tmp_path):
+    steps = f"""{HELPERS}
+    const inside = () => px(extent.x0) >= MARGIN.left && px(extent.x1) <= width();
+    byId("map").style.width = "300px"; window.dispatchEvent(new Event("resize"));
+    const whole = inside();
+    zoom(2); const scale = view.scale; window.dispatchEvent(new Event("resize"));
+    tellTest("whole", JSON.stringify([whole, scale === view.scale]));
+    """
+    dom = in_browser(result, tmp_path, steps)
+    assert 'data-whole="[true,true]"' in dom
 
 
 @pytest.mark.slow

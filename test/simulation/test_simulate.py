@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
@@ -98,11 +100,13 @@ def test_poses_are_near_the_truth_as_their_covariance_says(morpheus):
 
 
 def test_truth_has_the_agreed_arrays(morpheus):
-    _, _, truth = morpheus
+    result, _, truth = morpheus
     assert set(truth) == {
         "x", "y", "elevation", "safe_x", "safe_y", "safe", "box",
         "scan_stamp_ns", "scan_position", "scan_quaternion_xyzw", "scan_outline", "scan_flight",
+        "bag_name", "seed",
     }  # fmt: skip
+    assert (str(truth["bag_name"]), int(truth["seed"])) == (result.bag_path.name, 5)
     assert truth["elevation"].shape == (truth["y"].size, truth["x"].size)
     assert truth["safe"].shape == (truth["safe_y"].size, truth["safe_x"].size)
     xmin, xmax, ymin, ymax = truth["box"]
@@ -164,7 +168,7 @@ def test_flights_follow_one_another_with_other_errors(tmp_path, hill):
 def test_existing_bag_is_kept_unless_told_otherwise(tmp_path, hill):
     options = {"seed": 1, "duration": 1.0, "terrain": hill, "truth": False}
     simulate("descent", tmp_path / "bag", **options)
-    with pytest.raises(SimulationError, match="exists"):
+    with pytest.raises(SimulationError, match="exists.*--overwrite"):
         simulate("descent", tmp_path / "bag", **options)
     simulate("descent", tmp_path / "bag", **options, overwrite=True)
     (tmp_path / "precious").mkdir()
@@ -172,6 +176,28 @@ def test_existing_bag_is_kept_unless_told_otherwise(tmp_path, hill):
     with pytest.raises(SimulationError, match="not overwritten"):
         simulate("descent", tmp_path / "precious", **options, overwrite=True)
     assert (tmp_path / "precious" / "thesis.txt").exists()
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(SimulationError, match="not overwritten"):
+        simulate("descent", tmp_path / "thesis.txt", **options, overwrite=True)
+    assert (tmp_path / "thesis.txt").read_text()
+
+
+def test_truth_of_another_flight_is_kept_unless_told_otherwise(tmp_path, hill):
+    def fly(name, seed, **more):
+        simulate("descent", tmp_path / name, seed=seed, duration=1.0, terrain=hill, **more)
+        with np.load(tmp_path / "truth.npz") as truth:
+            return str(truth["bag_name"]), int(truth["seed"])
+
+    assert fly("a", 7) == ("a", 7)
+    with pytest.raises(SimulationError, match="truth.npz is of the bag 'a'.*--overwrite"):
+        fly("b", 8)
+    assert not (tmp_path / "b").exists()
+    assert fly("b", 8, overwrite=True) == ("b", 8)
+    shutil.rmtree(tmp_path / "b")
+    assert fly("b", 9) == ("b", 9)
+    (tmp_path / "truth.npz").write_bytes(b"")
+    with pytest.raises(SimulationError, match="does not name"):
+        fly("c", 8)
 
 
 @pytest.mark.parametrize(

@@ -117,5 +117,12 @@ def test_file_that_is_no_dem(tmp_path):
     path.write_text("no")
     with pytest.raises(SimulationError):
         load_terrain(path)
+    whole = tmp_path / "whole.npz"
+    np.savez_compressed(whole, x=np.arange(90.0), y=np.arange(90.0), elevation=np.eye(90))
+    content = whole.read_bytes()
+    for damaged in (b"", content[: len(content) // 2], content.replace(b"\x78", b"\x79")):
+        path.write_bytes(damaged)
+        with pytest.raises(SimulationError, match="dem.npz"):
+            load_terrain(path)
     with pytest.raises(SimulationError, match="not exist"):
         load_terrain(tmp_path / "nowhere.npz")
