@@ -89,6 +89,14 @@ class ScanAlignment:
         return not math.isnan(self.covariance[0, 0])
 
     @property
+    def offset(self) -> tuple[float, float, float]:
+        """By how much the last scan's ground lay off the map's, b = n - m; 0 if not aligned, m."""
+        if not self.enabled:
+            return 0.0, 0.0, 0.0
+        x, y, z = (self.mean[:3] - self.mean[3:]).tolist()
+        return x, y, z
+
+    @property
     def height_variance(self) -> float:
         """Variance of the map's common height, m^2; 0 if scans are not aligned."""
         if not (self.enabled and self.started):

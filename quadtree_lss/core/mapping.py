@@ -47,6 +47,8 @@ class ScanReport:
         noise_ratio: Observed over configured range noise (running mean of the scans' medians), NaN
             if unknown.
         centre: x and y of the middle of the sound returns, map frame, m; None if there was none.
+        offset: By how much the scan's ground lay off the map's by its pose (x, y, z), m; 0 without
+            ``mapping.align``.
     """
 
     stamp_ns: int
@@ -59,6 +61,7 @@ class ScanReport:
     refused_points: int
     noise_ratio: float
     centre: tuple[float, float] | None
+    offset: tuple[float, float, float]
 
 
 class Mapper:
@@ -153,6 +156,7 @@ class Mapper:
             refused_points=refused_points,
             noise_ratio=self._noise.ratio,
             centre=scan.centre,
+            offset=self._alignment.offset,
         )
 
     def _rocky(self, rows: Index) -> Index:

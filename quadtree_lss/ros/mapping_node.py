@@ -298,6 +298,7 @@ class MappingNode(Node):
                 "scan.points": report.points,
                 "scan.points_used": report.points_used,
                 "scan.noise_ratio": report.noise_ratio,
+                **{f"scan.offset_{axis}": b for axis, b in zip("xyz", report.offset, strict=True)},
             }
         )
         if report.points_used == 0:

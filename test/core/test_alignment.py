@@ -101,6 +101,8 @@ def test_a_second_flight_comes_to_lie_on_the_first():
     moved = np.median(after - before)
     assert np.std(after - before) < 0.02
     offset = offset_of(mapper)
+    again = mapper.update(np.full((4, 3), np.nan), make_pose())
+    assert again.offset == tuple(offset)
     np.testing.assert_allclose(offset[:2], error[:2], atol=0.08)
     assert offset[2] == pytest.approx(error[2] - moved, abs=0.03)
 
