@@ -3,20 +3,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core import division, fitting, fusion, planes, sphere
+from quadtree_lss.core import division, fitting, fusion, planes
 from quadtree_lss.core.alignment import ScanAlignment
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.division import GroupedPoints
+from quadtree_lss.core.few_points import FewPoints
 from quadtree_lss.core.fitting import Fit, SlopePrior
 from quadtree_lss.core.fusion import Planes
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.planes import Moments
 from quadtree_lss.core.rotations import skew
+from quadtree_lss.core.rounds import Round
 from quadtree_lss.core.scan import RegisteredScan, compact
 from quadtree_lss.core.statistics import FinalGroups, Residuals
 from quadtree_lss.core.stored import StoredPoints
@@ -24,27 +24,6 @@ from quadtree_lss.core.stored import StoredPoints
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Round:
-    """Cells that have points: first all that the scan touches, then only new children.
-
-    Attributes:
-        rows: (M,) leaves.
-        group: (N,) place of each point's leaf among them.
-        index: (N,) which of the pass's points these are.
-        points: (3, N) about the scan's origin, m.
-        moment: Of the M groups.
-        centre: (M, 2) cell centres about the scan's origin, m.
-    """
-
-    rows: Index
-    group: Index
-    index: Index
-    points: Array
-    moment: Moments
-    centre: Array
 
 
 class ScanUpdate:
@@ -74,10 +53,9 @@ class ScanUpdate:
         self.origin = scan.points.mean(axis=1)
         self.points = scan.points - self.origin[:, None]
         self.lidar = scan.pose.position - self.origin
-        self.key = stored.open_scan(scan)
+        self.few = FewPoints(leaves, stored, self.config, self.range_noise, scan, self.lidar)
         self.divisions = 0
         self.refused = 0
-        self._few: list[tuple[Index, Moments]] = []
         self._known = np.zeros(leaves.capacity, dtype=np.bool_)
         self._shift = np.zeros(leaves.capacity)
 
@@ -143,7 +121,7 @@ class ScanUpdate:
             again = np.flatnonzero(moved[current.group])
             index = current.index[again]
             current = self._round(index, current.points.take(again, axis=1), finest[index])
-        self._nudge()
+        self.few.nudge(self.origin)
         self.leaves.mend()
         return final.residuals(self.leaves, points)
 
@@ -183,13 +161,21 @@ class ScanUpdate:
         if len(fitted) < len(rows):
             few = np.flatnonzero(~sound)
             known = np.isfinite(leaves.z[rows[few]])
-            self._few.append((rows[few[known]], moment.take(few[known])))
-            self._fit_stored(current, few[~known], size, prior)
+            self.few.keep(rows[few[known]], moment.take(few[known]))
+            self._fit_few(current, few[~known], size, prior)
         asks = np.zeros(len(rows), dtype=np.bool_)
         asks[fitted] = division.asks(
             leaves, rows[fitted], statistic, part.count, mean_square, self.config
         )
         return asks
+
+    def _fit_few(self, current: Round, few: Index, size: Array, prior: SlopePrior) -> None:
+        """First estimates of cells ``few`` from the points of several scans, where they suffice."""
+        found = self.few.fit(current, few, size, prior, self.origin)
+        if found is not None:
+            rows, fit, count = found
+            self._set(rows, np.arange(len(rows)), fit)
+            self.leaves.points_fitted[rows] += count
 
     def _align(self, rows: Index, measured: Mask, fit: Fit) -> None:
         """Let the scan and the map meet at one height."""
@@ -269,96 +255,3 @@ class ScanUpdate:
         z = fit.z[chosen] + self.origin[2] + self._shift[at]
         self.leaves.set_planes(at, fit.planes.normal[chosen], z, parts)
         self.leaves.measured[at] = True
-
-    def _nudge(self) -> None:
-        """Cells with a plane, their own or inherited, and too few new points for another: fuse the
-        points' mean height. None of them is divided, so once for all rounds is enough."""
-        few, self._few = self._few, []
-        rows = np.concatenate([rows for rows, _ in few]) if few else np.empty(0, dtype=np.intp)
-        if not len(rows):
-            return
-        moment = planes.join([moment for _, moment in few])
-        leaves = self.leaves
-        prior = leaves.planes(rows)
-        arm = moment.mean + self.origin
-        arm -= np.column_stack([leaves.x[rows], leaves.y[rows], leaves.z[rows]])
-        basis = sphere.tangent_basis(prior.normal)
-        lever = np.einsum("mij,mi->mj", basis, arm)
-        height = np.einsum("mi,mi->m", prior.normal, arm)
-        noise = planes.orthogonal_noise_variance(prior.normal, moment.ray, self.range_noise)
-        pose = fitting.pose_variance(prior.normal, moment.mean - self.lidar, self.scan.pose_root)
-        if self.config.covariance == "independent":
-            noise, pose = noise + pose, np.zeros_like(pose)
-        fused = fusion.fuse_heights(prior, lever, height, noise / moment.count, pose)
-        leaves.set_fused(rows, fused)
-        leaves.measured[rows] = True
-        leaves.points_fitted[rows] += moment.count
-
-    def _fit_stored(self, current: Round, few: Index, size: Array, prior: SlopePrior) -> None:
-        """Cells without a plane and too few points of this scan: fit them with what was
-        stored before, or store the points."""
-        if not len(few):
-            return
-        rows = current.rows[few]
-        place = np.full(len(current.rows), -1, dtype=np.intp)
-        place[few] = np.arange(len(few))
-        cell = place[current.group]
-        mine = np.flatnonzero(cell >= 0)
-        cell = cell[mine]
-        old = self.stored.of(rows)
-        together = self.stored.per_row[rows] + current.moment.count[few]
-        if len(old) and together.max() >= self.config.min_points:
-            fitted = self._fit_together(current, few, size[few], prior.take(few), old, mine, cell)
-            left = np.flatnonzero(~fitted[cell])
-            mine, cell = mine[left], cell[left]
-        if len(mine):
-            points = current.points.take(mine, axis=1) + self.origin[:, None]
-            self.stored.add(rows[cell], self.key, points)
-
-    def _fit_together(
-        self,
-        current: Round,
-        few: Index,
-        size: Array,
-        prior: SlopePrior,
-        old: Index,
-        new: Index,
-        cell: Index,
-    ) -> Mask:
-        """Fit stored points ``old`` and this scan's ``new`` of cells ``few``; which succeeded."""
-        stored, rows = self.stored, current.rows[few]
-        place_of_row = np.zeros(self.leaves.capacity, dtype=np.intp)
-        place_of_row[rows] = np.arange(len(rows))
-        every = np.concatenate([place_of_row[stored.row[old]], cell])
-        of_scan = np.concatenate([stored.scan[old], np.full(len(new), self.key)])
-        keys, which = np.unique(of_scan, return_inverse=True)
-        pairs, group = np.unique(every * len(keys) + which, return_inverse=True)
-        before = stored.points[:, old] - self.origin[:, None]
-        points = np.concatenate([before, current.points[:, new]], axis=1)
-        lidars, roots = stored.poses(keys)
-        lidars = lidars - self.origin
-        scan = pairs % len(keys)
-        moment = planes.moments(group, len(pairs), points, lidars[scan])
-        place = pairs // len(keys)
-        pooled, _, enough = fitting.pool_scans(moment, place, len(few), self.config.min_points)
-        good = enough & fitting.fittable(pooled, size, prior, self.config, self.range_noise)
-        chosen = np.flatnonzero(good)
-        if not len(chosen):
-            return good
-        part = np.flatnonzero(good[place])
-        fit = fitting.fit_scans(
-            moment.take(part),
-            (np.cumsum(good) - 1)[place[part]],
-            scan[part],
-            current.centre[few[chosen]],
-            prior.take(chosen),
-            self.config,
-            self.range_noise,
-            lidars,
-            roots,
-        )
-        at = rows[chosen]
-        self._set(at, np.arange(len(at)), fit)
-        self.leaves.points_fitted[at] += pooled.count[chosen]
-        stored.drop(at)
-        return good
