@@ -23,6 +23,7 @@ from common import Recording, configuration, machine, recording, table
 from quadtree_lss.core import division, fitting, mapping, planes, statistics
 from quadtree_lss.core.config import Config
 from quadtree_lss.core.features import FeatureEstimator
+from quadtree_lss.core.few_points import FewPoints
 from quadtree_lss.core.leaves import Leaves
 from quadtree_lss.core.lidar import Pose
 from quadtree_lss.core.mapping import Mapper
@@ -36,9 +37,9 @@ STAGES: tuple[tuple[str, object, str], ...] = (
     ("fit", fitting, "fittable"),
     ("fit", fitting, "fit_scan"),
     ("fit", fitting, "fit_scans"),
-    ("stored points", ScanUpdate, "_fit_stored"),
+    ("stored points", FewPoints, "fit"),
     ("fuse", ScanUpdate, "_take"),
-    ("fuse", ScanUpdate, "_nudge"),
+    ("fuse", FewPoints, "nudge"),
     ("division statistic", ScanUpdate, "_judge"),
     ("division statistic", division, "asks"),
     ("divide", Leaves, "divide"),
