@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 Array = NDArray[np.float64]
 
@@ -45,4 +46,17 @@ def height(state: Array, x: Array, y: Array) -> Array:
     """Eq. 57: height of bumps (..., 5) at x, y (...) relative to the cell's centre, A left out."""
     square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2
     out: Array = peak(state) * np.exp(-0.5 * square / state[..., 4] ** 2)
+    return out
+
+
+def mean_height(state: Array, x: Array, y: Array, half: float) -> Array:
+    """Mean of Eq. 57 over squares of half side ``half`` m about x, y (...), A left out, m.
+
+    The bell is a product of two normal densities times its volume k^2.
+    """
+    scale = np.sqrt(2.0) * state[..., 4]
+    share = 1.0
+    for away in (x - state[..., 2], y - state[..., 3]):
+        share = share * 0.5 * (erf((away + half) / scale) - erf((away - half) / scale))
+    out: Array = state[..., 1] ** 2 * share / (2.0 * half) ** 2
     return out

@@ -87,7 +87,8 @@ class NodeAssessment:
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
         clearance: Distances to hazards.
-        roughness, subscale: Of the finest cells, (n, n), m^3 and m.
+        roughness: Of the finest cells, (n, n), m^3.
+        subscale: Greatest height of a subscale feature within each of them, (n, n), m.
         zone: Which finest cells a zone covers.
     """
 
@@ -138,7 +139,7 @@ def assess_nodes(
     rough = np.nan_to_num(cells.roughness).take(raster.leaf)
     score = _score(raster, density_slope, rough, clearance.near, over, lss)
     return NodeAssessment(
-        planes, slope, hazard, safe, score, clearance, rough, raster.subscale, over
+        planes, slope, hazard, safe, score, clearance, rough, raster.subscale_peak, over
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.core.bump import height
+from quadtree_lss.core.bump import height, mean_height
 from quadtree_lss.core.distances import grown
 from quadtree_lss.core.quadtree import CellMap, Domain
 
@@ -30,8 +30,8 @@ class TerrainRaster:
         elevation: Height at the cell's centre: the leaf's plane, or where the leaf was not
             measured (rock shadows, gaps) the nearest measured cell's; NaN if nothing is mapped, m.
         slope_x, slope_y: dz/dx, dz/dy of the leaf's plane; 0 where bridged.
-        subscale: Greatest height of the leaf's subscale feature within the cell (Eq. 57), m; 0
-            where it is negligible.
+        subscale: Mean height of the leaf's subscale feature over the cell (Eq. 57), m.
+        subscale_peak: Its greatest height within the cell, m; 0 where that is negligible.
         seen: True where the ground lies within the set gap of a measurement.
         firm: True where a point fell or the gap is bridged from all around. Seen ground that is
             not borders on unseen ground: it may be the drop that casts the shadow.
@@ -43,6 +43,7 @@ class TerrainRaster:
     slope_x: Array
     slope_y: Array
     subscale: Array
+    subscale_peak: Array
     seen: Mask
     firm: Mask
 
@@ -66,9 +67,8 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     if not (cells.measured.any() and cells.observed.any()):
         nothing = np.zeros((n, n))
         unseen = np.zeros((n, n), dtype=np.bool_)
-        return TerrainRaster(
-            domain, leaf, nothing + np.nan, nothing, nothing, nothing, unseen, unseen
-        )
+        flat = (nothing,) * 4
+        return TerrainRaster(domain, leaf, nothing + np.nan, *flat, seen=unseen, firm=unseen)
     seen = grown(cells.observed, max_gap, side, short=0.5)
     firm = cells.observed | ~grown(~seen, max_gap, side, short=0.5)
     with np.errstate(invalid="ignore"):
@@ -81,20 +81,16 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     if not measured.all():
         nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
         elevation = elevation[nearest[0], nearest[1]]
-    subscale = np.zeros((n, n))
+    subscale, peak = np.zeros((n, n)), np.zeros((n, n))
     featured = np.isfinite(cells.feature[:, 1])
     if featured.any():
         where = np.nonzero(featured[leaf])
         rows = leaf[where]
-        centre_x, centre_y = cells.feature[rows, 2], cells.feature[rows, 3]
-        dx = _beyond(along[where[1]] - x[rows] - centre_x, 0.5 * side)
-        dy = _beyond(along[where[0]] - y[rows] - centre_y, 0.5 * side)
-        raised = height(cells.feature[rows], centre_x + dx, centre_y + dy)
-        subscale[where] = np.where(raised >= NEGLIGIBLE, raised, 0.0)
-    return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, seen, firm)
-
-
-def _beyond(away: Array, half: float) -> Array:
-    """Distance from a cell of half a side to what lies ``away`` (N,) from its centre, signed; 0
-    within."""
-    return np.sign(away) * np.maximum(np.abs(away) - half, 0.0)
+        state, half = cells.feature[rows], 0.5 * side
+        dx, dy = along[where[1]] - x[rows], along[where[0]] - y[rows]
+        subscale[where] = mean_height(state, dx, dy, half)
+        nearest_x = np.clip(state[:, 2], dx - half, dx + half)
+        nearest_y = np.clip(state[:, 3], dy - half, dy + half)
+        raised = height(state, nearest_x, nearest_y)
+        peak[where] = np.where(raised >= NEGLIGIBLE, raised, 0.0)
+    return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, peak, seen, firm)

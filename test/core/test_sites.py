@@ -230,7 +230,7 @@ def test_sites_are_described_by_the_ground_in_their_zone(cells):
     found = assess(cells, config)
     leaf, sites = cells.leaf_raster(), found.sites
     bad = marked(hazards.avoided_features(cells, config.lss)[leaf] > 0)
-    subscale = rasterise(cells, config.lss.max_gap).subscale
+    subscale = rasterise(cells, config.lss.max_gap).subscale_peak
     rough = np.nan_to_num(cells.roughness[leaf])
     for k, (x, y, z) in enumerate(sites.position):
         over = zone_cells(x, y, RADIUS)

@@ -59,7 +59,9 @@ class SlowLander:
             z += 0.5 * self.side * (abs(self.slope_x[k]) + abs(self.slope_y[k]))
             if np.isfinite(self.cells.feature[k, 1]):
                 x0, y0 = cx - self.cells.x[k], cy - self.cells.y[k]
-                z += BELL * float(height(self.cells.feature[k], np.array(x0), np.array(y0)))
+                over = (np.arange(64) + 0.5) / 64.0 * self.side - 0.5 * self.side
+                bell = height(self.cells.feature[k], x0 + over, (y0 + over)[:, None])
+                z += BELL * float(bell.mean())
             out.append((x, y, z))
         return out
 
