@@ -157,7 +157,7 @@ def test_subscale_features_stand_out_of_the_ground():
     cells = mapped(config, slope(0.02, -0.03), density=100.0, scans=1).snapshot()
     feature = np.full((len(cells.z), 5), np.nan)
     sigma = 0.3
-    for k, high in enumerate(np.linspace(0.16, 0.225, len(cells.z))):
+    for k, high in enumerate(np.linspace(0.16, 0.28, len(cells.z))):
         volume_root = np.sqrt(2.0 * np.pi * high) * sigma
         feature[k] = (0.0, volume_root, 0.25, -0.25, sigma)  # on a finest cell's centre
     assert_agrees(dataclasses.replace(cells, feature=feature), config)
