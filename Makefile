@@ -40,7 +40,7 @@ $(VENV)/.dependencies-wheels: setup.py constraints.txt
 	@echo 'installing dependencies and ROS 2 Jazzy wheels into .venv (about a minute)'
 	@rm -rf $(VENV)
 	@$(PYTHON) -m venv $(VENV)
-	@$(PIP) install --quiet -c constraints.txt setuptools wheel
+	@$(PIP) install --quiet -c constraints.txt setuptools wheel cython
 	@$(PIP) install --quiet -c constraints.txt --no-build-isolation '.[wheels,test]'
 	@touch $@
 
@@ -50,7 +50,7 @@ $(VENV)/.dependencies-sourced: setup.py
 	@rm -rf $(VENV)
 	@$(PYTHON) -m venv --system-site-packages $(VENV)
 	@$(PYTHON) -c 'import numpy; print("numpy==" + numpy.__version__)' > $(VENV)/ros-constraints.txt
-	@$(PIP) install --quiet -c $(VENV)/ros-constraints.txt 'setuptools>=61' wheel
+	@$(PIP) install --quiet -c $(VENV)/ros-constraints.txt 'setuptools>=61' wheel 'cython>=3.0.8'
 	@$(PIP) install --quiet -c $(VENV)/ros-constraints.txt --no-build-isolation '.[test]'
 	@touch $@
 
@@ -92,7 +92,7 @@ $(VEHICLE)/.dependencies: setup.py constraints.txt
 	@$(VEHICLE_PYTHON) -m venv $(VEHICLE)
 	@sed -E '/^(numpy|scipy|scipy-stubs|optype|numpy-typing-compat)==/d' constraints.txt > $@.part
 	@printf 'numpy==1.26.4\nscipy==1.11.4\n' >> $@.part
-	@$(VEHICLE_PIP) -c $@.part setuptools wheel
+	@$(VEHICLE_PIP) -c $@.part setuptools wheel cython
 	@$(VEHICLE_PIP) -c $@.part --no-build-isolation '.[wheels,test]'
 	@mv $@.part $@
 

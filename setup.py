@@ -3,7 +3,8 @@
 
 from glob import glob
 
-from setuptools import find_packages, setup
+from Cython.Build import cythonize
+from setuptools import Extension, find_packages, setup
 
 NAME = "quadtree_lss"
 
@@ -16,6 +17,21 @@ ROS_EXECUTABLES = {
     "evaluate": "quadtree_lss.cli:main_evaluate",
 }
 
+# A module of the core with a .pxd beside it is compiled.
+KERNELS = [path[:-4] for path in sorted(glob(f"{NAME}/core/*/*.pxd"))]
+EXTENSIONS = [
+    Extension(
+        path.replace("/", "."), [f"{path}.py"], extra_compile_args=["-O3", "-ffp-contract=off"]
+    )
+    for path in KERNELS
+]
+DIRECTIVES = {
+    "language_level": 3,
+    "wraparound": False,
+    "cdivision": True,
+    "initializedcheck": False,
+}
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -24,6 +40,9 @@ setup(
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     python_requires=">=3.10",
+    ext_modules=cythonize(
+        EXTENSIONS, compiler_directives=DIRECTIVES, build_dir="build/cython", quiet=True
+    ),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed"]},
     data_files=[

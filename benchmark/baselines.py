@@ -20,10 +20,10 @@ import numpy as np
 from common import Recording, configuration, machine, recording, table
 from scipy.stats import binned_statistic_2d
 
-from quadtree_lss.core.config import config_from_values
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.quadtree import Domain
-from quadtree_lss.core.scan import register
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.register import register
+from quadtree_lss.core.tree.quadtree import Domain
 
 Scan = tuple[np.ndarray, np.ndarray]
 """Points (N, 3) in the map frame and the finest cell of each (N,)."""

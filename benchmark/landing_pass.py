@@ -13,10 +13,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import Recording, configuration, machine, recording, table
 
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingSiteSelector
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.landing.sites import LandingSiteSelector
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree.quadtree import CellMap
 from quadtree_lss.messages.maps import decode_cells, encode_cells, round_trip
 
 

@@ -36,8 +36,8 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.configuration import find_config
-from quadtree_lss.core.rotations import quaternion_from_rotation
+from quadtree_lss.config.loading import find_config
+from quadtree_lss.core.geometry.rotations import quaternion_from_rotation
 from quadtree_lss.messages.intake import Intake
 from quadtree_lss.replay.bags import POSE_TOPIC, POSE_TYPE, SCAN_TOPIC, Bag
 from quadtree_lss.ros.processes import NodeProcess, local_domain

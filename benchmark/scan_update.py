@@ -20,14 +20,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import Recording, configuration, machine, recording, table
 
-from quadtree_lss.core import division, fitting, mapping, planes, statistics
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.features import FeatureEstimator
-from quadtree_lss.core.few_points import FewPoints
-from quadtree_lss.core.leaves import Leaves
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.update import ScanUpdate
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.geometry import planes
+from quadtree_lss.core.mapping import division, fitting, statistics
+from quadtree_lss.core.mapping.features import FeatureEstimator
+from quadtree_lss.core.mapping.few_points import FewPoints
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.mapping.mapper import mapper as mapping
+from quadtree_lss.core.mapping.update import ScanUpdate
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.tree.leaves import Leaves
 
 #: Stage, and the functions whose time is its; time inside another stage's function is that one's.
 STAGES: tuple[tuple[str, object, str], ...] = (

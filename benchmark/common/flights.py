@@ -8,8 +8,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.config import Config
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.config.settings import Config
 from quadtree_lss.evaluation.results import Truth, load_truth
 from quadtree_lss.messages.intake import ReadyScan
 from quadtree_lss.replay.stream import scans

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from common.flights import Recording
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.consistency import Counts, prefit_statistics
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.scan import register
-from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.core.mapping.consistency import Counts, prefit_statistics
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.register import register
+from quadtree_lss.core.tree.quadtree import CellMap
 from quadtree_lss.evaluation.metrics import (
     Detection,
     ElevationError,

@@ -11,8 +11,8 @@ from typing import Any
 
 import yaml
 
-from quadtree_lss.configuration import load_config, parse_value
-from quadtree_lss.core.config import Config
+from quadtree_lss.config.loading import load_config, parse_value
+from quadtree_lss.config.settings import Config
 
 DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
 EXIT_CODES = """exit codes:

@@ -14,14 +14,14 @@ from quadtree_lss.commands.common import (
     chosen_config,
     print_json,
 )
-from quadtree_lss.configuration import (
+from quadtree_lss.config.loading import (
     check_files,
     dump_config,
     explain,
     explain_text,
     parameter_as_dict,
 )
-from quadtree_lss.core.config import values_from_config
+from quadtree_lss.config.settings import values_from_config
 
 TEXT = "Print a configuration as a ROS parameter file, check files, explain parameters."
 EXAMPLES = """examples:

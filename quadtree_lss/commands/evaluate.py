@@ -21,7 +21,8 @@ from quadtree_lss.commands.simulate import SCENARIOS, add_flight_options
 from quadtree_lss.console import Interruption, ProgressBar, say, warn
 
 if TYPE_CHECKING:
-    from quadtree_lss.evaluation import ComparisonResult, EvaluationResult, SeedsResult
+    from quadtree_lss.campaign import SeedsResult
+    from quadtree_lss.evaluation import ComparisonResult, EvaluationResult
 
 TEXT = "Score results of a replay against the truth of a simulation, or many seeds at once."
 EXAMPLES = """examples:
@@ -124,8 +125,8 @@ def _show(
 
 
 def _seeds(options: argparse.Namespace) -> int:
+    from quadtree_lss.campaign.seeds import FlightOptions, evaluate_seeds, parse_seeds
     from quadtree_lss.evaluation.results import EvaluationError
-    from quadtree_lss.evaluation.seeds import FlightOptions, evaluate_seeds, parse_seeds
     from quadtree_lss.replay.results import new_folder
 
     if options.results or options.truth is not None or options.bag is not None:

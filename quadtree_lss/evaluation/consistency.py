@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import quadtree_lss
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.consistency import Counts, prefit_statistics
-from quadtree_lss.core.mapping import Mapper, ScanReport
-from quadtree_lss.core.scan import register
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.mapping.consistency import Counts, prefit_statistics
+from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.core.sensing.register import register
 from quadtree_lss.evaluation.results import EvaluationError, Results
 from quadtree_lss.replay.stream import scans
 

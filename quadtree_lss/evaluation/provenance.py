@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.config import Config
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.config.settings import Config
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.evaluation.results import EvaluationError, Results, Truth
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.lidar import points_from_ranges
+from quadtree_lss.core.sensing.lidar import points_from_ranges
 from quadtree_lss.errors import QuadtreeLssError
 
 Array = NDArray[np.float64]

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import ScanReport
-from quadtree_lss.core.mount import MountedPoses, fixed_mount
-from quadtree_lss.core.pose_buffer import SECOND_NS, PoseBuffer, seconds
-from quadtree_lss.core.quadtree import Domain
-from quadtree_lss.core.scan_queue import Drop, ScanQueue
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.mapping.mapper import ScanReport
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.sensing.mount import MountedPoses, fixed_mount
+from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, PoseBuffer, seconds
+from quadtree_lss.core.sensing.scan_queue import Drop, ScanQueue
+from quadtree_lss.core.tree.quadtree import Domain
 from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import (
     has_unknown_covariance,

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.quadtree import CellMap, Domain, fill_blocks
+from quadtree_lss.core.tree.quadtree import CellMap, Domain, fill_blocks
 from quadtree_lss.errors import QuadtreeLssError
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
-    from quadtree_lss.core.sites import LandingAssessment
+    from quadtree_lss.core.landing.sites import LandingAssessment
 
 Array = NDArray[np.float64]
 
@@ -245,7 +245,7 @@ def site_orientations(normals: Array) -> Array:
 
     The x axis is the direction (n_z, 0, -n_x), perpendicular to the normal and without a y part.
     """
-    from quadtree_lss.core.rotations import quaternion_from_rotation
+    from quadtree_lss.core.geometry.rotations import quaternion_from_rotation
 
     z = np.asarray(normals, dtype=np.float64).reshape(-1, 3)
     x = np.stack([z[:, 2], np.zeros(len(z)), -z[:, 0]], axis=-1)

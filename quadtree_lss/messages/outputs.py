@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.tree.quadtree import CellMap
 from quadtree_lss.messages.clouds import stamp_ns
 from quadtree_lss.messages.maps import (
     CELL_FIELDS,
@@ -30,7 +30,7 @@ from quadtree_lss.messages.maps import (
 )
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
-    from quadtree_lss.core.sites import LandingAssessment
+    from quadtree_lss.core.landing.sites import LandingAssessment
 
 CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"

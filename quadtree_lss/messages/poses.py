@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.rotations import rotation_from_quaternion
+from quadtree_lss.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ from contextlib import ExitStack
 from dataclasses import replace as changed
 from pathlib import Path
 
-from quadtree_lss.configuration import dump_config
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.config.loading import dump_config
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.core.tree.quadtree import CellMap
 from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import Bag
@@ -191,6 +191,6 @@ def _write(out: Path, result: ReplayResult, config: Config, report: bool) -> Non
     results.write_summary(out / "summary.json", result.summary)
     results.remove_report(out)
     if report:
-        from quadtree_lss.replay.report import write_report  # matplotlib takes long to import
+        from quadtree_lss.report.report import write_report  # matplotlib takes long to import
 
         write_report(result, config)

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingAssessment
+from quadtree_lss.core.landing.sites import LandingAssessment
+from quadtree_lss.core.tree.quadtree import CellMap
 
 SITE_COLUMNS = (
     "rank",

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.quadtree import CellMap, Domain
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree.quadtree import CellMap, Domain
 from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.replay.bags import Bag

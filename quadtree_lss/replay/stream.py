@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from quadtree_lss.core.config import Config
+from quadtree_lss.config.settings import Config
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.intake import Intake, ReadyScan

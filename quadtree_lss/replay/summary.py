@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import quadtree_lss
-from quadtree_lss.core.config import Config, values_from_config
+from quadtree_lss.config.settings import Config, values_from_config
 from quadtree_lss.replay.results import ScanTiming
 
 

@@ -10,7 +10,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from quadtree_lss.core.config import DiagnosticsConfig
+from quadtree_lss.config.settings import DiagnosticsConfig
 from quadtree_lss.ros.monitor import Arrivals, Span
 from quadtree_lss.ros.problems import Problems
 

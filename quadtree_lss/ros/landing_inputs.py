@@ -15,7 +15,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.timer import Timer
 
-from quadtree_lss.core.polygons import FARTHEST
+from quadtree_lss.core.geometry.polygons import FARTHEST
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.poses import check_frame
 from quadtree_lss.ros.problems import Problems

@@ -13,8 +13,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.tree.quadtree import CellMap
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.messages.poses import check_frame
@@ -31,7 +31,7 @@ from quadtree_lss.ros.qos import advertise, latched, subscribe
 from quadtree_lss.ros.rate_limit import ChangePublisher
 
 if TYPE_CHECKING:
-    from quadtree_lss.core.sites import LandingAssessment
+    from quadtree_lss.core.landing.sites import LandingAssessment
 
 CELLS, OBSERVED = "map/cells", "map/observed"
 
@@ -80,7 +80,7 @@ class LssNode(Node):
             self._site_markers,
         )
         # This takes a while to load, in which the middleware already finds mapping_node.
-        from quadtree_lss.core.sites import LandingSiteSelector
+        from quadtree_lss.core.landing.sites import LandingSiteSelector
 
         self._selector = LandingSiteSelector(config)
 

@@ -9,7 +9,8 @@ import threading
 import time
 from pathlib import Path
 
-from quadtree_lss.core.checkpoint import (
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree.checkpoint import (
     CheckpointError,
     State,
     export_checkpoint,
@@ -17,7 +18,6 @@ from quadtree_lss.core.checkpoint import (
     restore,
     to_bytes,
 )
-from quadtree_lss.core.mapping import Mapper
 from quadtree_lss.errors import QuadtreeLssError
 
 END_TIMEOUT_S = 5.0

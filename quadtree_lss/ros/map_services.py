@@ -9,7 +9,7 @@ from pathlib import Path
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.ros.map_files import MapFileError, load, save
 
 

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from quadtree_lss.core.mapping import Mapper, ScanReport
+from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.messages.intake import (
     NO_POINTS_USED,
     Intake,

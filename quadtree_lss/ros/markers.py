@@ -16,13 +16,13 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.tree.quadtree import CellMap
 from quadtree_lss.messages.maps import site_orientations
 from quadtree_lss.ros.cdr import CdrWriter
 from quadtree_lss.ros.messages import header_message
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
-    from quadtree_lss.core.sites import LandingAssessment
+    from quadtree_lss.core.landing.sites import LandingAssessment
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from quadtree_lss.core.config import parameters
+from quadtree_lss.config.settings import parameters
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.ros.entry import stop_on_signal
 

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
-from quadtree_lss.core.config import (
+from quadtree_lss.config.settings import (
     Config,
     ConfigError,
     Parameter,

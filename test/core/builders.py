@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from quadtree_lss.core import fusion, rotations
-from quadtree_lss.core.config import Config, config_from_values
-from quadtree_lss.core.leaves import Leaves
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.planes import Moments
-from quadtree_lss.core.quadtree import CellMap, Domain
+from quadtree_lss.config.settings import Config, config_from_values
+from quadtree_lss.core.geometry import fusion, rotations
+from quadtree_lss.core.geometry.planes import Moments
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.tree.leaves import Leaves
+from quadtree_lss.core.tree.quadtree import CellMap, Domain
 
 Array = np.ndarray
 Surface = Callable[[Array, Array], Array]

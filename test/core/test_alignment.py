@@ -16,11 +16,11 @@ from core.builders import (
 )
 from scipy.optimize import lsq_linear
 
-from quadtree_lss.core.alignment import PERSISTENCE_TIME, ScanAlignment, measured_offset
-from quadtree_lss.core.config import MappingConfig
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.planes import normal_from_slopes
+from quadtree_lss.config.settings import MappingConfig
+from quadtree_lss.core.geometry.planes import normal_from_slopes
+from quadtree_lss.core.mapping.alignment import PERSISTENCE_TIME, ScanAlignment, measured_offset
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
 
 NOISE = 0.02
 CELLS = {"min_level": 4, "max_level": 4}

@@ -11,15 +11,15 @@ from core.builders import configured, make_pose, scan, scattered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.core.checkpoint import (
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree.checkpoint import (
     CheckpointError,
     export_checkpoint,
     from_bytes,
     restore,
     to_bytes,
 )
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.tree.quadtree import CellMap
 
 CONFIG = configured()
 

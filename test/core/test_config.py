@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from quadtree_lss.core.config import (
+from quadtree_lss.config.settings import (
     Config,
     ConfigError,
     Parameter,

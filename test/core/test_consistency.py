@@ -19,14 +19,15 @@ from core.builders import (
 )
 from scipy.stats import chi
 
-from quadtree_lss.core import lidar, sphere
-from quadtree_lss.core.consistency import (
+from quadtree_lss.core.geometry import sphere
+from quadtree_lss.core.mapping.consistency import (
     Counts,
     acceptance_interval,
     prefit_statistics,
 )
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.scan import RegisteredScan, register
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing import lidar
+from quadtree_lss.core.sensing.register import RegisteredScan, register
 
 GROUND = slope(0.12, -0.07, 30.0)
 NOISE = 0.05

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.core.distances import distance_from, grown
+from quadtree_lss.core.landing.distances import distance_from, grown
 
 
 def brute(marked: np.ndarray) -> np.ndarray:

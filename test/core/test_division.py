@@ -18,9 +18,9 @@ from core.builders import (
     upward_normals,
 )
 
-from quadtree_lss.core import division
-from quadtree_lss.core.config import MappingConfig
-from quadtree_lss.core.lidar import point_covariances
+from quadtree_lss.config.settings import MappingConfig
+from quadtree_lss.core.mapping import division
+from quadtree_lss.core.sensing.lidar import point_covariances
 
 DRAWS = 4000
 

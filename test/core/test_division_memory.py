@@ -16,8 +16,8 @@ from core.builders import (
     slope,
 )
 
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
 
 
 def block(x, y):

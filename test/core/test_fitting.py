@@ -12,10 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from quadtree_lss.core import planes, rotations, sphere
-from quadtree_lss.core.config import MappingConfig
-from quadtree_lss.core.fitting import Fit, SlopePrior, fit_scan, fit_scans, fittable, pool_scans
-from quadtree_lss.core.planes import Moments
+from quadtree_lss.config.settings import MappingConfig
+from quadtree_lss.core.geometry import planes, rotations, sphere
+from quadtree_lss.core.geometry.planes import Moments
+from quadtree_lss.core.mapping.fitting import (
+    Fit,
+    SlopePrior,
+    fit_scan,
+    fit_scans,
+    fittable,
+    pool_scans,
+)
 
 HEIGHT = MappingConfig(fit="height")
 ML = MappingConfig(fit="ml")

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from core.builders import random_covariances, transported, upward_normals
 
-from quadtree_lss.core import fusion, sphere
-from quadtree_lss.core.fusion import Planes
+from quadtree_lss.core.geometry import fusion, sphere
+from quadtree_lss.core.geometry.fusion import Planes
 
 UP = np.array([0.0, 0.0, 1.0])
 DRAWS = 20_000

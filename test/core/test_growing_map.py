@@ -8,10 +8,10 @@ import dataclasses
 import numpy as np
 from core.builders import configured, make_pose, scan, scattered
 
-from quadtree_lss.core.config import config_from_values
-from quadtree_lss.core.hazards import LeafHazards, avoided_features, reference_level
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.sites import LandingSiteSelector
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.core.landing.hazards import LeafHazards, avoided_features, reference_level
+from quadtree_lss.core.landing.sites import LandingSiteSelector
+from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.messages.maps import round_trip
 
 

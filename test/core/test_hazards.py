@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, mapped, slope, strip, upward_normals
 
-from quadtree_lss.core import hazards
-from quadtree_lss.core.ancestors import fuse_to_level
-from quadtree_lss.core.bump import height
-from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.terrain_raster import rasterise
+from quadtree_lss.core.geometry.feature import height
+from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.ancestors import fuse_to_level
+from quadtree_lss.core.landing.raster import rasterise
+from quadtree_lss.core.tree.quadtree import CellMap
 
 
 def terrain(x, y):

@@ -16,10 +16,11 @@ from core.builders import (
 )
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.core import lidar, rotations
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.scan import register
-from quadtree_lss.core.update import ScanUpdate
+from quadtree_lss.core.geometry import rotations
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.mapping.update import ScanUpdate
+from quadtree_lss.core.sensing import lidar
+from quadtree_lss.core.sensing.register import register
 
 DRAWS = 40_000
 #: A sample (co)variance of DRAWS normal values errs by sqrt(2 / DRAWS) = 0.7 % (one sigma).

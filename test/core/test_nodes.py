@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from core.builders import configured, mapped, slope
 
-from quadtree_lss.core import hazards
-from quadtree_lss.core.node_assessment import assess_nodes
-from quadtree_lss.core.nodes import node_planes
-from quadtree_lss.core.terrain_raster import rasterise
-from quadtree_lss.core.touchdown import TouchdownCheck
+from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.nodes import node_planes
+from quadtree_lss.core.landing.raster import rasterise
+from quadtree_lss.core.landing.score import assess_nodes
+from quadtree_lss.core.landing.touchdown import TouchdownCheck
 
 
 def test_beyond_the_edge_the_ground_goes_on():

@@ -8,7 +8,7 @@ import pytest
 from core.builders import random_covariances, transported, unit_vectors, upward_normals
 from scipy.optimize import minimize
 
-from quadtree_lss.core import fusion, planes, rotations, sphere
+from quadtree_lss.core.geometry import fusion, planes, rotations, sphere
 
 STEP = 1e-6
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadtree_lss.core.quadtree import Domain
-from quadtree_lss.core.sampling import GridSampler
+from quadtree_lss.core.landing.sampling import GridSampler
+from quadtree_lss.core.tree.quadtree import Domain
 
 
 def test_grid_nodes_between_lattice_nodes_take_the_nearest():

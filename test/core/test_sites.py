@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, mapped, slope, strip
 
-from quadtree_lss.core import hazards
-from quadtree_lss.core.config import Config
-from quadtree_lss.core.distances import distance_from
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.nodes import touching
-from quadtree_lss.core.polygons import signed_distance
-from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.core.terrain_raster import rasterise
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.geometry.polygons import signed_distance
+from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.distances import distance_from
+from quadtree_lss.core.landing.nodes import touching
+from quadtree_lss.core.landing.raster import rasterise
+from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree.quadtree import CellMap
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
 #: Such that no zone of these tests touches a lattice of half metres exactly.

@@ -17,8 +17,8 @@ from core.builders import (
     slope,
 )
 
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.quadtree import CellMap
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree.quadtree import CellMap
 
 
 def fixed(level: int, noise: float, **mapping: object):

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, leaf_by_descent, mapped, slope
 
-from quadtree_lss.core import hazards, touchdown_blocks, touchdown_bounds, touchdown_planes
-from quadtree_lss.core.bump import height
-from quadtree_lss.core.config import LssConfig
-from quadtree_lss.core.lander_ground import LanderGround
-from quadtree_lss.core.quadtree import CellMap
-from quadtree_lss.core.sites import LandingSiteSelector
-from quadtree_lss.core.terrain_raster import rasterise
+from quadtree_lss.config.settings import LssConfig
+from quadtree_lss.core.geometry.feature import height
+from quadtree_lss.core.landing import hazards, touchdown_blocks, touchdown_bounds, touchdown_planes
+from quadtree_lss.core.landing.lander_ground import LanderGround
+from quadtree_lss.core.landing.raster import rasterise
+from quadtree_lss.core.landing.sites import LandingSiteSelector
+from quadtree_lss.core.tree.quadtree import CellMap
 
 SMALL = {"size": 8.0, "min_level": 1, "max_level": 4}
 #: A feature's bell peaks a quarter above the boulder whose height is published (Eq. 49).

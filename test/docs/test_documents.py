@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.config import parameters
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.config.settings import parameters
 from quadtree_lss.replay.replay import replay
 from quadtree_lss.simulation.simulate import simulate
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from replay.recordings import write_ros2
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.consistency import Counts
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.core.mapping.consistency import Counts
+from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.evaluation.consistency import Consistency, consistency, pool
 from quadtree_lss.evaluation.results import EvaluationError
 from quadtree_lss.replay.replay import replay

@@ -13,9 +13,10 @@ from concurrent.futures import BrokenExecutor
 
 import pytest
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.evaluation import EvaluationError, FlightOptions, evaluate_seeds, parse_seeds
-from quadtree_lss.evaluation.workers import workers
+from quadtree_lss.campaign import FlightOptions, evaluate_seeds, parse_seeds
+from quadtree_lss.campaign.workers import workers
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.evaluation import EvaluationError
 
 FLIGHT = FlightOptions(scenario="parabola", duration=2.0)
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.samples import cloud, header
 
-from quadtree_lss.core.lidar import points_from_ranges
+from quadtree_lss.core.sensing.lidar import points_from_ranges
 from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
 
 CONTAINERS = {

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from messages.samples import cloud, pose
 
-from quadtree_lss.core.config import config_from_values
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.messages.intake import Intake, noise_notice, unused_points_text
 
 MS = 1_000_000

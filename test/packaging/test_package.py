@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from quadtree_lss.configuration import load_config
+from quadtree_lss.config.loading import load_config
 from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS
 from quadtree_lss.messages.outputs import SITE_TABLE, TOPIC_TYPES
 

@@ -5,7 +5,7 @@ import pytest
 from replay.recordings import CLOUD, POSE, SECOND, START, Recorder, flight, write_ros1, write_ros2
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.core.config import Config, config_from_values
+from quadtree_lss.config.settings import Config, config_from_values
 from quadtree_lss.replay.bags import BagError
 from quadtree_lss.replay.info import inspect_bag
 

@@ -21,7 +21,7 @@ from replay.recordings import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
-from quadtree_lss.core.config import config_from_values
+from quadtree_lss.config.settings import config_from_values
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.replay import replay as run_replay
 

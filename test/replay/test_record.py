@@ -10,7 +10,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quadtree_lss.core.config import config_from_values
+from quadtree_lss.config.settings import config_from_values
 from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS, encode_score, record_dtype
 from quadtree_lss.replay import record as products
 from quadtree_lss.replay.bags import Bag, BagError

@@ -20,9 +20,9 @@ from replay.recordings import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.config import config_from_values
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.messages.intake import Intake
 from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
 from quadtree_lss.replay.replay import ReplayError, replay

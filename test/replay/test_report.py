@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
 
-from quadtree_lss.core.config import config_from_values
-from quadtree_lss.replay import figures, page_data
+from quadtree_lss.config.settings import config_from_values
 from quadtree_lss.replay.replay import replay
+from quadtree_lss.report import figures, page_data
 
 CONFIG = config_from_values(GROUND)
 BROWSER = next(

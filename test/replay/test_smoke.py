@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from quadtree_lss.cli import main
-from quadtree_lss.configuration import find_config
+from quadtree_lss.config.loading import find_config
 from quadtree_lss.simulation.simulate import simulate
 
 SHIPPED = sorted(path.stem for path in Path(find_config("default")).parent.glob("*.yaml"))

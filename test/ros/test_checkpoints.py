@@ -14,8 +14,8 @@ import pytest
 from ros.conftest import at_least, has
 from ros_scene import Sensors
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.ros.map_files import MapFileError, load
 
 pytestmark = pytest.mark.xdist_group("ros_checkpoints")

@@ -15,9 +15,9 @@ from ros.conftest import status_values
 from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.ros.landing_inputs import (
     JOIN_S,

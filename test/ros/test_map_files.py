@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.ros.map_files import (
     Checkpoints,
     MapFileError,

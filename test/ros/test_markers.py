@@ -13,10 +13,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import COVARIANCE, POSITION, ROTATION, Sensors, events
 from visualization_msgs.msg import Marker, MarkerArray
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import Mapper
-from quadtree_lss.core.sites import LandingSiteSelector
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.core.landing.sites import LandingSiteSelector
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.ros.listener import TOPICS
 from quadtree_lss.ros.markers import cell_markers, site_markers

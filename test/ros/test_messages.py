@@ -13,9 +13,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import COVARIANCE, POSITION, ROTATION, events
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.configuration import load_config
-from quadtree_lss.core.lidar import Pose
-from quadtree_lss.core.mapping import Mapper
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.messages.maps import CELL_FIELDS, MapMessageError, round_trip
 from quadtree_lss.ros.messages import (
     cloud_records,

@@ -11,7 +11,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from quadtree_lss.core.config import ConfigError, parameters, values_from_config
+from quadtree_lss.config.settings import ConfigError, parameters, values_from_config
 from quadtree_lss.ros.parameters import NodeParameters
 
 pytestmark = pytest.mark.xdist_group("ros")

@@ -15,7 +15,7 @@ from ros.conftest import status_values
 from ros_scene import write_bag
 from rosgraph_msgs.msg import Clock
 
-from quadtree_lss.configuration import load_config
+from quadtree_lss.config.loading import load_config
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.replay import replay
 from quadtree_lss.replay.stream import ReplayError

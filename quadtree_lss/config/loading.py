@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Configuration files, in the form of ROS 2 parameter files, to `core.config.Config` and back.
+
+    /**:
+      ros__parameters:
+        domain:
+          size: 64.0
+        lss.grid_spacing: 0.25
+
+The same file serves ``--params-file`` of the nodes and the replay. Several files overlay each
+other, the later wins.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from quadtree_lss.config.settings import (
+    Config,
+    ConfigError,
+    Parameter,
+    checked_value,
+    config_from_values,
+    flatten,
+    nearest_key,
+    parameters,
+    values_from_config,
+)
+
+NODES = ("mapping_node", "lss_node")
+ROS_OWN = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
+"""Parameters that ROS itself declares; they mean nothing offline."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as ROS reads it: 1e-3 is a number. A key that stands twice is an error."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        """As in the base class, refusing repeated keys."""
+        seen: set[object] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                problem = f"key {key!r} stands twice"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
+
+
+def parse_value(text: str) -> object:
+    """One value as it would stand in a file.
+
+    Raises:
+        yaml.YAMLError: it cannot.
+    """
+    return yaml.load(text, Loader=_Loader)
+
+
+def load_config(
+    paths: Iterable[str | os.PathLike[str]] = (),
+    overrides: Mapping[str, object] | None = None,
+    *,
+    origin: str = "overrides",
+) -> Config:
+    """The defaults with each file and then ``overrides`` laid over them.
+
+    Args:
+        paths: Files, or names of shipped ones (see `find_config`).
+        overrides: Dotted or nested values that win over every file.
+        origin: Where the overrides come from, for messages.
+
+    Raises:
+        ConfigError: names the file, and for an unknown key the nearest known one.
+    """
+    values: dict[str, object] = {}
+    files = []
+    for path in paths:
+        found = find_config(path)
+        read = read_values(found)
+        _check_keys(read, str(found))
+        values |= read
+        files.append(str(found))
+    wanted = flatten(overrides or {})
+    _check_keys(wanted, origin)
+    try:
+        return config_from_values(values | wanted)
+    except ConfigError as error:  # values that contradict one another
+        where = ", ".join(files + [origin] * bool(wanted))
+        msg = f"{where}: {error}" if where else str(error)
+        raise ConfigError(msg) from None
+
+
+def _check_keys(values: Mapping[str, object], where: str) -> None:
+    """Each key by itself, so that the message can name the file."""
+    table = {row.name: row for row in parameters()}
+    for key, value in values.items():
+        if key not in table:
+            msg = f"{where}: unknown parameter '{key}'{_suggestion(key)}"
+            raise ConfigError(msg)
+        try:
+            checked_value(table[key], value)
+        except ConfigError as error:
+            msg = f"{where}: {error}"
+            raise ConfigError(msg) from None
+
+
+def _suggestion(key: str) -> str:
+    return f"; did you mean '{nearest_key(key)}'?" if key.strip(" .") else ""
+
+
+def find_config(path: str | os.PathLike[str]) -> Path:
+    """The file itself, else the shipped configuration of that name.
+
+    ``morpheus``, ``morpheus.yaml`` and ``config/morpheus.yaml`` all name the shipped one.
+
+    Raises:
+        ConfigError: no such file; lists the shipped ones.
+    """
+    given = Path(path)
+    if given.is_file():
+        return given
+    name = given.name if given.suffix else f"{given.name}.yaml"
+    shipped = list(_shipped())
+    if given.parent in (Path("."), Path("config")):
+        for candidate in shipped:
+            if candidate.name == name:
+                return candidate
+    names = ", ".join(sorted({p.stem for p in shipped})) or "none"
+    msg = f"no configuration file {str(path)!r} (shipped: {names})"
+    raise ConfigError(msg)
+
+
+def _shipped() -> Iterator[Path]:
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    places = [Path(__file__).resolve().parents[1] / "config"]
+    places += [Path(p) / "share" / "quadtree_lss" / "config" for p in (sys.prefix, *prefixes)]
+    for place in places:
+        yield from sorted(place.glob("*.yaml"))
+
+
+def read_values(path: str | os.PathLike[str]) -> dict[str, object]:
+    """Dotted values of the sections ``/**`` and of this package's nodes, in the file's order.
+
+    Sections of other nodes are left alone, unless their name looks like a misspelt one of ours.
+
+    Raises:
+        ConfigError: not readable, no YAML, not in the form of a parameter file.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            content = yaml.load(file, Loader=_Loader)
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise ConfigError(msg) from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" in line {mark.line + 1}" if mark else ""
+        msg = f"{path}: no valid YAML{line}: {getattr(error, 'problem', error)}"
+        raise ConfigError(msg) from None
+    values: dict[str, object] = {}
+    sections = 0
+    for name, section in _sections(content if isinstance(content, Mapping) else {}):
+        if _is_ours(name, path):
+            sections += 1
+            if section is not None and not isinstance(section, Mapping):
+                msg = f"{path}: ros__parameters of '{name}' holds no keys"
+                raise ConfigError(msg)
+            values |= flatten(_with_text_keys(section or {}))
+    if not sections:
+        msg = f"{path}: no section '/**:' with 'ros__parameters:' (or one of {', '.join(NODES)})"
+        raise ConfigError(msg)
+    return {key: value for key, value in values.items() if not ROS_OWN.fullmatch(key)}
+
+
+def _sections(content: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Names of nodes, with namespaces, and what stands in their ``ros__parameters``."""
+    for key, value in content.items():
+        name = f"{prefix}/{str(key).strip('/')}"
+        if not isinstance(value, Mapping):
+            continue
+        if "ros__parameters" in value:
+            yield name, value["ros__parameters"]
+        rest = {k: v for k, v in value.items() if k != "ros__parameters"}
+        yield from _sections(rest, name)
+
+
+def _is_ours(name: str, path: str | os.PathLike[str]) -> bool:
+    node = name.rsplit("/", 1)[-1]
+    if node in (*NODES, "**", "*"):
+        return True
+    close = difflib.get_close_matches(node, NODES, n=1, cutoff=0.75)
+    if close:
+        msg = f"{path}: unknown section '{node}'; did you mean '{close[0]}'?"
+        raise ConfigError(msg)
+    return False
+
+
+def _with_text_keys(values: Mapping[Any, Any]) -> dict[str, object]:
+    return {
+        str(key): _with_text_keys(value) if isinstance(value, Mapping) else value
+        for key, value in values.items()
+    }
+
+
+def dump_config(config: Config, *, comments: bool = False) -> str:
+    """A parameter file that loads to ``config`` again; with ``comments`` each key is explained."""
+    values = values_from_config(config)
+    lines = ["/**:", "  ros__parameters:"]
+    section = ""
+    for row in parameters():
+        start, _, name = row.name.partition(".")
+        if start != section:
+            section = start
+            lines.append(f"    {section}:")
+        if comments:
+            lines.append(f"      # {_explanation(row)}")
+        lines.append(f"      {name}: {_scalar(values[row.name])}")
+    return "\n".join(lines) + "\n"
+
+
+def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, str | None]:
+    """Each file by itself over the defaults: None if it is good, else what is wrong with it."""
+    found: dict[str, str | None] = {}
+    for path in paths:
+        try:
+            load_config([path])
+        except ConfigError as error:
+            found[str(path)] = str(error)
+        else:
+            found[str(path)] = None
+    return found
+
+
+def explain(name: str) -> list[Parameter]:
+    """The parameter of that name, or all of the section of that name.
+
+    Raises:
+        ConfigError: there is none; names the nearest.
+    """
+    table = parameters()
+    rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
+    if not rows:
+        sections = sorted({row.name.partition(".")[0] for row in table})
+        msg = f"unknown parameter '{name}'{_suggestion(name)} (sections: {', '.join(sections)})"
+        raise ConfigError(msg)
+    return rows
+
+
+def explain_text(row: Parameter) -> str:
+    """One parameter for people."""
+    unit = f" {row.unit}" if row.unit else ""
+    lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
+    lines.append(f"  default  {_scalar(row.default)}{unit}")
+    if row.choices:
+        lines.append(f"  choices  {', '.join(row.choices)}")
+    elif row.type in (int, float):
+        lines.append(f"  range    {row.low:g} .. {row.high:g}{unit}")
+    lines.append(f"  running  {'may be set on a running node' if row.live else 'read at start'}")
+    return "\n".join(lines)
+
+
+def parameter_as_dict(row: Parameter) -> dict[str, object]:
+    """One parameter in JSON's types; limits that are infinite are None."""
+    numeric = row.type in (int, float)
+    return {
+        "type": row.type.__name__,
+        "default": row.default,
+        "unit": row.unit,
+        "low": row.low if numeric and math.isfinite(row.low) else None,
+        "high": row.high if numeric and math.isfinite(row.high) else None,
+        "choices": list(row.choices),
+        "live": row.live,
+        "doc": row.doc,
+    }
+
+
+def _scalar(value: object) -> str:
+    text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _explanation(row: Parameter) -> str:
+    parts = [row.doc]
+    if row.unit:
+        parts.append(row.unit)
+    if row.choices:
+        parts.append(" | ".join(row.choices))
+    elif row.type in (int, float):
+        parts.append(f"{row.low:g} .. {row.high:g}")
+    return "; ".join(parts)

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landing sites: what may be landed on, how good it is, and the best of it (paper V.D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadtree_lss.config.settings import Config, LssConfig
+from quadtree_lss.core.geometry.planes import normal_from_slopes
+from quadtree_lss.core.geometry.polygons import signed_distance
+from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
+from quadtree_lss.core.landing.sampling import GridSampler, best_nodes
+from quadtree_lss.core.landing.score import NodeAssessment, assess_nodes, greatest_in_zones
+from quadtree_lss.core.landing.touchdown import TouchdownCheck
+from quadtree_lss.core.tree.quadtree import CellMap
+
+Array = NDArray[np.float64]
+Bits = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Ranked sites, best first; K rows, map frame.
+
+    Attributes:
+        position: (K, 3) on the terrain, m.
+        normal: (K, 3) of the ground at the lander's scale.
+        score: (K,) mean score density over the zone (Eq. 59), lower is better.
+        slope_deg: (K,) at the lander's scale.
+        roughness: (K,) greatest roughness density in the zone, m^3.
+        hazard_distance: (K,) least distance of the zone's ground from a hazard or from unseen
+            ground, which is never landable, m.
+        subscale_height: (K,) greatest height of a subscale feature in the zone, m.
+        reasons: A sentence for each.
+    """
+
+    position: Array
+    normal: Array
+    score: Array
+    slope_deg: Array
+    roughness: Array
+    hazard_distance: Array
+    subscale_height: Array
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LandingAssessment:
+    """Where the map allows landing.
+
+    Attributes:
+        stamp_ns: The map's stamp.
+        sites: Ranked sites, none if no ground is safe.
+        x, y: (nx,), (ny,) grid nodes, m.
+        elevation: (ny, nx) ground at the node, m, NaN if unknown.
+        slope_deg: (ny, nx) slope at the lander's scale, NaN if unknown.
+        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 128 unseen.
+        safe: (ny, nx) landing centred here is allowed by the ground itself.
+        score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
+        explanation: Why there are no sites, or how many nodes were safe.
+    """
+
+    stamp_ns: int
+    sites: Sites
+    x: Array
+    y: Array
+    elevation: Array
+    slope_deg: Array
+    hazard: Bits
+    safe: Mask
+    score: Array
+    explanation: str
+
+
+class LandingSiteSelector:
+    """Assesses maps.
+
+    Keeps the last first-ranked site, for ``lss.hysteresis``, and what was found of the last map's
+    leaves and by the touchdown check, to repeat only what changed.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._last_first: Array | None = None
+        self.configure(config)
+
+    def configure(self, config: Config) -> None:
+        """Go by these limits from now on; what was found by others is forgotten."""
+        self.config = config
+        self._leaf_hazards = hazards.LeafHazards(config.lss)
+        self._touchdown = TouchdownCheck(config.lss)
+
+    def assess(
+        self,
+        cells: CellMap,
+        *,
+        area: ArrayLike | None = None,
+        keep_out: ArrayLike | None = None,
+        target: ArrayLike | None = None,
+        withheld: str = "",
+    ) -> LandingAssessment:
+        """Rank landing sites on a map.
+
+        Args:
+            cells: The map message's content; points are never needed.
+            area: (V, 2) polygon that the landing zone must lie in, map frame, m.
+            keep_out: (V, 2) polygon that the zone must not touch.
+            target: (2,) or (3,) place to be near to.
+            withheld: Why no site may be given out, however safe the ground, such as a keep-out
+                that cannot be read; empty if nothing speaks against it.
+
+        A polygon that crosses itself is inside where a ray to it crosses it an odd number of
+        times. With one of fewer than three or not finite vertices, or a target that is not finite,
+        nobody knows where landing is wanted: no site is given out and the explanation says why.
+        """
+        lss, domain = self.config.lss, cells.domain
+        x, y = (_grid(low, domain.size, lss.grid_spacing) for low in (domain.xmin, domain.ymin))
+        raster = rasterise(cells, lss.max_gap)
+        if not raster.seen.any():
+            return _nothing(cells.stamp_ns, x, y, "nothing is mapped yet")
+        nodes = assess_nodes(cells, raster, lss, self._leaf_hazards, self._touchdown)
+        at = GridSampler(domain, x, y)
+        safe = at.everywhere(nodes.safe)
+        score = np.where(safe, at.nearest(nodes.score), np.nan)
+        explanation = f"{np.count_nonzero(safe)} of {safe.size} grid nodes are safe"
+        if not safe.any():
+            explanation = _why_none(nodes, raster, lss)
+        try:
+            _restrict(score, x, y, lss, area, keep_out, target)
+        except (TypeError, ValueError) as error:
+            score[...] = np.nan
+            explanation = f"no site is given out: {error}"
+        else:
+            if safe.any() and not np.isfinite(score).any():
+                explanation = "no safe ground within the landing area and outside the keep-out"
+        if withheld:
+            score[...] = np.nan
+            explanation = f"no site is given out: {withheld}"
+        sites = self._rank(nodes, at, score, x, y)
+        hazard = at.any(nodes.hazard)
+        unseen = (hazard & hazards.UNSEEN) > 0
+        return LandingAssessment(
+            stamp_ns=cells.stamp_ns,
+            sites=sites,
+            x=x,
+            y=y,
+            elevation=np.where(unseen, np.nan, at.linear(nodes.planes.elevation)),
+            slope_deg=np.where(unseen, np.nan, np.degrees(at.nearest(nodes.slope))),
+            hazard=hazard,
+            safe=safe,
+            score=score,
+            explanation=explanation,
+        )
+
+    def _rank(
+        self, nodes: NodeAssessment, at: GridSampler, score: Array, x: Array, y: Array
+    ) -> Sites:
+        """The best nodes, one after the other, each ``min_separation`` from those before."""
+        lss = self.config.lss
+        first = self._keep_first(score, x, y)
+        where = best_nodes(score, x, y, lss.sites, lss.min_separation, first)
+        place = np.column_stack([x[where[1]], y[where[0]]])
+        self._last_first = place[0].copy() if len(place) else None
+        centre = at.lattice(*where)
+        planes, zone = nodes.planes, 0.5 * lss.vehicle_diameter + lss.margin
+        sites = Sites(
+            position=np.column_stack([place, at.linear(planes.elevation)[where]]),
+            normal=normal_from_slopes(planes.slope_x[centre], planes.slope_y[centre]),
+            score=score[where],
+            slope_deg=np.degrees(nodes.slope[centre]),
+            roughness=greatest_in_zones(nodes.roughness, nodes.zone, *centre),
+            hazard_distance=np.maximum(nodes.clearance.of_nodes(*centre) - zone, 0.0),
+            subscale_height=greatest_in_zones(nodes.subscale, nodes.zone, *centre),
+            reasons=(),
+        )
+        return _with_reasons(sites, lss)
+
+    def _keep_first(self, score: Array, x: Array, y: Array) -> tuple[int, int] | None:
+        """Hysteresis: the last first site, while it is allowed and not worse by the set score."""
+        lss = self.config.lss
+        if lss.hysteresis <= 0.0 or self._last_first is None:
+            return None
+        column = np.flatnonzero(x == self._last_first[0])
+        row = np.flatnonzero(y == self._last_first[1])
+        if not (len(row) and len(column) and np.isfinite(score[row[0], column[0]])):
+            return None
+        if score[row[0], column[0]] - np.nanmin(score) > lss.hysteresis:
+            return None
+        return int(row[0]), int(column[0])
+
+
+def _restrict(
+    score: Array,
+    x: Array,
+    y: Array,
+    lss: LssConfig,
+    area: ArrayLike | None,
+    keep_out: ArrayLike | None,
+    target: ArrayLike | None,
+) -> None:
+    """Exclude nodes (ny, nx) by area and keep-out and add what the way to the target costs.
+
+    Raises:
+        ValueError, TypeError: a polygon with fewer than three finite vertices, a target that is
+            not finite, or not numbers.
+    """
+    if area is None and keep_out is None and target is None:
+        return
+    zone = 0.5 * lss.vehicle_diameter + lss.margin
+    grid_x, grid_y = np.meshgrid(x, y)
+    if area is not None:
+        score[signed_distance(area, grid_x, grid_y) < zone] = np.nan
+    if keep_out is not None:
+        score[signed_distance(keep_out, grid_x, grid_y) > -zone] = np.nan
+    if target is not None:
+        goal = np.asarray(target, dtype=np.float64)
+        if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
+            msg = f"a landing target needs two or three finite coordinates, got {target!r}"
+            raise ValueError(msg)
+        score += lss.weight_target * np.hypot(grid_x - goal[0], grid_y - goal[1])
+
+
+def _grid(low: float, size: float, spacing: float) -> Array:
+    """Nodes from ``low`` in steps of ``spacing`` up to the domain's far edge, inclusive."""
+    count = int(np.floor(size / spacing + 1e-9)) + 1
+    return np.asarray(low + spacing * np.arange(count), dtype=np.float64)
+
+
+def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
+    """A sentence for each site: its figures, and the slope limit that decided."""
+    lines = []
+    touchdown = lss.assessment == "touchdown"
+    limit = lss.touchdown_slope_deg if touchdown else lss.max_slope_deg
+    for k in range(len(sites.score)):
+        clear = sites.hazard_distance[k]
+        nearest = f"{clear:.1f} m clear of hazards and unseen ground"
+        bump = sites.subscale_height[k]
+        lines.append(
+            f"slope {sites.slope_deg[k]:.1f} deg of {limit:g}, {nearest}, "
+            f"roughness {sites.roughness[k]:.3f} m³, "
+            + (f"features up to {bump:.2f} m" if bump >= 0.005 else "no subscale feature")
+        )
+    return replace(sites, reasons=tuple(lines))
+
+
+def _why_none(nodes: NodeAssessment, raster: TerrainRaster, lss: LssConfig) -> str:
+    seen = float(np.mean(raster.seen))
+    hazardous = (nodes.hazard & 0x7F > 0) & (nodes.hazard & hazards.UNSEEN == 0)
+    return (
+        f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
+        f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
+        f"{0.5 * lss.vehicle_diameter + lss.margin:.2f} m radius is both seen and safe"
+    )
+
+
+def _nothing(stamp_ns: int, x: Array, y: Array, explanation: str) -> LandingAssessment:
+    """The assessment of a map without a measurement."""
+    shape = (len(y), len(x))
+    none = np.zeros(0)
+    sites = Sites(np.zeros((0, 3)), np.zeros((0, 3)), none, none, none, none, none, ())
+    return LandingAssessment(
+        stamp_ns=stamp_ns,
+        sites=sites,
+        x=x,
+        y=y,
+        elevation=np.full(shape, np.nan),
+        slope_deg=np.full(shape, np.nan),
+        hazard=np.full(shape, hazards.UNSEEN, dtype=np.uint8),
+        safe=np.zeros(shape, dtype=np.bool_),
+        score=np.full(shape, np.nan),
+        explanation=explanation,
+    )

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the lidar sits on the body, when poses are those of the body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quadtree_lss.config.settings import MountConfig
+from quadtree_lss.core.geometry.rotations import exp, skew
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.sensing.pose_buffer import PoseBuffer
+
+
+class MountedPoses:
+    """Lidar poses from body poses and the lidar's mount on the body, fixed or moving.
+
+    Args:
+        body: Poses of the body in the map frame (``rotation_map_lidar`` is then map from body).
+        mount: Pose of the lidar in body axes, or a buffer of such poses (a gimbal).
+        gimbal_topic: Where the latter come from, for texts.
+    """
+
+    def __init__(
+        self, body: PoseBuffer, mount: Pose | PoseBuffer, gimbal_topic: str = "lidar/gimbal"
+    ) -> None:
+        self.body = body
+        self.mount = mount
+        self.gimbal_topic = gimbal_topic
+
+    @property
+    def jumps(self) -> int:
+        """Backward jumps of either."""
+        return self.body.jumps + (self.mount.jumps if isinstance(self.mount, PoseBuffer) else 0)
+
+    def clear(self) -> None:
+        """Forgets the poses of the body and of a gimbal."""
+        self.body.clear()
+        if isinstance(self.mount, PoseBuffer):
+            self.mount.clear()
+
+    @property
+    def range_ns(self) -> tuple[int, int] | None:
+        """Oldest and newest stamp for which both may have an answer."""
+        body = self.body.range_ns
+        if body is None or isinstance(self.mount, Pose):
+            return body
+        mount = self.mount.range_ns
+        return None if mount is None else (max(body[0], mount[0]), min(body[1], mount[1]))
+
+    def at(self, stamp_ns: int) -> Pose | None:
+        """Pose of the lidar at the stamp, None unless both body and mount are known then."""
+        body = self.body.at(stamp_ns)
+        mount = self.mount.at(stamp_ns) if isinstance(self.mount, PoseBuffer) else self.mount
+        return None if body is None or mount is None else mounted(body, mount)
+
+    def hopeless(self, stamp_ns: int) -> str | None:
+        """As of the body; of the mount with ``gimbal_`` in front."""
+        reason = self.body.hopeless(stamp_ns)
+        if reason is None and isinstance(self.mount, PoseBuffer):
+            of_mount = self.mount.hopeless(stamp_ns)
+            reason = None if of_mount is None else f"gimbal_{of_mount}"
+        return reason
+
+    def lacking(self, stamp_ns: int) -> str:
+        """``no_pose`` of the body, or ``gimbal_no_pose``."""
+        if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
+            return f"gimbal_{self.mount.lacking(stamp_ns)}"
+        return self.body.lacking(stamp_ns)
+
+    def explain(self, stamp_ns: int, topic: str) -> str:
+        """As of the body, unless it is the gimbal that is missing."""
+        if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
+            return self.mount.explain(stamp_ns, self.gimbal_topic)
+        return self.body.explain(stamp_ns, topic)
+
+
+def mounted(body: Pose, mount: Pose) -> Pose:
+    """Pose of the lidar from that of the body and the lidar's exact pose in body axes.
+
+    With the arm a = R_map_body t, an error (dm, dw) of the body's pose about fixed axes moves the
+    lidar by dm + dw x a and turns it by dw: the covariance is G Sigma G^T, G = [I, -[a]_x; 0, I].
+    """
+    arm = body.rotation_map_lidar @ mount.position
+    moved = np.eye(6)
+    moved[:3, 3:] = -skew(arm)
+    covariance = moved @ body.covariance @ moved.T
+    return Pose(
+        body.stamp_ns,
+        body.position + arm,
+        body.rotation_map_lidar @ mount.rotation_map_lidar,
+        0.5 * (covariance + covariance.T),
+    )
+
+
+def fixed_mount(config: MountConfig) -> Pose | None:
+    """Pose of the lidar in body axes from the parameters; None if poses are the lidar's own."""
+    if config == MountConfig(gimbal=config.gimbal):
+        return None
+    roll, pitch, yaw = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
+    rotation = exp([0.0, 0.0, yaw]) @ exp([0.0, pitch, 0.0]) @ exp([roll, 0.0, 0.0])
+    return Pose(0, np.array([config.x, config.y, config.z]), rotation, np.zeros((6, 6)))
