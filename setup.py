@@ -44,7 +44,7 @@ setup(
         EXTENSIONS, compiler_directives=DIRECTIVES, build_dir="build/cython", quiet=True
     ),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "report/*.js", "report/*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -15,7 +15,7 @@ import numpy as np
 from common import configuration, machine, table
 
 from quadtree_lss.config.settings import Config
-from quadtree_lss.core.geometry import feature as bump
+from quadtree_lss.core.geometry import feature
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
 
@@ -128,7 +128,7 @@ def show_found(fields: list[Hemispheres], state: np.ndarray) -> None:
     )
     row, column = np.divmod(np.arange(len(state)) % CELLS**2, CELLS)
     there = np.isfinite(state[:, 1])
-    height = bump.peak(state) / radius - 1.0
+    height = feature.peak(state) / radius - 1.0
     centre = np.hypot(SIDE * (column + 0.5) + state[:, 2] - x, SIDE * (row + 0.5) + state[:, 3] - y)
     rows = []
     for low, high in CLASSES:

@@ -80,7 +80,7 @@ def summary(tree: list[MapScore], grid: list[MapScore]) -> None:
             *both(lambda s: s.elevation.maximum, ".2f", ("< 3", "> 3"), max),
         ],
         [
-            "seen terrain without estimate, worst, %",
+            "cells with points without estimate, worst, %",
             *both(lambda s: 100.0 * s.elevation.without_estimate, ".3f", none, max),
         ],
         [

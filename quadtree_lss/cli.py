@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 import quadtree_lss
 from quadtree_lss.commands import config, evaluate, info, replay, simulate
 from quadtree_lss.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, USAGE
-from quadtree_lss.console import first_line, quiet, say
+from quadtree_lss.commands.console import first_line, quiet, say
 from quadtree_lss.errors import QuadtreeLssError
 
 

@@ -26,8 +26,8 @@ from quadtree_lss.evaluation.metrics import (
     safety_field,
 )
 from quadtree_lss.evaluation.results import Grid, Leaves, load_grid, load_leaves
-from quadtree_lss.evaluation.safety import Lander, contact_safe
 from quadtree_lss.replay.results import write_cells, write_grid
+from quadtree_lss.simulation.safety import Lander, contact_safe
 
 
 @dataclass(frozen=True)

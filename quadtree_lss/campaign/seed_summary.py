@@ -181,7 +181,7 @@ def csv_rows(result: SeedsResult) -> list[Mapping[str, Any]]:
         for quantity in QUANTITIES:
             value = float(quantity.value(scores))
             row[quantity.name] = "" if math.isnan(value) else round(value, 6)
-        row["missed_nodes"] = scores.detection.missed_nodes
+        row["missed_grid_points"] = scores.detection.missed_grid_points
         row["missed_depth"] = round(scores.detection.missed_depth, 3)
         largest = scores.missed[0] if scores.missed else None
         row["largest_missed_x"] = round(largest.x, 2) if largest else ""

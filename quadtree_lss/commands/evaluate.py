@@ -17,8 +17,8 @@ from quadtree_lss.commands.common import (
     chosen_config,
     print_json,
 )
+from quadtree_lss.commands.console import Interruption, ProgressBar, say, warn
 from quadtree_lss.commands.simulate import SCENARIOS, add_flight_options
-from quadtree_lss.console import Interruption, ProgressBar, say, warn
 
 if TYPE_CHECKING:
     from quadtree_lss.campaign import SeedsResult

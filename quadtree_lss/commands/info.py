@@ -15,7 +15,7 @@ from quadtree_lss.commands.common import (
     chosen_config,
     print_json,
 )
-from quadtree_lss.console import ProgressBar
+from quadtree_lss.commands.console import ProgressBar
 
 TEXT = "Tell what is in a bag, and whether a replay would work."
 EXAMPLES = """examples:

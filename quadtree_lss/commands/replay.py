@@ -19,7 +19,7 @@ from quadtree_lss.commands.common import (
     positive,
     print_json,
 )
-from quadtree_lss.console import (
+from quadtree_lss.commands.console import (
     Interruption,
     ProgressBar,
     first_line,

@@ -17,7 +17,7 @@ from quadtree_lss.commands.common import (
     share,
     whole,
 )
-from quadtree_lss.console import Interruption, ProgressBar, say
+from quadtree_lss.commands.console import Interruption, ProgressBar, say
 
 SCENARIOS = ("morpheus", "parabola", "descent")
 TEXT = "Simulate a flight: a bag, and truth.npz beside it."

@@ -80,7 +80,7 @@ class EvaluationResult:
             ("  RMS / largest", f"{show(e.rms, '.3f')} / {show(e.maximum, '.2f', ' m')}"),
             ("  mean", show(e.mean, "+.3f", " m")),
             ("  RMS with the mean removed", show(e.rms_mean_removed, ".3f", " m")),
-            ("Seen terrain without an estimate", _percent(e.without_estimate)),
+            ("Cells with points without an estimate", _percent(e.without_estimate)),
             ("Hazardous terrain found", _percent(d.hazardous_found)),
             ("  of it as unknown", _percent(d.hazardous_unknown)),
             ("Safe terrain found", _percent(d.safe_found)),

@@ -42,7 +42,7 @@ def true_safety(truth: Truth) -> Figure:
 
 
 def classification(safety: SafetyField, truth: Truth, sites: FloatArray) -> Figure:
-    """Verdict against truth, node by node, with the best sites (Fig. 22)."""
+    """Verdict against truth, point by point, with the best sites (Fig. 22)."""
     figure, axes = map_axes("Classification of terrain and the best sites", around(truth))
     called = safety.called_safe & safety.seen
     kind = np.select(

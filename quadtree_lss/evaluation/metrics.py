@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt, label
 
 from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Leaves, Truth
-from quadtree_lss.evaluation.safety import Lander, contact_safe, on_dem
+from quadtree_lss.simulation.safety import Lander, contact_safe, on_dem
 
 _SAMPLE_STEP = 0.5  # m, at most, between the points where elevations are compared
 _COINCIDE = 1e-3  # m
@@ -33,7 +33,7 @@ class ElevationError:
     maximum_mean_removed: float
     samples: int
     without_estimate: float
-    """Fraction of the seen terrain that has no estimate."""
+    """Fraction of the finest cells in which a point fell that have no estimate."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,7 @@ class ErrorField:
     estimate: FloatArray
     error: FloatArray
     seen: BoolArray
+    without_estimate: float
 
 
 @dataclass(frozen=True)
@@ -52,27 +53,27 @@ class Detection:
     """Hazard and safe detection (Table 3) over seen ground with small holes filled."""
 
     hazardous_found: float
-    """Fraction of the truly hazardous nodes not called safe; unknown counts as hazardous."""
+    """Fraction of the truly hazardous grid points not called safe; unknown counts as hazardous."""
     safe_found: float
-    """Fraction of the truly safe nodes called safe."""
+    """Fraction of the truly safe grid points called safe."""
     hazardous_unknown: float
-    """Fraction of the truly hazardous nodes found only because they were not seen."""
+    """Fraction of the truly hazardous grid points found only because they were not seen."""
     safe_unknown: float
-    """Fraction of the truly safe nodes that were not seen."""
-    hazardous_nodes: int
-    safe_nodes: int
-    missed_nodes: int
+    """Fraction of the truly safe grid points that were not seen."""
+    hazardous_grid_points: int
+    safe_grid_points: int
+    missed_grid_points: int
     missed_depth: float
-    """How far (m) the deepest missed node lies inside hazardous ground."""
+    """How far (m) the deepest missed grid point lies inside hazardous ground."""
     unseen_box: float
     """Fraction of the scanned box that stays out of the score as unseen."""
     precision: float
-    """Fraction of the nodes called safe that are; NaN if none is called safe."""
+    """Fraction of the grid points called safe that are; NaN if none is called safe."""
 
 
 @dataclass(frozen=True)
 class SafetyField:
-    """Node by node: x (nx,), y (ny,) of the nodes in the box and arrays (ny, nx)."""
+    """Grid point by grid point: their x (nx,), y (ny,) in the box and arrays (ny, nx)."""
 
     x: FloatArray
     y: FloatArray
@@ -84,7 +85,7 @@ class SafetyField:
 
 @dataclass(frozen=True)
 class MissedPlace:
-    """A patch of hazardous ground called safe: centre (m), nodes, how deep in hazardous ground.
+    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it.
 
     ``relief`` is how far the highest post that the lander can touch there, at (``peak_x``,
     ``peak_y``), stands above the median of its surroundings (m).
@@ -92,7 +93,7 @@ class MissedPlace:
 
     x: float
     y: float
-    nodes: int
+    grid_points: int
     depth: float
     relief: float
     peak_x: float
@@ -115,7 +116,7 @@ def bilinear(truth: Truth, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def seen_at(grid: Grid, x: FloatArray, y: FloatArray) -> BoolArray:
-    """Whether all nodes around each of the points x (n,), y (m,) are on seen ground: (m, n)."""
+    """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
     u, v = (x - grid.x[0]) / grid.spacing, (y - grid.y[0]) / grid.spacing
 
     def around(w: FloatArray, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
@@ -139,16 +140,15 @@ def elevation_field(leaves: Leaves, grid: Grid, truth: Truth) -> ErrorField:
     estimate = leaves.elevation_at(x[None, :], y[:, None])
     true = bilinear(truth, *np.meshgrid(x, y))
     seen = seen_at(grid, x, y) & np.isfinite(true)
-    return ErrorField(x, y, estimate, np.where(seen, estimate - true, np.nan), seen)
+    error = np.where(seen, estimate - true, np.nan)
+    return ErrorField(x, y, estimate, error, seen, leaves.without_estimate)
 
 
 def elevation_error(field: ErrorField) -> ElevationError:
     """Statistics of an error field; NaN where nothing was seen."""
     error = field.error[np.isfinite(field.error)]
-    seen = int(field.seen.sum())
     if not error.size:
-        nan = float("nan")
-        return ElevationError(nan, nan, nan, nan, nan, nan, nan, 0, 1.0 if seen else nan)
+        return ElevationError(*[float("nan")] * 7, 0, field.without_estimate)
     centred = error - error.mean()
     return ElevationError(
         mean_absolute=float(np.abs(error).mean()),
@@ -159,7 +159,7 @@ def elevation_error(field: ErrorField) -> ElevationError:
         rms_mean_removed=float(np.sqrt(np.square(centred).mean())),
         maximum_mean_removed=float(np.abs(centred).max()),
         samples=int(error.size),
-        without_estimate=1.0 - error.size / seen,
+        without_estimate=field.without_estimate,
     )
 
 
@@ -176,11 +176,11 @@ def fill_holes(seen: BoolArray, spacing: float, width: float = 2.0) -> BoolArray
 
 
 def safety_field(grid: Grid, truth: Truth) -> SafetyField:
-    """Bring the map's verdict and the truth to the same nodes of the scanned box.
+    """Bring the map's verdict and the truth to the same grid points of the scanned box.
 
-    Nodes of the grid that coincide with nodes of the true safety map are compared. Where lattices
-    share none, the contact simulation is run at the grid's own nodes: reading a safety map off its
-    nodes would by itself cost several per cent.
+    Grid points that both have are compared. Where they share none, the contact simulation is run
+    at the map's own: reading a safety map between its grid points would by itself cost several
+    per cent.
     """
     xmin, xmax, ymin, ymax = truth.box
     i, in_x = _matches(grid.x, truth.safe_x, xmin, xmax)
@@ -205,19 +205,19 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
 
 
 def _matches(
-    nodes: FloatArray, lattice: FloatArray, low: float, high: float
+    axis: FloatArray, lattice: FloatArray, low: float, high: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices into ``lattice`` and ``nodes`` of the coordinates both have in [low, high]."""
-    nearest = np.clip(np.searchsorted(lattice, nodes), 1, lattice.size - 1)
-    nearest -= nodes - lattice[nearest - 1] < lattice[nearest] - nodes
-    same = np.abs(lattice[nearest] - nodes) < _COINCIDE
-    same &= (nodes >= low - _COINCIDE) & (nodes <= high + _COINCIDE)
+    """Indices into ``lattice`` and ``axis`` of the coordinates both have in [low, high]."""
+    nearest = np.clip(np.searchsorted(lattice, axis), 1, lattice.size - 1)
+    nearest -= axis - lattice[nearest - 1] < lattice[nearest] - axis
+    same = np.abs(lattice[nearest] - axis) < _COINCIDE
+    same &= (axis >= low - _COINCIDE) & (axis <= high + _COINCIDE)
     index = np.flatnonzero(same)
     return nearest[index], index
 
 
 def detection(field: SafetyField) -> Detection:
-    """Detection rates of Table 3 (fractions); a rate over no nodes is NaN."""
+    """Detection rates of Table 3 (fractions); a rate over no grid points is NaN."""
     hazardous = field.scored & ~field.truly_safe
     safe = field.scored & field.truly_safe
     called = field.called_safe & field.seen
@@ -236,9 +236,9 @@ def detection(field: SafetyField) -> Detection:
         safe_found=share(called, safe),
         hazardous_unknown=share(~field.seen, hazardous),
         safe_unknown=share(~field.seen, safe),
-        hazardous_nodes=int(hazardous.sum()),
-        safe_nodes=int(safe.sum()),
-        missed_nodes=int(missed.sum()),
+        hazardous_grid_points=int(hazardous.sum()),
+        safe_grid_points=int(safe.sum()),
+        missed_grid_points=int(missed.sum()),
         missed_depth=depth,
         unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
         precision=share(field.truly_safe, called & field.scored),
@@ -248,7 +248,7 @@ def detection(field: SafetyField) -> Detection:
 def site_verdicts(sites: FloatArray, truth: Truth) -> tuple[SiteVerdict, ...]:
     """Whether a lander set down at each site (K, 2 or 3) stands safely.
 
-    A site on a node of the true safety map takes its verdict from there; any other, inside or
+    A site on a grid point of the true safety map takes its verdict from there; any other, inside or
     outside the scanned box, is simulated on the DEM. Where the lander would reach over the edge of
     the DEM nothing is known.
     """
@@ -289,11 +289,11 @@ def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
             MissedPlace(
                 x=x,
                 y=y,
-                nodes=int(j.size),
+                grid_points=int(j.size),
                 depth=float(depth[j, i].max()),
                 relief=float(ground.max() - np.median(ground)),
                 peak_x=float(truth.x[np.abs(truth.x - x) <= reach][peak_i]),
                 peak_y=float(truth.y[np.abs(truth.y - y) <= reach][peak_j]),
             )
         )
-    return tuple(sorted(places, key=lambda place: -place.nodes))
+    return tuple(sorted(places, key=lambda place: -place.grid_points))

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle, Rectangle
 from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.evaluation.results import FloatArray, Truth
-from quadtree_lss.evaluation.safety import Lander
+from quadtree_lss.simulation.safety import Lander
 
 _CONTOUR_SMOOTHING = 0.25  # m
 

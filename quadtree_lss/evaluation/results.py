@@ -25,6 +25,7 @@ UNSEEN = 128
 """Bit of ``grid.npz`` ``hazard`` for ground that was not seen."""
 
 _CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measured", "domain")
+_CELLS_EXTRA = ("observed",)
 _GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
@@ -53,6 +54,8 @@ class Leaves:
     domain_size: float
     min_level: int
     max_level: int
+    observed: NDArray[np.int64]
+    """Number of the finest cells of each leaf in which a point fell; 0 if the file tells none."""
 
     @property
     def fixed(self) -> bool:
@@ -88,6 +91,12 @@ class Leaves:
             leaf = np.where(fine >= 0, fine, leaf)
         return leaf
 
+    @property
+    def without_estimate(self) -> float:
+        """Fraction of the finest cells in which a point fell whose leaf has no plane."""
+        of_all = self.observed.sum()
+        return float(self.observed[~self.estimated].sum() / of_all) if of_all else float("nan")
+
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
         """Elevation (m) of the leaf planes at map coordinates; NaN without an estimate."""
         x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
@@ -105,7 +114,7 @@ class Leaves:
 
 @dataclass(frozen=True)
 class Grid:
-    """Nodes of the landing-site selection (``grid.npz``): x (nx,), y (ny,), arrays (ny, nx)."""
+    """Points of the landing grid (``grid.npz``): x (nx,), y (ny,), arrays (ny, nx)."""
 
     x: FloatArray
     y: FloatArray
@@ -117,12 +126,12 @@ class Grid:
 
     @property
     def spacing(self) -> float:
-        """Distance of the nodes (m)."""
+        """Distance of neighbouring grid points (m)."""
         return float(self.x[-1] - self.x[0]) / (self.x.size - 1)
 
     @property
     def seen(self) -> BoolArray:
-        """Nodes on seen ground (ny, nx)."""
+        """Grid points on seen ground (ny, nx)."""
         return np.asarray((self.hazard & UNSEEN) == 0)
 
 
@@ -223,9 +232,10 @@ def _check_length(path: Path, name: str, array: NDArray[Any], length: int, of: s
 
 def load_leaves(path: Path) -> Leaves:
     """Read ``cells.npz``."""
-    a = _arrays(path, _CELLS)
+    a = _arrays(path, _CELLS, _CELLS_EXTRA)
     _check_length(path, "domain", a["domain"], 5, "xmin, ymin, size, min_level, max_level")
-    for name in _CELLS[:-1]:
+    a.setdefault("observed", np.zeros_like(a["level"]))
+    for name in (*_CELLS[:-1], *_CELLS_EXTRA):
         _check_length(path, name, a[name], a["level"].size, "one per leaf")
     xmin, ymin, size, min_level, max_level = np.asarray(a["domain"], float)
     return Leaves(
@@ -243,6 +253,7 @@ def load_leaves(path: Path) -> Leaves:
         domain_size=float(size),
         min_level=int(min_level),
         max_level=int(max_level),
+        observed=a["observed"].astype(np.int64),
     )
 
 

@@ -191,6 +191,7 @@ def _write(out: Path, result: ReplayResult, config: Config, report: bool) -> Non
     results.write_summary(out / "summary.json", result.summary)
     results.remove_report(out)
     if report:
-        from quadtree_lss.report.report import write_report  # matplotlib takes long to import
+        from quadtree_lss.report.report import report_files  # matplotlib takes long to import
 
-        write_report(result, config)
+        for name, content in report_files(result, config).items():
+            results.write_bytes(out / name, content)

@@ -162,6 +162,7 @@ def write_cells(path: Path, cells: CellMap) -> None:
             "roughness": cells.roughness,
             "exception_fraction": cells.exception_fraction,
             "feature": cells.feature,
+            "observed": np.bincount(cells.leaf_raster()[cells.observed], minlength=len(cells.z)),
             "domain": np.array(
                 [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
             ),
@@ -170,7 +171,7 @@ def write_cells(path: Path, cells: CellMap) -> None:
 
 
 def write_grid(path: Path, assessment: LandingAssessment) -> None:
-    """``grid.npz``: the nodes of the landing site selection, arrays (ny, nx)."""
+    """``grid.npz``: the grid points of the landing site selection, arrays (ny, nx)."""
     _write_npz(
         path,
         {

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 
@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.sites import LandingAssessment
 from quadtree_lss.core.tree.quadtree import CellMap
-from quadtree_lss.replay.results import ScanTiming
+
+if TYPE_CHECKING:
+    from quadtree_lss.replay.results import ScanTiming
 
 Array = NDArray[np.float64]
 
@@ -68,7 +70,7 @@ def slope_figure(assessment: LandingAssessment, config: Config) -> Figure:
     image = axes.imshow(
         assessment.slope_deg,
         origin="lower",
-        extent=_node_extent(assessment),
+        extent=_grid_extent(assessment),
         cmap="cividis",
         vmin=0.0,
         vmax=top,
@@ -130,7 +132,7 @@ def score_figure(assessment: LandingAssessment, config: Config) -> Figure:
     image = axes.imshow(
         scores,
         origin="lower",
-        extent=_node_extent(assessment),
+        extent=_grid_extent(assessment),
         cmap="viridis_r",
         vmin=low,
         vmax=high,
@@ -209,7 +211,7 @@ def _label(axes: Any, title: str) -> None:
     axes.set_aspect("equal")
 
 
-def _node_extent(assessment: LandingAssessment) -> tuple[float, float, float, float]:
+def _grid_extent(assessment: LandingAssessment) -> tuple[float, float, float, float]:
     """Nodes are points: the image reaches half a step beyond the outer ones."""
     x, y = assessment.x, assessment.y
     step = float(x[1] - x[0]) if len(x) > 1 else 1.0
@@ -262,7 +264,7 @@ def _draw_classes(
     axes.imshow(
         kind,
         origin="lower",
-        extent=_node_extent(assessment),
+        extent=_grid_extent(assessment),
         cmap=ListedColormap(colours),
         norm=BoundaryNorm(np.arange(-0.5, len(colours)), len(colours)),
         interpolation="nearest",

@@ -28,8 +28,8 @@ from quadtree_lss.report.figures import (
 if TYPE_CHECKING:
     from quadtree_lss.replay.result import ReplayResult
 
-MAX_NODES = 250_000
-"""Of the landing grid that are embedded; of larger grids every other, third, … node is."""
+MAX_GRID_POINTS = 250_000
+"""Of the landing grid that are embedded; of larger grids every other, third, … point is."""
 MAX_LEAVES = 80_000
 """With hover values; beyond, only the outlines of the leaves are embedded."""
 
@@ -79,7 +79,7 @@ def _base64(values: NDArray[Any]) -> str:
 
 
 def _grid(assessment: LandingAssessment, config: Config) -> dict[str, Any]:
-    stride = int(np.ceil(np.sqrt(max(assessment.hazard.size / MAX_NODES, 1.0))))
+    stride = int(np.ceil(np.sqrt(max(assessment.hazard.size / MAX_GRID_POINTS, 1.0))))
     x, y = assessment.x[::stride], assessment.y[::stride]
 
     def part(values: NDArray[Any]) -> NDArray[Any]:

@@ -7,17 +7,15 @@ import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
 
 from quadtree_lss.config.settings import Config, parameters, values_from_config
-from quadtree_lss.replay.results import REPORT, write_bytes
 from quadtree_lss.report import figures
 from quadtree_lss.report.page_data import page_data
-from quadtree_lss.report.page_script import SCRIPT
-from quadtree_lss.report.page_style import STYLE
 
 if TYPE_CHECKING:
     from quadtree_lss.replay.result import ReplayResult
@@ -51,10 +49,8 @@ CHARTS = """
 """
 
 
-def write_report(result: ReplayResult, config: Config) -> None:
-    """Draws the figures into ``figures/`` and writes the page."""
-    if result.out is None:
-        return
+def report_files(result: ReplayResult, config: Config) -> dict[str, bytes]:
+    """The page and its figures: content by path in the results folder."""
     drawn = {
         "elevation": figures.elevation_figure(result.cells, result.assessment),
         "slope": figures.slope_figure(result.assessment, config),
@@ -63,9 +59,8 @@ def write_report(result: ReplayResult, config: Config) -> None:
     }
     if result.timings:
         drawn["timing"] = figures.timing_figure(result.timings)
-    for name, figure in drawn.items():
-        write_bytes(result.out / "figures" / f"{name}.png", _png(figure))
-    write_bytes(result.out / REPORT, page(result, config).encode())
+    pictures = {f"figures/{name}.png": _png(figure) for name, figure in drawn.items()}
+    return {**pictures, "report.html": page(result, config).encode()}
 
 
 def _png(figure: Figure) -> bytes:
@@ -83,18 +78,20 @@ def page(result: ReplayResult, config: Config) -> str:
     embedded = json.dumps(page_data(result, config), allow_nan=False).replace("<", "\\u003c")
     summary = result.summary
     timing = f"<h2>Timing</h2>{CHARTS}" if result.timings else ""
+    here = files("quadtree_lss.report")
+    style, script = (here.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        f"<title>{title}</title><style>{STYLE}</style></head><body>\n"
+        f"<title>{title}</title><style>\n{style}</style></head><body>\n"
         f"<h1>{title}</h1>\n{_verdict(result)}\n{_cards(summary)}\n{warnings}\n{VIEW}\n"
         f"<h2>Ranked sites</h2>\n{_sites(result)}\n{timing}\n"
         f'<div class="columns"><div><h2>Run</h2>\n{_plain_table(_run(summary))}</div>\n'
         f"<div><h2>Input</h2>\n{_plain_table(_input(summary))}{_points(summary)}</div></div>\n"
         f"<h2>Configuration</h2>\n{_configuration(config)}\n"
         f'<script id="data" type="application/json">{embedded}</script>\n'
-        f"<script>{SCRIPT}</script>\n</body></html>\n"
+        f"<script>\n{script}</script>\n</body></html>\n"
     )
 
 

@@ -28,7 +28,7 @@ from quadtree_lss.simulation.trajectory import (
     section_vi_trajectory,
 )
 
-NODE_SPACING = 0.25
+GRID_SPACING = 0.25
 """Lattice (m) of the true safety map; boxes start and end on it."""
 
 EDGE = 2.25
@@ -73,14 +73,14 @@ class Request:
 
 
 def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
-    """A square box about the terrain's centre, on the node lattice, clear of the DEM's edge."""
+    """A square box about the terrain's centre, on its grid, clear of the DEM's edge."""
     xmin, xmax, ymin, ymax = terrain.bounds
     centre = [
-        NODE_SPACING * round(0.5 * (low + high) / NODE_SPACING)
+        GRID_SPACING * round(0.5 * (low + high) / GRID_SPACING)
         for low, high in ((xmin, xmax), (ymin, ymax))
     ]
     room = min(centre[0] - xmin, xmax - centre[0], centre[1] - ymin, ymax - centre[1]) - EDGE
-    half = NODE_SPACING * float(np.floor(min(half, room) / NODE_SPACING + 1e-9))
+    half = GRID_SPACING * float(np.floor(min(half, room) / GRID_SPACING + 1e-9))
     if half < 2.0:
         msg = "terrain: too small; a scan needs a DEM of at least 9 m by 9 m"
         raise SimulationError(msg)

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.evaluation.safety import Lander, safety_map
 from quadtree_lss.simulation.recording import BagRecorder
+from quadtree_lss.simulation.safety import Lander, safety_map
 from quadtree_lss.simulation.scenarios import (
-    NODE_SPACING,
+    GRID_SPACING,
     SCENARIOS,
     Flight,
     make_request,
@@ -292,10 +292,10 @@ def _fly(
 
 
 def _write_truth(path: Path, plan: Flight, flown: list[_Flown], bag_name: str, seed: int) -> float:
-    """Write the truth file; returns the fraction of safe nodes."""
+    """Write the truth file; returns the fraction of safe grid points."""
     xmin, xmax, ymin, ymax = plan.box
-    safe_x = xmin + NODE_SPACING * np.arange(round((xmax - xmin) / NODE_SPACING) + 1)
-    safe_y = ymin + NODE_SPACING * np.arange(round((ymax - ymin) / NODE_SPACING) + 1)
+    safe_x = xmin + GRID_SPACING * np.arange(round((xmax - xmin) / GRID_SPACING) + 1)
+    safe_y = ymin + GRID_SPACING * np.arange(round((ymax - ymin) / GRID_SPACING) + 1)
     dem = plan.truth
     safe = safety_map(dem.x, dem.y, dem.elevation, safe_x, safe_y, Lander())
     np.savez_compressed(

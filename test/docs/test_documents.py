@@ -109,7 +109,7 @@ def test_every_equation_is_found_in_one_search():
 def test_the_table_of_equations_names_files_and_functions_that_exist():
     text = (ROOT / "docs" / "how_it_works.md").read_text()
     for row in re.findall(r"^\| Eq\..*$", text, re.MULTILINE):
-        for file, functions in re.findall(r"`(\w+/\w+\.py)`((?: `\w+`,?)*)", row):
+        for file, functions in re.findall(r"`([\w/]+\.py)`((?: `\w+`,?)*)", row):
             source = (ROOT / "quadtree_lss" / file).read_text()
             for name in re.findall(r"`(\w+)`", functions):
                 assert re.search(rf"(def|class) {name}\b", source), (file, name)
@@ -118,7 +118,7 @@ def test_the_table_of_equations_names_files_and_functions_that_exist():
 def test_the_table_of_equations_leads_to_code_that_names_them():
     text = (ROOT / "docs" / "how_it_works.md").read_text()
     for row in re.findall(r"^\| Eq\..*$", text, re.MULTILINE):
-        files = re.findall(r"`(\w+/\w+\.py)`", row)
+        files = re.findall(r"`([\w/]+\.py)`", row)
         code = "".join((ROOT / "quadtree_lss" / file).read_text() for file in files)
         for number in re.findall(r"Eq\. (\d+)", row.split("|")[1]):
             assert re.search(rf"Eq\. {number}\b", code), (number, files)

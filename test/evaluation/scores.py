@@ -18,16 +18,16 @@ def ground(x, y):
 def write_truth(path, *, box=(-8.0, 8.0, -8.0, 8.0), safe=None, elevation=ground):
     """A truth file of 24 m × 24 m at 0.2 m posts; everything is safe unless told otherwise."""
     axis = np.linspace(-12.0, 12.0, 121)
-    nodes_x = np.arange(box[0], box[1] + 1e-9, SPACING)
-    nodes_y = np.arange(box[2], box[3] + 1e-9, SPACING)
-    gx, gy = np.meshgrid(nodes_x, nodes_y)
+    grid_x = np.arange(box[0], box[1] + 1e-9, SPACING)
+    grid_y = np.arange(box[2], box[3] + 1e-9, SPACING)
+    gx, gy = np.meshgrid(grid_x, grid_y)
     np.savez(
         path,
         x=axis,
         y=axis,
         elevation=elevation(axis[None, :], axis[:, None]),
-        safe_x=nodes_x,
-        safe_y=nodes_y,
+        safe_x=grid_x,
+        safe_y=grid_y,
         safe=np.ones(gx.shape, bool) if safe is None else safe(gx, gy),
         box=np.array(box),
         scan_stamp_ns=np.array([0]),
@@ -38,12 +38,20 @@ def write_truth(path, *, box=(-8.0, 8.0, -8.0, 8.0), safe=None, elevation=ground
 
 
 def write_results(
-    folder, *, offset=0.0, called_safe=None, unseen=None, sites=((0.0, 0.0),), spacing=SPACING
+    folder,
+    *,
+    offset=0.0,
+    estimated=None,
+    observed=None,
+    called_safe=None,
+    unseen=None,
+    sites=((0.0, 0.0),),
+    spacing=SPACING,
 ):
     """A results folder over 16 m × 16 m: coarse leaves in the west, fine ones in the east.
 
-    Leaves lie on `ground` plus ``offset``; ``called_safe`` and ``unseen`` are functions of the
-    nodes' x, y.
+    Leaves lie on `ground` plus ``offset``; ``estimated`` and ``observed`` (all of the leaf or
+    nothing) are functions of their x, y, ``called_safe`` and ``unseen`` of the grid points'.
     """
     folder.mkdir(parents=True, exist_ok=True)
     rows = [(3, i, j) for i in range(4) for j in range(8)]  # 2 m
@@ -51,6 +59,8 @@ def write_results(
     level, ix, iy = np.array(rows).T
     size = 16.0 / 2.0**level
     x, y = -8.0 + (ix + 0.5) * size, -8.0 + (iy + 0.5) * size
+    z = ground(x, y) + offset
+    cells = 4 ** (5 - level)
     normal = np.array([-0.1, 0.05, 1.0]) / np.linalg.norm([-0.1, 0.05, 1.0])
     np.savez(
         folder / "cells.npz",
@@ -60,7 +70,7 @@ def write_results(
         x=x,
         y=y,
         size=size,
-        z=ground(x, y) + offset,
+        z=z if estimated is None else np.where(estimated(x, y), z, np.nan),
         nx=np.full(x.size, normal[0]),
         ny=np.full(x.size, normal[1]),
         nz=np.full(x.size, normal[2]),
@@ -68,15 +78,16 @@ def write_results(
         count=np.full(x.size, 10),
         measured=np.ones(x.size, bool),
         domain=np.array([-8.0, -8.0, 16.0, 3, 5]),
+        observed=cells if observed is None else observed(x, y) * cells,
     )
-    nodes = -8.0 + spacing * np.arange(round(16.0 / spacing) + 1)
-    gx, gy = np.meshgrid(nodes, nodes)
+    axis = -8.0 + spacing * np.arange(round(16.0 / spacing) + 1)
+    gx, gy = np.meshgrid(axis, axis)
     hidden = np.zeros(gx.shape, bool) if unseen is None else unseen(gx, gy)
     safe = np.ones(gx.shape, bool) if called_safe is None else called_safe(gx, gy)
     np.savez(
         folder / "grid.npz",
-        x=nodes,
-        y=nodes,
+        x=axis,
+        y=axis,
         elevation=ground(gx, gy) + offset,
         slope_deg=np.full(gx.shape, 6.4),
         hazard=np.where(hidden, 128, 0).astype(np.uint8),

@@ -57,6 +57,30 @@ def test_unseen_ground_is_not_scored_for_elevation(tmp_path):
     assert error.samples < 0.5 * 64**2
 
 
+def test_cells_with_points_without_an_estimate_are_counted_where_they_are_most(tmp_path):
+    """At the border of what was seen, where grid points about them are unseen."""
+    shown = {"unseen": lambda x, y: x > 5.0, "observed": lambda x, y: x < 6.0}
+    error = _evaluate(tmp_path, **shown, estimated=lambda x, y: x < 5.0).elevation
+    assert error.without_estimate == pytest.approx(1.0 / 14.0)
+    # Some in the west: a coarse leaf counts by its observed cells.
+    error = _evaluate(
+        tmp_path,
+        observed=lambda x, y: (y > 0.0) & ((x < -6.0) | (x > 4.0)),
+        estimated=lambda x, y: x > -6.0,
+    ).elevation
+    assert error.without_estimate == pytest.approx(1.0 / 3.0)
+
+
+def test_results_that_do_not_tell_what_was_observed_have_no_such_share(tmp_path):
+    folder = write_results(tmp_path / "results")
+    cells = dict(np.load(folder / "cells.npz"))
+    cells.pop("observed")
+    np.savez(folder / "cells.npz", **cells)
+    result = evaluate(folder, write_truth(tmp_path / "truth.npz"), figures=False)
+    assert np.isnan(result.elevation.without_estimate)
+    assert result.elevation.maximum < 1e-9
+
+
 def test_detection_rates(tmp_path):
     result = _evaluate(
         tmp_path,
@@ -66,9 +90,9 @@ def test_detection_rates(tmp_path):
     # Hazardous: 33 columns of which 16 (x < −4) are called safe, of the others y > 0.
     hazardous, safe = 33 * 65, 32 * 65
     missed = 16 * 65 + 17 * 32
-    assert result.hazardous_nodes == hazardous
-    assert result.safe_nodes == safe
-    assert result.missed_nodes == missed
+    assert result.hazardous_grid_points == hazardous
+    assert result.safe_grid_points == safe
+    assert result.missed_grid_points == missed
     assert result.hazardous_found == pytest.approx(1.0 - missed / hazardous)
     assert result.safe_found == pytest.approx(32 * 32 / safe)
     assert result.precision == pytest.approx(32 * 32 / (32 * 32 + missed))
@@ -82,7 +106,7 @@ def test_missed_depth_is_that_of_missed_ground(tmp_path):
         return (np.hypot(x - 3.0, y) > 3.0) & (np.hypot(x + 5.0, y) > 0.4)
 
     found = _evaluate(tmp_path, truth={"safe": safe}, called_safe=lambda x, y: x < -2.0).detection
-    assert found.missed_nodes > 0
+    assert found.missed_grid_points > 0
     assert found.missed_depth < 0.8
 
 
@@ -101,11 +125,11 @@ def test_unknown_counts_as_hazardous_and_is_reported_apart(tmp_path):
 
     result = _evaluate(tmp_path, truth={"safe": lambda x, y: y > 0.0}, unseen=unseen).detection
     columns = 49  # x ≤ 4
-    assert result.hazardous_nodes == columns * 33
-    assert result.safe_nodes == columns * 32
-    assert result.hazardous_unknown == pytest.approx(3 * 20 / result.hazardous_nodes)
+    assert result.hazardous_grid_points == columns * 33
+    assert result.safe_grid_points == columns * 32
+    assert result.hazardous_unknown == pytest.approx(3 * 20 / result.hazardous_grid_points)
     assert result.hazardous_found == pytest.approx(result.hazardous_unknown)
-    assert result.safe_unknown == pytest.approx(3 * 19 / result.safe_nodes)
+    assert result.safe_unknown == pytest.approx(3 * 19 / result.safe_grid_points)
     assert result.unseen_box == pytest.approx(1.0 - columns / 65)
 
 
@@ -124,7 +148,7 @@ def test_edge_of_seen_ground_does_not_grow():
 
 
 @pytest.mark.parametrize("hidden", [(1, 1), (1, 2), (2, 1), (2, 2)])
-def test_a_point_is_seen_if_all_four_nodes_about_it_are(hidden):
+def test_a_point_is_seen_if_all_four_grid_points_about_it_are(hidden):
     axis, none = np.arange(4.0), np.zeros((4, 4))
     hazard = np.zeros((4, 4), np.uint8)
     hazard[hidden] = 128
@@ -147,19 +171,19 @@ def test_site_off_the_lattice_is_simulated(tmp_path):
     assert result.unsafe_in_top_five == 1
 
 
-def test_nodes_that_do_not_coincide_are_simulated(tmp_path):
-    # A lattice of 0.25 m against nodes shifted off it: the truth's own map is not read.
+def test_grid_points_that_do_not_coincide_are_simulated(tmp_path):
+    # A lattice of 0.25 m against a grid shifted off it: the truth's own map is not read.
     truth = {"box": (-7.9, 7.6, -7.9, 7.6), "safe": lambda x, y: x > 99.0}
     result = _evaluate(tmp_path, truth=truth, spacing=0.5).detection
     assert result.safe_found == 1.0
     assert np.isnan(result.hazardous_found)
 
 
-def test_coarser_grid_is_compared_at_common_nodes(tmp_path):
+def test_coarser_grid_is_compared_at_common_grid_points(tmp_path):
     truth = {"safe": lambda x, y: x > 0.0}
     result = _evaluate(tmp_path, truth=truth, called_safe=truth["safe"], spacing=0.5).detection
     assert (result.hazardous_found, result.safe_found) == (1.0, 1.0)
-    assert result.hazardous_nodes == 17 * 33
+    assert result.hazardous_grid_points == 17 * 33
 
 
 def test_no_site_at_all(tmp_path):
@@ -287,7 +311,7 @@ def test_missed_places_are_listed_with_what_stands_there(tmp_path):
     first, second = result.missed
     assert (first.x, first.y) == pytest.approx((3.0, -2.0), abs=0.01)
     assert (second.x, second.y) == pytest.approx((-6.0, 6.0), abs=0.01)
-    assert first.nodes + second.nodes == result.detection.missed_nodes
+    assert first.grid_points + second.grid_points == result.detection.missed_grid_points
     assert first.depth == result.detection.missed_depth
     assert first.relief == pytest.approx(0.8, abs=0.15)
     assert np.hypot(first.peak_x - 3.0, first.peak_y + 2.0) < 0.35

@@ -38,8 +38,11 @@ def test_installed_files_are_those_of_the_checkout():
     spec = importlib.util.find_spec("quadtree_lss")
     assert spec is not None and spec.origin is not None
     installed = Path(spec.origin).parent
-    for source in sorted((ROOT / "quadtree_lss").rglob("*.py")):
-        copy = installed / source.relative_to(ROOT / "quadtree_lss")
+    package = ROOT / "quadtree_lss"
+    for source in sorted(
+        path for kind in ("py", "js", "css") for path in package.rglob(f"*.{kind}")
+    ):
+        copy = installed / source.relative_to(package)
         assert copy.read_bytes() == source.read_bytes(), f"{copy} is stale: make setup"
     shared = (("launch", "*.launch.py"), ("config", "*.yaml"), ("rviz", "*.rviz"))
     shared += (("foxglove", "*.json"),)

@@ -112,7 +112,7 @@ def test_the_embedded_leaves_are_those_of_the_map(result, text):
 
 
 def test_large_maps_stay_small_pages(result, monkeypatch):
-    monkeypatch.setattr(page_data, "MAX_NODES", 500)
+    monkeypatch.setattr(page_data, "MAX_GRID_POINTS", 500)
     monkeypatch.setattr(page_data, "MAX_LEAVES", 10)
     data = page_data.page_data(result, CONFIG)
     grid = data["grid"]

@@ -1,10 +1,6 @@
-# SPDX-License-Identifier: Apache-2.0
-"""The program of ``report.html``: draws the embedded columns, pans, zooms, tells values.
-
-It needs no library and no network. The element ``data`` holds `page_data.page_data` as JSON.
-"""
-
-SCRIPT = r"""
+// SPDX-License-Identifier: Apache-2.0
+// The program of report.html: draws the embedded columns, pans, zooms, tells values. It needs no
+// library and no network. The element "data" holds the result of page_data.py as JSON.
 "use strict";
 const root = document.documentElement;
 window.addEventListener("error", e => { root.dataset.error = e.message; });
@@ -23,9 +19,9 @@ function column(packed) {
   const at = i => (raw[i] === none ? NaN : packed.low + packed.step * raw[i]);
   return { at, raw, limits: packed.limits, mark: packed.mark };
 }
-const nodes = {};
+const gridColumns = {};
 for (const name of ["elevation", "slope", "score", "hazard", "safe"]) {
-  nodes[name] = column(grid[name]);
+  gridColumns[name] = column(grid[name]);
 }
 const leaf = {};
 for (const [name, packed] of Object.entries(leaves)) {
@@ -51,7 +47,7 @@ function leafAt(x, y) {
   }
   return -1;
 }
-function nodeAt(x, y) {
+function gridPointAt(x, y) {
   const i = Math.round((x - grid.xmin) / grid.spacing);
   const j = Math.round((y - grid.ymin) / grid.spacing);
   return i >= 0 && j >= 0 && i < grid.nx && j < grid.ny ? j * grid.nx + i : -1;
@@ -66,26 +62,27 @@ function hazardClass(bits) {
 const hazardNames = bits =>
   data.hazards.filter(h => bits & h.bit).map(h => h.name).join(", ") || "none";
 const UNSEEN = data.hazards[0];
-const allowedClass = i => (nodes.hazard.raw[i] & UNSEEN.bit ? 2 : nodes.safe.raw[i] ? 0 : 1);
+const allowedClass = i =>
+  (gridColumns.hazard.raw[i] & UNSEEN.bit ? 2 : gridColumns.safe.raw[i] ? 0 : 1);
 const hazardClasses = [{ name: "none", colour: data.colours.clear }, ...data.hazards];
 const allowedClasses = [
   { name: "allowed", colour: data.colours.safe },
   { name: "excluded", colour: data.colours.excluded },
   { name: "unseen", colour: UNSEEN.colour },
 ];
-const onNodes = (title, unit, name, lut, none, reversed) =>
-  ({ title, unit, of: "node", value: nodes[name].at, limits: nodes[name].limits,
-     mark: nodes[name].mark, lut, none, reversed });
+const onGrid = (title, unit, name, lut, none, reversed) =>
+  ({ title, unit, of: "grid", value: gridColumns[name].at, limits: gridColumns[name].limits,
+     mark: gridColumns[name].mark, lut, none, reversed });
 const onLeaves = (title, unit, value, limits, lut) =>
   ({ title, unit, of: "leaf", value, limits, lut, none: "no estimate" });
 const LAYERS = {
-  elevation: onNodes("Elevation", "m", "elevation", "viridis", "unseen"),
-  slope: onNodes("Slope at the lander's scale", "deg", "slope", "cividis", "unseen"),
-  hazards: { title: "Hazards by kind", of: "node", classes: hazardClasses,
-             note: data.hazard_note, value: i => hazardClass(nodes.hazard.raw[i]) },
-  allowed: { title: "Where landing is allowed", of: "node", classes: allowedClasses,
+  elevation: onGrid("Elevation", "m", "elevation", "viridis", "unseen"),
+  slope: onGrid("Slope at the lander's scale", "deg", "slope", "cividis", "unseen"),
+  hazards: { title: "Hazards by kind", of: "grid", classes: hazardClasses,
+             note: data.hazard_note, value: i => hazardClass(gridColumns.hazard.raw[i]) },
+  allowed: { title: "Where landing is allowed", of: "grid", classes: allowedClasses,
              value: allowedClass },
-  score: onNodes("Score, lower is better", "", "score", "viridis", "excluded", true),
+  score: onGrid("Score, lower is better", "", "score", "viridis", "excluded", true),
   cells: onLeaves("Size of the leaves (log scale)", "m",
                   i => Math.log2(leafSize(leaf.level.raw[i])),
                   [leaves.max_level, leaves.min_level].map(l => Math.log2(leafSize(l))), "magma"),
@@ -132,7 +129,7 @@ function colour(layer, value) {
   return [lut[k], lut[k + 1], lut[k + 2]];
 }
 function shade(i, j) { // light from the north-west
-  const z = (a, b) => nodes.elevation.at(
+  const z = (a, b) => gridColumns.elevation.at(
     Math.min(Math.max(b, 0), grid.ny - 1) * grid.nx + Math.min(Math.max(a, 0), grid.nx - 1));
   const gx = (z(i + 1, j) - z(i - 1, j)) / (2 * grid.spacing);
   const gy = (z(i, j + 1) - z(i, j - 1)) / (2 * grid.spacing);
@@ -185,7 +182,7 @@ function fitCanvas(canvas) {
 }
 function draw() {
   const c = fitCanvas(map), layer = LAYERS[view.layer];
-  const key = view.layer + (view.relief && layer.of === "node" ? "+relief" : "");
+  const key = view.layer + (view.relief && layer.of === "grid" ? "+relief" : "");
   painted[key] = painted[key] || paint(layer);
   const half = layer.of === "leaf" ? 0 : grid.spacing / 2;
   const ofLeaf = layer.of === "leaf";
@@ -278,7 +275,7 @@ function legend() {
       (layer.note ? `<p class="note">${layer.note}</p>` : "");
     return;
   }
-  const holes = layer.of === "node" && holesOf(layer);
+  const holes = layer.of === "grid" && holesOf(layer);
   box.innerHTML = "<canvas></canvas>" + (holes ? `<div><i style="background:` +
     `rgb(${UNKNOWN})"></i>${layer.none}<b>${(100 * holes).toFixed(1)} %</b></div>` : "");
   const canvas = box.firstChild, c = fitCanvas(canvas), w = canvas.clientWidth - 24;
@@ -317,14 +314,14 @@ const short = v => (Number.isNaN(v) ? "–" : Math.abs(v) >= 100 ? v.toFixed(0) 
   String(parseFloat(v.toPrecision(3))));
 const metres = v => (Number.isNaN(v) ? "–" : v.toFixed(2) + " m");
 function values(x, y) {
-  const i = nodeAt(x, y), r = leafAt(x, y);
+  const i = gridPointAt(x, y), r = leafAt(x, y);
   const rows = [["place", `${x.toFixed(2)}, ${y.toFixed(2)} m`]];
   if (i >= 0) {
-    const slope = nodes.slope.at(i), score = nodes.score.at(i);
-    rows.push(["elevation", metres(nodes.elevation.at(i))]);
+    const slope = gridColumns.slope.at(i), score = gridColumns.score.at(i);
+    rows.push(["elevation", metres(gridColumns.elevation.at(i))]);
     rows.push(["slope", Number.isNaN(slope) ? "–" : slope.toFixed(1) + "°"]);
-    rows.push(["hazard", hazardNames(nodes.hazard.raw[i])]);
-    rows.push(["landing", nodes.safe.raw[i] ? "allowed" : "not allowed"]);
+    rows.push(["hazard", hazardNames(gridColumns.hazard.raw[i])]);
+    rows.push(["landing", gridColumns.safe.raw[i] ? "allowed" : "not allowed"]);
     rows.push(["score", Number.isNaN(score) ? "excluded" : score.toFixed(4)]);
   }
   if (r >= 0) {
@@ -473,4 +470,3 @@ fit();
 legend();
 if (sites.length) tell(sites[0].x, sites[0].y);
 root.dataset.ready = "yes";
-"""

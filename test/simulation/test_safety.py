@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from quadtree_lss.evaluation.safety import Lander, contact_safe, safety_map
+from quadtree_lss.simulation.safety import Lander, contact_safe, safety_map
 
 TAN_LIMIT = np.tan(np.radians(10.0))
 
@@ -51,7 +51,7 @@ def brute_force(x, y, z, px, py, lander):
 
 
 def _ground(generator, x, y):
-    """Rocks of many sizes on a gentle slope: some nodes safe, some not, many close to a limit."""
+    """Rocks of many sizes on a gentle slope: some places safe, some not, many close to a limit."""
     z = 0.06 * x[None, :] + 0.02 * generator.standard_normal((y.size, x.size))
     for _ in range(14):
         cx, cy = generator.uniform(x[0], x[-1]), generator.uniform(y[0], y[-1])
@@ -68,9 +68,9 @@ def test_equals_brute_force(seed, post):
     y = -4.5 + post * np.arange(int(9.0 / post) + 1)
     z = _ground(generator, x, y)
     lander = Lander(yaws=6)
-    node_x, node_y = np.arange(-2.5, 2.6, 0.5), np.arange(-2.0, 2.1, 0.5)
-    fast = safety_map(x, y, z, node_x, node_y, lander)
-    slow = [[brute_force(x, y, z, px, py, lander) for px in node_x] for py in node_y]
+    grid_x, grid_y = np.arange(-2.5, 2.6, 0.5), np.arange(-2.0, 2.1, 0.5)
+    fast = safety_map(x, y, z, grid_x, grid_y, lander)
+    slow = [[brute_force(x, y, z, px, py, lander) for px in grid_x] for py in grid_y]
     np.testing.assert_array_equal(fast, slow)
     assert 0.05 < fast.mean() < 0.98
 
@@ -139,9 +139,9 @@ def test_reaching_over_the_edge_is_unsafe():
 
 def test_shifting_everything_shifts_the_map():
     z = _ground(np.random.default_rng(9), AXIS, AXIS)
-    nodes = np.arange(-3.0, 3.1, 0.25)
-    here = safety_map(AXIS, AXIS, z, nodes, nodes)
-    there = safety_map(AXIS + 64.0, AXIS - 32.0, z + 5.0, nodes + 64.0, nodes - 32.0)
+    axis = np.arange(-3.0, 3.1, 0.25)
+    here = safety_map(AXIS, AXIS, z, axis, axis)
+    there = safety_map(AXIS + 64.0, AXIS - 32.0, z + 5.0, axis + 64.0, axis - 32.0)
     np.testing.assert_array_equal(here, there)
-    turned = safety_map(AXIS, AXIS, np.rot90(z), nodes, nodes)
+    turned = safety_map(AXIS, AXIS, np.rot90(z), axis, axis)
     assert (np.rot90(here) == turned).mean() > 0.99

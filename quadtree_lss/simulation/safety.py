@@ -128,14 +128,14 @@ def safety_map(
     x: ArrayLike,
     y: ArrayLike,
     elevation: ArrayLike,
-    node_x: ArrayLike,
-    node_y: ArrayLike,
+    grid_x: ArrayLike,
+    grid_y: ArrayLike,
     lander: Lander | None = None,
 ) -> BoolArray:
-    """True safety at the nodes of a lattice: (len(node_y), len(node_x)); see `contact_safe`."""
-    nodes_x, nodes_y = np.asarray(node_x, np.float64), np.asarray(node_y, np.float64)
-    points = np.stack(np.meshgrid(nodes_x, nodes_y), axis=-1).reshape(-1, 2)
-    return contact_safe(x, y, elevation, points, lander).reshape(nodes_y.size, nodes_x.size)
+    """True safety at the points of a grid: (len(grid_y), len(grid_x)); see `contact_safe`."""
+    x_of, y_of = np.asarray(grid_x, np.float64), np.asarray(grid_y, np.float64)
+    points = np.stack(np.meshgrid(x_of, y_of), axis=-1).reshape(-1, 2)
+    return contact_safe(x, y, elevation, points, lander).reshape(y_of.size, x_of.size)
 
 
 def _pad_heights(posts: _Posts, x: FloatArray, y: FloatArray, radius: float) -> FloatArray:
@@ -244,7 +244,7 @@ def _clear(
     at_most = highest[:, None] - shift + (radius + _TOLERANCE) * np.hypot(turn_x, turn_y)
     clear = ~(at_least > clearance).any(axis=1)
     undecided = (at_most > clearance) & clear[:, None]
-    # Planes most likely to be violated first: most nodes need only that one.
+    # Planes most likely to be violated first: most points need only that one.
     order = np.argsort(-at_most, axis=1)
     for rank in range(order.shape[1]):
         k = order[:, rank]
