@@ -13,21 +13,25 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # A sourced ROS 2 whose rclpy this python can import is used as it is; otherwise ROS 2 Jazzy is
 # installed into .venv as wheels. Each way has its own stamp, so that changing over starts anew.
 ROS := $(shell test -n "$${ROS_DISTRO-}" && $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced || echo wheels)
+# It holds the versions that are installed.
 DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
 PACKAGE := $(VENV)/.package
+EXTRAS_wheels := [wheels,test]
+EXTRAS_sourced := [test]
 SOURCES := $(shell find quadtree_lss launch rviz foxglove config scripts resource -type f \
-    -not -path '*/__pycache__/*') package.xml setup.py setup.cfg
+    -not -path '*/__pycache__/*' -not -name '*.so') package.xml pyproject.toml setup.py setup.cfg
 
 # The installed package, not the checkout, is what every target runs.
 export PYTHONSAFEPATH := 1
 unexport VIRTUAL_ENV
 
-.PHONY: help setup demo test test-all test-vehicle lint bench clean
+.PHONY: help setup demo test test-all test-checked test-vehicle lint bench clean
 
 help:
 	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
 	@echo 'make test      test suite'
 	@echo 'make test-all  test suite with the slow tests'
+	@echo 'make test-checked  tests of the core with every index checked'
 	@echo 'make test-vehicle  test suite with the versions of a vehicle computer, where there is a Python 3.12'
 	@echo 'make lint      ruff and mypy'
 	@echo 'make bench     print benchmark figures'
@@ -36,30 +40,28 @@ help:
 
 setup: $(PACKAGE)
 
-$(VENV)/.dependencies-wheels: setup.py constraints.txt
-	@echo 'installing dependencies and ROS 2 Jazzy wheels into .venv (about a minute)'
+$(VENV)/.dependencies-wheels: constraints.txt
+	@$(PYTHON) toolchain.py
 	@rm -rf $(VENV)
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) install --quiet -c constraints.txt setuptools wheel cython
-	@$(PIP) install --quiet -c constraints.txt --no-build-isolation '.[wheels,test]'
-	@touch $@
+	@cp constraints.txt $@
 
 # With a sourced ROS its own NumPy must stay: message classes are compiled against it.
-$(VENV)/.dependencies-sourced: setup.py
-	@echo "installing dependencies into .venv, beside ROS 2 $$ROS_DISTRO"
+$(VENV)/.dependencies-sourced:
+	@$(PYTHON) toolchain.py
 	@rm -rf $(VENV)
 	@$(PYTHON) -m venv --system-site-packages $(VENV)
-	@$(PYTHON) -c 'import numpy; print("numpy==" + numpy.__version__)' > $(VENV)/ros-constraints.txt
-	@$(PIP) install --quiet -c $(VENV)/ros-constraints.txt 'setuptools>=61' wheel 'cython>=3.0.8'
-	@$(PIP) install --quiet -c $(VENV)/ros-constraints.txt --no-build-isolation '.[test]'
-	@touch $@
+	@$(PYTHON) -c 'import numpy; print("numpy==" + numpy.__version__)' > $@.part
+	@$(PIP) install --quiet -c $@.part 'setuptools>=61' wheel 'cython>=3.0.8'
+	@mv $@.part $@
 
 # Not editable: an editable install has no launch files, configurations or ament index entry.
 $(PACKAGE): $(DEPENDENCIES) $(SOURCES)
-	@echo 'installing quadtree_lss into .venv'
-	@rm -rf build quadtree_lss.egg-info
-	@$(PIP) install --quiet --no-build-isolation --no-deps --force-reinstall .
-	@rm -rf build quadtree_lss.egg-info
+	@echo 'installing quadtree_lss and what it needs into .venv (the first time a minute or two)'
+	@rm -rf quadtree_lss.egg-info
+	@$(PIP) install --quiet -c $(DEPENDENCIES) --no-build-isolation '.$(EXTRAS_$(ROS))'
+	@rm -rf quadtree_lss.egg-info
 	@touch $@
 
 demo: setup
@@ -70,6 +72,7 @@ test: setup
 
 test-all: setup
 	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+	$(MAKE) --no-print-directory test-checked
 
 # What Ubuntu 24.04 has, in an environment of its own. Other tests than all: VEHICLE_TESTS=test/core
 VEHICLE_PYTHON ?= $(shell for python in python3.12 ~/.pyenv/versions/3.12*/bin/python3.12 \
@@ -86,20 +89,34 @@ test-vehicle:
 	    $(VEHICLE)/bin/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS) $(VEHICLE_TESTS); \
 	fi
 
-$(VEHICLE)/.dependencies: setup.py constraints.txt
-	@echo 'installing the versions of a vehicle into .venv-vehicle (about a minute)'
+$(VEHICLE)/.dependencies: constraints.txt
+	@$(VEHICLE_PYTHON) toolchain.py
 	@rm -rf $(VEHICLE)
 	@$(VEHICLE_PYTHON) -m venv $(VEHICLE)
-	@sed -E '/^(numpy|scipy|scipy-stubs|optype|numpy-typing-compat)==/d' constraints.txt > $@.part
-	@printf 'numpy==1.26.4\nscipy==1.11.4\n' >> $@.part
+	@sed -E '/^(cython|numpy|scipy|scipy-stubs|optype|numpy-typing-compat)==/d' constraints.txt > $@.part
+	@printf 'cython==3.0.8\nnumpy==1.26.4\nscipy==1.11.4\n' >> $@.part
 	@$(VEHICLE_PIP) -c $@.part setuptools wheel cython
-	@$(VEHICLE_PIP) -c $@.part --no-build-isolation '.[wheels,test]'
 	@mv $@.part $@
 
 $(VEHICLE)/.package: $(VEHICLE)/.dependencies $(SOURCES)
-	@rm -rf build quadtree_lss.egg-info
-	@$(VEHICLE_PIP) --no-build-isolation --no-deps --force-reinstall .
-	@rm -rf build quadtree_lss.egg-info
+	@echo 'installing quadtree_lss and the versions of a vehicle into .venv-vehicle'
+	@rm -rf quadtree_lss.egg-info
+	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[wheels,test]'
+	@rm -rf quadtree_lss.egg-info
+	@touch $@
+
+# The core with every index checked, in a folder of its own before the installed one.
+CHECKED := $(VENV)/checked
+CHECKED_TESTS ?= test/core
+test-checked: setup $(CHECKED)/.package
+	PYTHONPATH=$(CHECKED) $(BIN)/python -c 'from quadtree_lss import build; print(build.name())' | grep checked
+	PYTHONPATH=$(CHECKED) $(BIN)/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS) $(CHECKED_TESTS)
+
+$(CHECKED)/.package: $(PACKAGE)
+	@echo 'compiling the core with every index checked into .venv/checked'
+	@rm -rf $(CHECKED) quadtree_lss.egg-info
+	@QUADTREE_LSS_CHECKED=1 $(PIP) install --quiet --no-build-isolation --no-deps --target $(CHECKED) .
+	@rm -rf quadtree_lss.egg-info
 	@touch $@
 
 lint: setup
@@ -114,4 +131,5 @@ bench: setup
 
 clean:
 	rm -rf .venv .venv-vehicle build demo_output quadtree_lss.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find quadtree_lss -name '*.so' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,10 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Package set-up, read by pip and by colcon (ament_python) alike."""
 
+import json
+import os
+import re
+import shutil
+import sys
 from glob import glob
+from pathlib import Path
 
-from Cython.Build import cythonize
 from setuptools import Extension, find_packages, setup
+
+# Modules of the checkout, wherever it is built; colcon may build in a folder of links to it.
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+import quadtree_lss
+import toolchain
+from quadtree_lss import build
 
 NAME = "quadtree_lss"
 
@@ -17,34 +28,115 @@ ROS_EXECUTABLES = {
     "evaluate": "quadtree_lss.cli:main_evaluate",
 }
 
-# A module of the core with a .pxd beside it is compiled.
-KERNELS = [path[:-4] for path in sorted(glob(f"{NAME}/core/*/*.pxd"))]
-EXTENSIONS = [
-    Extension(
-        path.replace("/", "."), [f"{path}.py"], extra_compile_args=["-O3", "-ffp-contract=off"]
-    )
-    for path in KERNELS
-]
+# With QUADTREE_LSS_CHECKED=1 every index is checked, even where a kernel waives that.
+CHECKED = os.environ.get("QUADTREE_LSS_CHECKED", "0") not in ("", "0")
 DIRECTIVES = {
     "language_level": 3,
     "wraparound": False,
     "cdivision": True,
-    "initializedcheck": False,
+    "boundscheck": True,
+    "initializedcheck": CHECKED,
 }
+COMPILE = ["-O3", "-ffp-contract=off", "-g0"]
+# C is written here, and the state it was made of.
+GENERATED = Path("build", "cython")
+STATE = GENERATED / "state.json"
+
+
+def is_building() -> bool:
+    """pip and colcon ask this file for names and options, several times, before they build."""
+    given = set(sys.argv[1:])
+    builds = {"build", "build_ext", "bdist_wheel", "install", "develop", "editable_wheel"}
+    return bool(given & builds) and not given & {"--help", "--help-commands", "--uninstall"}
+
+
+def extensions():
+    """The kernels, as C if this run is to build, and the module that names the build."""
+    if not is_building():
+        return [Extension(module_name(path), [str(path)]) for path in build.kernels(Path(NAME))]
+    if lack := toolchain.lack_for_building():
+        sys.exit(f"{NAME}: {lack}")
+    import Cython
+    from Cython.Build import cythonize
+    from Cython.Compiler.Errors import CompileError
+
+    forget_what_is_gone()
+    hashes = build.source_hashes(Path(NAME))
+    flags = [Cython.__version__, CHECKED, DIRECTIVES, COMPILE]
+    before = json.loads(STATE.read_text()) if STATE.exists() else {"flags": [], "hashes": {}}
+    for path, value in hashes.items():
+        if before["hashes"].get(path, value) != value:
+            os.utime(f"{NAME}/{path}")  # changed, perhaps to a file with an older time
+    root = checked_copy() if CHECKED else Path()
+    kernels = [
+        Extension(module_name(path), [str(root / path)], extra_compile_args=COMPILE)
+        for path in build.kernels(Path(NAME))
+    ]
+    # Not a word on stdout, which colcon reads.
+    try:
+        kernels = cythonize(
+            kernels,
+            compiler_directives=DIRECTIVES,
+            build_dir=str(GENERATED),
+            force=before["flags"] != flags,
+            quiet=True,
+        )
+    except CompileError as error:  # which has said what is wrong
+        sys.exit(f"{NAME}: Cython cannot compile {error}")
+    state = json.dumps({"flags": flags, "hashes": hashes})
+    if not STATE.exists() or STATE.read_text() != state:
+        GENERATED.mkdir(parents=True, exist_ok=True)
+        STATE.write_text(state)
+    macros = [
+        ("SOURCES", f'"{build.digest(hashes)}"'),
+        ("CYTHON", f'"{Cython.__version__}"'),
+        ("CHECKED", str(int(CHECKED))),
+    ]
+    source, depends = [f"{NAME}/built.c"], [str(STATE)]
+    return [*kernels, Extension(f"{NAME}.built", source, define_macros=macros, depends=depends)]
+
+
+def module_name(path):
+    return ".".join(path.with_suffix("").parts)
+
+
+def forget_what_is_gone():
+    """Files of earlier builds without a source here, since whatever lies there is installed."""
+    base = sys.argv[sys.argv.index("--build-base") + 1] if "--build-base" in sys.argv else "build"
+    for root in (Path(), *Path(base).glob("lib*")):
+        for path in (root / NAME).rglob("*"):
+            source = path.relative_to(root)
+            if path.suffix == ".so":
+                source = source.with_name(source.name.split(".")[0] + ".pxd")
+            if path.is_file() and not source.exists() and path.name.split(".")[0] != "built":
+                path.unlink()
+
+
+def checked_copy():
+    """A copy of the core that waives no check of an index."""
+    copy = GENERATED / "checked"
+    shutil.rmtree(copy, ignore_errors=True)
+    for source in (Path(NAME, "__init__.py"), *Path(NAME, "core").rglob("*")):
+        if source.suffix in (".py", ".pxd"):
+            text = source.read_text(encoding="utf-8")
+            (copy / source).parent.mkdir(parents=True, exist_ok=True)
+            (copy / source).write_text(
+                re.sub(r"boundscheck(\(|=)False", r"boundscheck\1True", text)
+            )
+    return copy
+
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=quadtree_lss.__version__,
     description="Terrain map of planar elements and ranked safe landing sites from a flash lidar",
     maintainer="quadtree_lss maintainers",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     python_requires=">=3.10",
-    ext_modules=cythonize(
-        EXTENSIONS, compiler_directives=DIRECTIVES, build_dir="build/cython", quiet=True
-    ),
+    ext_modules=extensions(),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/*.js", "report/*.css"]},
+    package_data={NAME: ["py.typed", "core/*/*.pxd", "report/*.js", "report/*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 import quadtree_lss
+from quadtree_lss import build
 from quadtree_lss.commands import config, evaluate, info, replay, simulate
 from quadtree_lss.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, USAGE
 from quadtree_lss.commands.console import first_line, quiet, say
@@ -85,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    version = f"quadtree_lss {quadtree_lss.__version__}"
+    version = f"quadtree_lss {quadtree_lss.__version__} ({build.name()})"
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     replay.add(commands)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 import quadtree_lss
+from quadtree_lss import build
 from quadtree_lss.config.settings import Config, values_from_config
 from quadtree_lss.replay.results import ScanTiming
 
@@ -51,7 +52,8 @@ def peak_memory_mb() -> float:
 
 def versions() -> dict[str, str]:
     """Versions of this package and of what its numbers depend on."""
-    found = {"quadtree_lss": quadtree_lss.__version__, "python": platform.python_version()}
+    found = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
+    found["python"] = platform.python_version()
     for name in ("numpy", "scipy", "rosbags"):
         try:
             found[name] = version(name)

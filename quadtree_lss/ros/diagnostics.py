@@ -10,6 +10,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from quadtree_lss import build
 from quadtree_lss.config.settings import DiagnosticsConfig
 from quadtree_lss.ros.monitor import Arrivals, Span
 from quadtree_lss.ros.problems import Problems
@@ -75,6 +76,7 @@ class Diagnostics:
         self._problems = problems
         self._collect = collect
         self._told = 0
+        self._build = build.name()
         self._publisher = node.create_publisher(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
         )
@@ -88,6 +90,7 @@ class Diagnostics:
 
     def _send(self) -> None:
         state = Status()
+        state.add({"build": self._build})
         self._collect(state)
         total = self._problems.counts.total()
         if total > self._told:

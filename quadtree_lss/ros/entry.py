@@ -4,7 +4,12 @@
 from __future__ import annotations
 
 import signal
+import sys
+from collections.abc import Callable
+from importlib import import_module
 from types import FrameType
+
+from quadtree_lss.errors import QuadtreeLssError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -36,15 +41,19 @@ def stop_on_signal() -> StopOnSignal:
 
 def mapping_node() -> int:
     """Console script ``mapping_node``."""
-    _early.append(StopOnSignal())
-    from quadtree_lss.ros.mapping_node import main
-
-    return main()
+    return _run("mapping_node")
 
 
 def lss_node() -> int:
     """Console script ``lss_node``."""
-    _early.append(StopOnSignal())
-    from quadtree_lss.ros.lss_node import main
+    return _run("lss_node")
 
+
+def _run(name: str) -> int:
+    _early.append(StopOnSignal())
+    try:
+        main: Callable[[], int] = import_module(f"quadtree_lss.ros.{name}").main
+    except QuadtreeLssError as error:  # the core is not compiled, or of other sources
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     return main()

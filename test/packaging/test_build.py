@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The core is compiled, of the sources beside it, and what is not is refused in one line."""
+
+from __future__ import annotations
+
+import importlib
+import shutil
+import subprocess
+import sys
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+
+import pytest
+
+import quadtree_lss
+from quadtree_lss import build
+from quadtree_lss.replay.summary import versions
+
+ROOT = Path(__file__).parents[2]
+INSTALLED = Path(quadtree_lss.__file__).parent
+IMPORT = "import quadtree_lss.core"
+
+
+def module_of(path: Path) -> str:
+    return ".".join(path.relative_to(INSTALLED.parent).with_suffix("").parts)
+
+
+def run(code: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Python with the packages of a folder before the installed ones."""
+    env = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(folder), **environment}
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, env=env, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """A copy of the installed package."""
+    shutil.copytree(INSTALLED, tmp_path / "quadtree_lss")
+    return tmp_path
+
+
+def test_every_kernel_of_the_checkout_is_imported_as_a_binary():
+    names = [path.relative_to(ROOT) for path in sorted((ROOT / "quadtree_lss").rglob("*.pxd"))]
+    assert [path.relative_to(INSTALLED.parent) for path in build.kernels()] == [
+        path.with_suffix(".py") for path in names if (ROOT / path.with_suffix(".py")).exists()
+    ]
+    for path in build.kernels():
+        module = importlib.import_module(module_of(path))
+        assert module.__file__ is not None and module.__file__.endswith(EXTENSION_SUFFIXES[0])
+
+
+def test_the_build_is_named_by_its_sources_and_compilers():
+    name = build.name()
+    assert build.digest(build.source_hashes(ROOT / "quadtree_lss")).startswith(name[:8])
+    assert "Cython" in name
+    assert versions()["build"] == name
+
+
+def test_a_binary_of_other_sources_is_refused_in_one_line(copy):
+    assert run(IMPORT, copy).returncode == 0
+    core = copy / "quadtree_lss" / "core"
+    (core / "geometry" / "later.pxd").touch()
+    for code in (
+        IMPORT,
+        "from quadtree_lss.ros.entry import mapping_node; raise SystemExit(mapping_node())",
+        "from quadtree_lss.cli import main; raise SystemExit(main(['replay', 'no_bag']))",
+    ):
+        done = run(code, copy)
+        assert done.returncode == 1
+        assert "compiled from other sources" in done.stderr.splitlines()[-1]
+        assert code == IMPORT or len(done.stderr.splitlines()) == 1
+
+
+def test_without_binaries_nothing_is_imported(copy):
+    for binary in copy.rglob("*.so"):
+        binary.unlink()
+    done = run(IMPORT, copy)
+    assert done.returncode == 1
+    assert "not compiled for Python" in done.stderr.splitlines()[-1]
+
+
+def test_the_sources_are_run_when_asked_for():
+    names = [module_of(path) for path in build.kernels()]
+    code = f"import importlib; print(*(importlib.import_module(n).__file__ for n in {names}))"
+    done = run(code, ROOT / "test", QUADTREE_LSS_INTERPRETED="1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [str(path) for path in build.kernels()]
