@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ours against what one would write first, on the same scans in the same run.
+"""Ours against a Python loop over the cells of a fixed grid, each fitted with NumPy.
 
-Loop: a Python loop over the cells of a fixed grid, each fitted with NumPy from all its points.
-DEM: mean heights on a fixed grid by ``scipy.stats.binned_statistic_2d``, averaged over scans.
-Both get points that are already in the map frame and sorted out; ours starts from the raw scan.
+On the same scans in the same run. The loops get points that are already in the map frame and
+sorted out, and only fit; ours starts from the raw scan. For mean heights see `scan_update.py`.
 """
 
 from __future__ import annotations
@@ -18,12 +17,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import Recording, configuration, machine, recording, table
-from scipy.stats import binned_statistic_2d
 
 from quadtree_lss.config.settings import config_from_values
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.register import register
-from quadtree_lss.core.tree.quadtree import Domain
 
 Scan = tuple[np.ndarray, np.ndarray]
 """Points (N, 3) in the map frame and the finest cell of each (N,)."""
@@ -67,26 +63,6 @@ def sorted_svd_loop(scan: Scan) -> int:
     return len(groups)
 
 
-def binned_heights(domain: Domain) -> Callable[[Scan], int]:
-    """Mean heights on the finest grid, kept over scans."""
-    n = domain.finest_count
-    edges_x = domain.xmin + np.arange(n + 1) * domain.finest_size
-    edges_y = domain.ymin + np.arange(n + 1) * domain.finest_size
-    count, mean = np.zeros((n, n)), np.zeros((n, n))
-
-    def add(scan: Scan) -> int:
-        x, y, z = scan[0].T
-        grid = [edges_x, edges_y]
-        new = binned_statistic_2d(x, y, z, "count", bins=grid).statistic
-        height = binned_statistic_2d(x, y, z, "mean", bins=grid).statistic
-        seen = new > 0
-        count[seen] += new[seen]
-        mean[seen] += (height[seen] - mean[seen]) * new[seen] / count[seen]
-        return int(np.count_nonzero(seen))
-
-    return add
-
-
 def main() -> None:
     """Print one table for each flight."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -109,8 +85,12 @@ def compare(scenario: str, flight: Recording, scans: int) -> None:
     domain = mapper.domain
     ready = []
     for scan in chosen:
-        seen, _ = register(scan.points_lidar, scan.pose, config.lidar, domain)
-        ready.append((seen.points.T.copy(), seen.finest))
+        points = scan.points_lidar.reshape(-1, 3) @ scan.pose.rotation_map_lidar.T
+        points = (points + scan.pose.position)[np.isfinite(points).all(axis=1)]
+        ix, iy = np.floor((points[:, :2] - [domain.xmin, domain.ymin]) / domain.finest_size).T
+        n = domain.finest_count
+        inside = (ix >= 0) & (ix < n) & (iy >= 0) & (iy < n)
+        ready.append((points[inside], (iy * n + ix)[inside]))
     fixed = Mapper(config_from_values({"domain.min_level": config.domain.max_level}, config))
     methods: list[tuple[str, Callable, list]] = [
         ("quadtree_lss", lambda scan: mapper.update(*scan[1:]).leaves, chosen),
@@ -118,7 +98,6 @@ def compare(scenario: str, flight: Recording, scans: int) -> None:
         ("loop over cells, lstsq", least_squares_loop, ready),
         ("loop over cells, SVD", svd_loop, ready),
         ("loop over sorted cells, SVD", sorted_svd_loop, ready),
-        ("DEM, binned_statistic_2d", binned_heights(domain), ready),
     ]
     rows, ours = [], 0.0
     for name, method, data in methods:

@@ -1,8 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the benchmark scripts share: simulated flights, scores and tables."""
+"""What the benchmark scripts share: simulated flights, yardsticks, scores and tables."""
 
 from common.flights import Recording, configuration, recording
+from common.heights import mean_heights
 from common.scores import MapScore, score
 from common.tables import machine, table
 
-__all__ = ["MapScore", "Recording", "configuration", "machine", "recording", "score", "table"]
+__all__ = [
+    "MapScore",
+    "Recording",
+    "configuration",
+    "machine",
+    "mean_heights",
+    "recording",
+    "score",
+    "table",
+]

@@ -11,13 +11,16 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmark"
 SMALL = {
-    "scan_update": (["--duration", "1", "--largest", "64"], ["subscale features", "us a leaf"]),
+    "scan_update": (
+        ["--duration", "1", "--largest", "64"],
+        ["register", "plain compiled loop", "numpy.bincount", "binned_statistic_2d"],
+    ),
     "methods": (
         ["--parabola", "201", "--morpheus", "202", "--duration", "2"],
         ["ml, indep., mahalanobis"],
     ),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
-    "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "binned_statistic_2d"]),
+    "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),
     "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "live": (["--seconds", "3"], ["scans sent", "mapping_node", "lss_node"]),

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mean heights on a fixed grid, the least a terrain map can be, in three ways.
+
+All start from the raw scan, as the mapper does, and give the mean heights of that scan: a plain
+compiled loop (the floor under anything that looks at every point), ``numpy.bincount`` and
+``scipy.stats.binned_statistic_2d``.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binned_statistic_2d
+
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.tree.quadtree import Domain
+
+Array = NDArray[np.float64]
+Heights = Callable[[Array, Pose], Array]
+"""From points (…, 3) in lidar axes and the lidar's pose to mean heights (n, n) [iy, ix], m."""
+
+METHODS = ("plain compiled loop", "numpy.bincount", "scipy binned_statistic_2d")
+
+
+def mean_heights(domain: Domain) -> dict[str, Heights]:
+    """Each of `METHODS` on the finest cells of ``domain``; 0 or NaN where no point fell."""
+    n, size, low = domain.finest_count, domain.finest_size, (domain.xmin, domain.ymin)
+    loop = compiled(Path(__file__).with_name("height_loop.py")).mean_heights
+    count, mean = np.zeros((n, n)), np.zeros((n, n))
+    edges = [start + size * np.arange(n + 1) for start in low]
+
+    def to_map(points: Array, pose: Pose) -> tuple[Array, Array, Array]:
+        flat = points.reshape(-1, 3)
+        seen = flat[np.isfinite(flat).all(axis=1)]
+        x, y, z = (seen @ pose.rotation_map_lidar.T + pose.position).T
+        return x, y, z
+
+    def by_loop(points: Array, pose: Pose) -> Array:
+        turn, place = pose.rotation_map_lidar, pose.position
+        loop(points.reshape(-1, 3), turn, place, *low, size, count, mean)
+        return mean
+
+    def by_bincount(points: Array, pose: Pose) -> Array:
+        x, y, z = to_map(points, pose)
+        ix, iy = (
+            np.floor((v - start) / size).astype(int) for v, start in ((x, low[0]), (y, low[1]))
+        )
+        inside = (ix >= 0) & (ix < n) & (iy >= 0) & (iy < n)
+        cell = iy[inside] * n + ix[inside]
+        number = np.bincount(cell, minlength=n * n)
+        total = np.bincount(cell, z[inside], minlength=n * n)
+        return (total / np.maximum(number, 1)).reshape(n, n)
+
+    def by_scipy(points: Array, pose: Pose) -> Array:
+        x, y, z = to_map(points, pose)
+        return binned_statistic_2d(y, x, z, "mean", bins=edges[::-1]).statistic
+
+    return dict(zip(METHODS, (by_loop, by_bincount, by_scipy), strict=True))
+
+
+@functools.cache
+def compiled(source: Path) -> ModuleType:
+    """The module of one Cython source, compiled with the flags of the package's kernels."""
+    from Cython.Build import cythonize
+    from setuptools import Distribution, Extension
+
+    with tempfile.TemporaryDirectory() as folder:
+        flags = ["-O3", "-ffp-contract=off"]
+        extension = Extension(source.stem, [str(source)], extra_compile_args=flags)
+        modules = cythonize([extension], build_dir=folder, quiet=True, language_level=3)
+        build = Distribution({"ext_modules": modules}).get_command_obj("build_ext")
+        build.build_lib = build.build_temp = folder
+        build.ensure_finalized()
+        build.run()
+        spec = importlib.util.spec_from_file_location(
+            source.stem, build.get_ext_fullpath(source.stem)
+        )
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
