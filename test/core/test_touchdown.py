@@ -12,10 +12,10 @@ from core.builders import configured, flat, leaf_by_descent, mapped, slope
 
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.geometry.feature import height
-from quadtree_lss.core.landing import hazards, touchdown_blocks, touchdown_bounds, touchdown_planes
-from quadtree_lss.core.landing.lander_ground import LanderGround
-from quadtree_lss.core.landing.raster import rasterise
+from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.core.landing.sites import LandingSiteSelector
+from quadtree_lss.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.core.tree.quadtree import CellMap
 
 SMALL = {"size": 8.0, "min_level": 1, "max_level": 4}
@@ -214,35 +214,67 @@ def test_a_step_under_the_pads_fails_by_its_slope():
     assert not touchdown_bits(cells, config).any()
 
 
+def placed(raster: TerrainRaster, rows: int, columns: int) -> TerrainRaster:
+    """The ground so many cells farther north-east on a domain twice as large, edges repeated."""
+    n = raster.domain.finest_count
+    around = ((rows, n - rows), (columns, n - columns))
+    layers = {
+        name: np.pad(value, around, mode="edge")
+        for name, value in vars(raster).items()
+        if isinstance(value, np.ndarray)
+    }
+    domain = raster.domain
+    larger = dataclasses.replace(domain, size=2 * domain.size, max_level=domain.max_level + 1)
+    return TerrainRaster(domain=larger, **layers)
+
+
 @pytest.mark.parametrize("yaws", [1, 4, 7])
 @pytest.mark.parametrize("diameter", [0.4, 2.0, 3.7])
-def test_bounds_save_work_and_change_nothing(monkeypatch, yaws, diameter):
-    """With bounds that settle nothing, every plane is compared with every cell."""
+@pytest.mark.parametrize("shift", [(0, 3), (5, 1), (2, 6)])
+def test_how_grid_points_fall_into_blocks_changes_nothing(yaws, diameter, shift):
+    """Other blocks are other planes to compare with and other bounds."""
     config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, yaws, vehicle_diameter=diameter)
     ground = bumpy(np.random.default_rng(9), 16.0, 40)
-    cells = mapped(config, ground, density=150.0, scans=1).snapshot()
-    found = touchdown_bits(cells, config)
-    for module in (touchdown_blocks, touchdown_planes, touchdown_bounds):
-        monkeypatch.setattr(module, "ROUNDING", np.float32(1e6))
-    np.testing.assert_array_equal(touchdown_bits(cells, config), found)
+    raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
+    candidates = np.zeros((65, 65), dtype=np.bool_)
+    candidates[8:-8, 8:-8] = True  # 2 m from the edge
+    moved = np.zeros((129, 129), dtype=np.bool_)
+    there = np.s_[shift[0] : shift[0] + 65, shift[1] : shift[1] + 65]
+    moved[there] = candidates
+    found = TouchdownCheck(config.lss).unsafe(raster, candidates)
+    again = TouchdownCheck(config.lss).unsafe(placed(raster, *shift), moved)
+    np.testing.assert_array_equal(again[there], found)
     assert found.any()
-    assert not found.all()
+    assert not found[candidates].all()
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.05])
-def test_smooth_ground_is_settled_without_trying_a_heading(tilt):
-    """Blocks away from a rock; a bound that never settled anything would go unnoticed otherwise."""
-    config = lander({"size": 32.0, "min_level": 3, "max_level": 7}, 6)
+def test_far_from_sea_level_the_verdict_is_the_same():
+    config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, 5)
+    ground = bumpy(np.random.default_rng(9), 16.0, 40)
+    raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
+    high = dataclasses.replace(raster, elevation=raster.elevation + 3000.0)
+    everywhere = np.ones((65, 65), dtype=np.bool_)
+    low, found = (TouchdownCheck(config.lss).unsafe(r, everywhere) for r in (raster, high))
+    np.testing.assert_array_equal(found, low)
 
-    def ground(x, y):
-        return tilt * x + 0.5 * ((np.abs(x - 6.0) < 0.4) & (np.abs(y - 6.0) < 0.4))
 
-    cells = mapped(config, ground, density=60.0, scans=1).snapshot()
-    raster = rasterise(cells, config.lss.max_gap)
-    standing = LanderGround(raster, config.lss)
-    first = np.arange(8, 113, 8)
-    rows, columns = (v.ravel() for v in np.meshgrid(first, first))
-    safe = touchdown_bounds.surely_safe(standing, rows, columns, config.lss)
-    away = np.hypot(rows * 0.25 + 1.0 - 6.0, columns * 0.25 + 1.0 - 6.0)
-    assert safe[away > 6.0].all()
-    assert not safe[away < 1.5].any()
+@pytest.mark.parametrize("layer", ["elevation", "slope_x", "slope_y", "subscale"])
+def test_a_cell_that_changes_is_judged_again(layer):
+    """Whatever changes in it, and wherever: who follows the map says what a new checker does."""
+    config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, 3)
+    raster = rasterise(mapped(config, flat(), density=60.0, scans=1).snapshot(), 0.6)
+    candidates = np.zeros((65, 65), dtype=np.bool_)
+    candidates[6:-6, 6:-6] = True
+    follower = TouchdownCheck(config.lss)
+    assert not follower.unsafe(raster, candidates).any()
+    for row, column in [(6, 6), (20, 41), (58, 30)]:
+        values = getattr(raster, layer).copy()
+        values[row, column] += 4.0 if layer.startswith("slope") else 0.4
+        raster = dataclasses.replace(raster, **{layer: values})
+        found = follower.unsafe(raster, candidates)
+        np.testing.assert_array_equal(found, TouchdownCheck(config.lss).unsafe(raster, candidates))
+        assert found[row, column]
+    more = np.ones_like(candidates)  # others become due
+    np.testing.assert_array_equal(
+        follower.unsafe(raster, more), TouchdownCheck(config.lss).unsafe(raster, more)
+    )

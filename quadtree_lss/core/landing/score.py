@@ -122,7 +122,7 @@ def assess_nodes(
     inside, cap = seen_about(unseen, side, zone + side), lss.hazard_distance_cap
     if lss.assessment == "touchdown":
         landable = inside >= radius - 1e-9
-        unsafe = touchdown.unsafe_nodes(raster, landable)
+        unsafe = touchdown.unsafe(raster, landable)
         unsafe |= landable & grown(touching(bits & np.uint8(hazards.EXCEPTION)) > 0, radius, side)
         unsafe |= landable & grown(unsafe, lss.hazard_growth, side)
         hazard |= unsafe * np.uint8(hazards.TOUCHDOWN)

@@ -1,88 +1,399 @@
 # SPDX-License-Identifier: Apache-2.0
 """Touchdown check on the estimated map: the lander's four pads set down on the leaf planes.
 
-At every node the lander stands on its pads at a number of headings. Four rigid pads on uneven
-ground rock about the diagonal that carries: the plane through the higher diagonal and either of
-the other two pads. Each such plane must be level enough, and no ground under the lander may rise
-above it by more than the roughness limit.
+At every grid point the lander stands on its pads at a number of headings. Four rigid pads on
+uneven ground rock about the diagonal that carries: the plane through the higher diagonal and
+either of the other two pads. Each such plane must be level enough, and no ground under the lander
+may rise above it by more than the roughness limit.
+
+Grid points are judged in blocks, whose ground is taken over a plane near it: small numbers for
+single precision, and bounds that leave few cells to compare. Over that plane let all pads of a
+grid point stand between ``low`` and ``high``, h apart. A resting plane holds both ends of a
+diagonal, at c on average and not lower than the other two, and one pad of the other. At a point of
+the circle, alpha and beta radii along the two diagonals, it stands at c (1 - alpha - beta) +
+alpha e + beta n, with e one end and n a pad or the mirror image of one. As c <= (e + high) / 2 and
+alpha + beta <= sqrt 2,
+
+    plane >= low - h (sqrt 2 - 1) / 2 =: floor    and    its slope <= h / radius.
+
+Ground that is not higher over the floor than the limit is in the way at no heading.
 """
 
 from __future__ import annotations
 
+import cython
 import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LssConfig
-from quadtree_lss.core.landing.lander_ground import BLOCK, LanderGround
+from quadtree_lss.core.geometry.feature import SHAPE
+from quadtree_lss.core.landing.nodes import disc
 from quadtree_lss.core.landing.raster import TerrainRaster
-from quadtree_lss.core.landing.touchdown_blocks import fails
-from quadtree_lss.core.landing.touchdown_bounds import surely_safe
 
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-#: Cells of the windows of the blocks that are treated at once.
-WORKING_SET = 120_000
+if not cython.compiled:  # otherwise from the .pxd
+    from math import sqrt
+
+    BLOCK = 8
+    UNKNOWN, FAILS = -1, 1
+    FAR = 1e9
+#: Bounds settle nothing by less than single precision can err, m.
+ROUNDING = 1e-4
+#: Where a resting plane may sink below the lowest pad, as a share of the pads' spread.
+SAG = 0.5 * (2.0**0.5 - 1.0)
 
 
 class TouchdownCheck:
-    """Checks maps of a growing terrain; remembers the last one and repeats only what changed.
+    """Checks maps of a growing terrain; judges again only the blocks whose ground changed.
 
-    A node's verdict depends on the cells under the lander alone, so the verdict of a node none of
-    whose cells changed is the one of before, bit for bit.
+    The verdict on a block depends on the cells that its landers can meet alone, so where none of
+    them changed it is the one of before, bit for bit.
     """
 
     def __init__(self, config: LssConfig) -> None:
         self.config = config
-        self._ground: LanderGround | None = None
-        self._checked: Mask = np.zeros((0, 0), dtype=np.bool_)
-        self._unsafe: Mask = np.zeros((0, 0), dtype=np.bool_)
+        self._domain: object = None
+        self._ground: Array = np.zeros((4, 0, 0))
+        self._verdict: NDArray[np.int8] = np.zeros((0, 0), dtype=np.int8)
 
-    def unsafe_nodes(self, raster: TerrainRaster, candidates: Mask) -> Mask:
-        """Nodes (n + 1, n + 1) at which some heading fails; False where not a candidate.
+    def unsafe(self, raster: TerrainRaster, candidates: Mask) -> Mask:
+        """Grid points (n + 1, n + 1) at which some heading fails; False where not a candidate.
 
         Args:
             raster: The map on its finest cells.
-            candidates: (n + 1, n + 1) nodes to check; their lander circle lies inside the domain.
+            candidates: (n + 1, n + 1) points to check; their lander circle lies inside the domain.
         """
-        ground = LanderGround(raster, self.config)
-        unsafe = np.zeros(candidates.shape, dtype=np.bool_)
-        due = candidates
-        if self._ground is not None and self._ground.comparable(ground):
-            kept = candidates & self._checked & ~_near(self._ground.differs(ground), ground.reach)
-            unsafe[kept] = self._unsafe[kept]
-            due = candidates & ~kept
-        if due.any():
-            unsafe |= _check(ground, due, self.config)
-        self._ground, self._checked, self._unsafe = ground, candidates, unsafe
-        return unsafe.copy()
+        ground = ground_of(raster, self.config.pad_radius)
+        if raster.domain == self._domain:
+            changed = (ground != self._ground).any(axis=0)
+        else:
+            changed = np.ones(ground.shape[1:], dtype=np.bool_)
+            self._verdict = np.full(candidates.shape, UNKNOWN, dtype=np.int8)
+        self._domain, self._ground = raster.domain, ground
+        lander = Lander(self.config, raster.domain.finest_size)
+        lander.judge(ground, changed.view(np.uint8), candidates.view(np.uint8), self._verdict)
+        return np.asarray(candidates & (self._verdict == FAILS))
 
 
-def _near(changed: Mask, reach: int) -> Mask:
-    """Nodes (n + 1, n + 1) of blocks with a changed cell (n, n) that one of their landers meets."""
-    n = len(changed)
-    total = np.zeros((n + 1, n + 1), dtype=np.int32)
-    np.cumsum(np.cumsum(changed, axis=0, dtype=np.int32), axis=1, out=total[1:, 1:])
-    first = np.arange(0, n + 1, BLOCK)
-    low, high = np.maximum(first - reach, 0), np.minimum(first + BLOCK - 1 + reach, n)
-    rows = total[high] - total[low]
-    blocks: Mask = rows[:, high] != rows[:, low]
-    nodes: Mask = blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[: n + 1, : n + 1]
-    return nodes
+def ground_of(raster: TerrainRaster, pad_radius: float) -> Array:
+    """The ground as a lander meets it, (4, n, n) over the finest cells.
+
+    Height of a pad at the cell's centre (it stands on the highest ground within its radius), slopes
+    in x and y, and the highest ground: plane, its rise to the corner, subscale feature (a bell
+    fitted to part of a rock is low, so its own height counts and not the rock's).
+    """
+    x, y = raster.slope_x, raster.slope_y
+    pad = raster.elevation + pad_radius * np.sqrt(x * x + y * y)
+    rise = 0.5 * raster.domain.finest_size * (np.abs(x) + np.abs(y))
+    return np.stack([pad, x, y, raster.elevation + rise + SHAPE * raster.subscale])
 
 
-def _check(ground: LanderGround, due: Mask, config: LssConfig) -> Mask:
-    """Verdict on the nodes that are due, all of them anew."""
-    count = -(-len(due) // BLOCK)
-    spare = count * BLOCK - len(due)
-    by_block = np.pad(due, ((0, spare), (0, spare))).reshape(count, BLOCK, count, BLOCK)
-    rows, columns = np.nonzero(by_block.any(axis=(1, 3)))
-    doubtful = ~surely_safe(ground, rows * BLOCK, columns * BLOCK, config)
-    rows, columns = rows[doubtful], columns[doubtful]
-    unsafe = np.zeros(by_block.shape, dtype=np.bool_)
-    at_once = max(WORKING_SET // ground.window**2, 1)
-    for begin in range(0, len(rows), at_once):
-        row, column = rows[begin : begin + at_once], columns[begin : begin + at_once]
-        here = by_block[row, :, column].transpose(1, 2, 0)
-        failed = fails(ground, row * BLOCK, column * BLOCK, here, config)
-        unsafe[row, :, column] = failed.transpose(2, 0, 1)
-    return unsafe.reshape(count * BLOCK, count * BLOCK)[: len(due), : len(due)]
+@cython.boundscheck(False)
+class Lander:
+    """A lander, and the ground about one block of grid points at a time.
+
+    Attributes:
+        reach: Cells from a grid point to the farthest that the lander at it can meet.
+        width: Cells along the window of a block.
+        pad_place: (4 yaws,) place in the window of the cell that a pad stands on, from that of the
+            cell north-east of the grid point; four pads around the circle, heading by heading.
+        pad_x, pad_y: (4 yaws,) of the pad from that cell's centre, m.
+        half: (2 reach,) half width of the disc of cells under the lander in each row, in cells.
+        top, pad, slope_x, slope_y: (width^2,) window over the block's plane: highest ground of
+            each cell, height of a pad at its centre, slopes.
+        stand: (4 yaws, BLOCK^2) heights of the pads at each grid point, over the plane, m.
+        floor: (BLOCK^2,) below every resting plane of a grid point, over the plane, m.
+        spread: (BLOCK^2,) of the pads' heights, m.
+        roof: (BLOCK^2,) highest ground under the lander, over the plane, m.
+        high: Row and column in the window of the cells, ``highs`` of them, that may be in the way
+            of some grid point.
+        near: East and north of the grid point at hand and height over the plane of those,
+            ``nears`` of them, that may be in its way, m.
+        plane_x, plane_y: Slopes of the block's plane.
+    """
+
+    def __init__(self, config: LssConfig, side: float) -> None:
+        under = disc(0.5 * config.vehicle_diameter, side)
+        self.side, self.radius = side, 0.5 * config.vehicle_diameter
+        self.limit = config.touchdown_roughness
+        self.steepest = float(np.tan(np.radians(config.touchdown_slope_deg)))
+        self.yaws = config.touchdown_yaws
+        self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
+        self.width = BLOCK - 1 + 2 * self.reach
+        # Cells beyond the circle may stand under the floor: then every one is compared.
+        self.bounded = float(np.hypot(under.x, under.y).max()) <= self.radius
+        yaw = np.arange(self.yaws) * (0.5 * np.pi / self.yaws)
+        c, s = np.cos(yaw), np.sin(yaw)
+        self.cos, self.sin = c / self.radius, s / self.radius
+        x = self.radius * np.stack([c, -s, -c, s], axis=1).ravel()
+        y = self.radius * np.stack([s, c, -s, -c], axis=1).ravel()
+        column, row = np.floor(x / side).astype(np.intp), np.floor(y / side).astype(np.intp)
+        self.pad_place = row * self.width + column
+        self.pad_x = (x - (column + 0.5) * side).astype(np.float32)
+        self.pad_y = (y - (row + 0.5) * side).astype(np.float32)
+        half = np.zeros(2 * self.reach, dtype=np.intp)
+        np.maximum.at(half, under.row + self.reach, under.column + 1)
+        self.half = half
+        self.top, self.pad, self.slope_x, self.slope_y = np.zeros(
+            (4, self.width**2), dtype=np.float32
+        )
+        self.run = np.zeros(self.width * BLOCK, dtype=np.float32)
+        self.stand = np.zeros((4 * self.yaws, BLOCK**2), dtype=np.float32)
+        self.floor, self.spread, self.roof = np.zeros((3, BLOCK**2), dtype=np.float32)
+        self.high = np.zeros((2, self.width**2), dtype=np.intp)
+        self.near = np.zeros((3, self.width**2), dtype=np.float32)
+        self.highs = self.nears = self.spoiler = 0
+        self.which = np.zeros(self.width**2, dtype=np.intp)
+        self.plane_x = self.plane_y = 0.0
+
+    def judge(
+        self,
+        ground: Array,
+        changed: NDArray[np.uint8],
+        due: NDArray[np.uint8],
+        verdict: NDArray[np.int8],
+    ) -> None:
+        """Bring the verdict on grid points up to date.
+
+        Args:
+            ground: (4, n, n) of ``ground_of``.
+            changed: (n, n) cells whose ground is not that of the last verdict.
+            due: (n + 1, n + 1) points that need one.
+            verdict: (n + 1, n + 1) ``UNKNOWN``, 0 if it stands, or ``FAILS``, changed in place.
+        """
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        blocks: cython.Py_ssize_t = (due.shape[0] + BLOCK - 1) // BLOCK
+        with cython.nogil:
+            for i in range(blocks):
+                for j in range(blocks):
+                    self.judge_block(ground, changed, due, verdict, i * BLOCK, j * BLOCK)
+
+    def judge_block(
+        self,
+        ground: Array,
+        changed: NDArray[np.uint8],
+        due: NDArray[np.uint8],
+        verdict: NDArray[np.int8],
+        row: cython.Py_ssize_t,
+        column: cython.Py_ssize_t,
+    ) -> None:
+        """``judge`` for the grid points of the block that begins at one."""
+        r: cython.Py_ssize_t
+        c: cython.Py_ssize_t
+        north: cython.Py_ssize_t = min(row + BLOCK, due.shape[0])
+        east: cython.Py_ssize_t = min(column + BLOCK, due.shape[1])
+        forget: cython.bint = self.touched(changed, row, column)
+        loaded: cython.bint = False
+        for r in range(row, north):
+            for c in range(column, east):
+                if forget:
+                    verdict[r, c] = UNKNOWN
+                if not due[r, c] or verdict[r, c] != UNKNOWN:
+                    continue
+                if not loaded:
+                    self.load(ground, row - self.reach, column - self.reach)
+                    self.set_down()
+                    self.cover()
+                    loaded = True
+                verdict[r, c] = self.fails(r - row, c - column)
+
+    def touched(
+        self, changed: NDArray[np.uint8], row: cython.Py_ssize_t, column: cython.Py_ssize_t
+    ) -> cython.bint:
+        """Whether a cell that a lander in the block can meet changed."""
+        r: cython.Py_ssize_t
+        c: cython.Py_ssize_t
+        n: cython.Py_ssize_t = changed.shape[0]
+        first: cython.Py_ssize_t = max(column - self.reach, 0)
+        last: cython.Py_ssize_t = min(column - self.reach + self.width, n)
+        for r in range(max(row - self.reach, 0), min(row - self.reach + self.width, n)):
+            for c in range(first, last):
+                if changed[r, c]:
+                    return True
+        return False
+
+    def load(self, ground: Array, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
+        """Take the ground of the window that begins at a cell; its border is repeated outside.
+
+        The plane is one of least squares, through every other cell; any would do.
+        """
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        r: cython.Py_ssize_t
+        c: cython.Py_ssize_t
+        n: cython.Py_ssize_t = ground.shape[1]
+        w: cython.Py_ssize_t = self.width
+        middle = 0.5 * (w - 1)
+        count, level, along_x, along_y, square = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(0, w, 2):
+            r = min(max(row + i, 0), n - 1)
+            for j in range(0, w, 2):
+                c = min(max(column + j, 0), n - 1)
+                z = ground[0, r, c]
+                count += 1.0
+                level += z
+                along_x += (j - middle) * z
+                along_y += (i - middle) * z
+                square += (j - middle) * (j - middle)
+        level /= count
+        step_x, step_y = along_x / square, along_y / square
+        self.plane_x, self.plane_y = step_x / self.side, step_y / self.side
+        for i in range(w):
+            r = min(max(row + i, 0), n - 1)
+            for j in range(w):
+                c = min(max(column + j, 0), n - 1)
+                z = level + (j - middle) * step_x + (i - middle) * step_y
+                self.pad[i * w + j] = ground[0, r, c] - z
+                self.slope_x[i * w + j] = ground[1, r, c] - self.plane_x
+                self.slope_y[i * w + j] = ground[2, r, c] - self.plane_y
+                self.top[i * w + j] = ground[3, r, c] - z
+
+    def set_down(self) -> None:
+        """Heights of the pads about every grid point of the block, and their bounds."""
+        k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        here: cython.Py_ssize_t
+        place: cython.Py_ssize_t
+        for k in range(4 * self.yaws):
+            x, y = self.pad_x[k], self.pad_y[k]
+            for i in range(BLOCK):
+                here = i * BLOCK
+                place = (self.reach + i) * self.width + self.reach + self.pad_place[k]
+                for j in range(BLOCK):
+                    z = self.pad[place + j] + self.slope_x[place + j] * x
+                    self.stand[k, here + j] = z + self.slope_y[place + j] * y
+        self.floor[:] = self.stand[0]
+        self.spread[:] = self.stand[0]
+        for k in range(1, 4 * self.yaws):
+            for i in range(BLOCK * BLOCK):
+                z = self.stand[k, i]
+                self.floor[i] = z if z < self.floor[i] else self.floor[i]
+                self.spread[i] = z if z > self.spread[i] else self.spread[i]
+        for i in range(BLOCK * BLOCK):
+            self.spread[i] -= self.floor[i]
+            self.floor[i] -= SAG * self.spread[i] + ROUNDING if self.bounded else FAR
+
+    def cover(self) -> None:
+        """Highest ground under the lander at every grid point, and the cells that matter.
+
+        A disc is a stack of centred runs of cells.
+        """
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        half: cython.Py_ssize_t
+        place: cython.Py_ssize_t
+        self.run[:] = -FAR
+        self.roof[:] = -FAR
+        for half in range(1, self.reach + 1):
+            for i in range(self.width):
+                place = i * self.width + self.reach
+                k = i * BLOCK
+                for j in range(BLOCK):
+                    west, east = self.top[place - half + j], self.top[place + half - 1 + j]
+                    z = west if west > east else east
+                    self.run[k + j] = z if z > self.run[k + j] else self.run[k + j]
+            for i in range(2 * self.reach):
+                if self.half[i] == half:
+                    for k in range(BLOCK * BLOCK):
+                        z = self.run[i * BLOCK + k]
+                        self.roof[k] = z if z > self.roof[k] else self.roof[k]
+        lowest = 1.0 * FAR
+        for k in range(BLOCK * BLOCK):
+            if self.roof[k] > self.floor[k] + self.limit and self.floor[k] < lowest:
+                lowest = self.floor[k]
+        self.highs = self.spoiler = 0
+        for i in range(self.width):
+            for j in range(self.width):
+                if self.top[i * self.width + j] > lowest + self.limit:
+                    self.high[0, self.highs] = i
+                    self.high[1, self.highs] = j
+                    self.highs += 1
+
+    def fails(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.bint:
+        """Whether the lander at a grid point of the block fails at some heading."""
+        place: cython.Py_ssize_t = row * BLOCK + column
+        lowest = self.floor[place] + self.limit
+        tilt = sqrt(self.plane_x**2 + self.plane_y**2) + self.spread[place] / self.radius
+        self.nears = 0
+        if self.roof[place] <= lowest:
+            return tilt > self.steepest - ROUNDING and self.fails_somewhere(place)
+        # What spoilt the last grid point mostly spoils this one.
+        self.gather(row, column, lowest, self.spoiler, self.spoiler + 1)
+        if self.fails_somewhere(place):
+            return True
+        self.nears = 0
+        self.gather(row, column, lowest, 0, self.highs)
+        return self.fails_somewhere(place)
+
+    def fails_somewhere(self, place: cython.Py_ssize_t) -> cython.bint:
+        """Whether some heading fails by its slope or by one of the cells that are listed."""
+        k: cython.Py_ssize_t
+        for k in range(self.yaws):
+            east, north = self.stand[4 * k, place], self.stand[4 * k + 1, place]
+            west, south = self.stand[4 * k + 2, place], self.stand[4 * k + 3, place]
+            if east + west >= north + south:
+                centre, own = 0.5 * (east + west), 0.5 * (east - west)
+                bad = self.rests_badly(k, centre, own, north - centre)
+                bad = bad or self.rests_badly(k, centre, own, centre - south)
+            else:
+                centre, own = 0.5 * (north + south), 0.5 * (north - south)
+                bad = self.rests_badly(k, centre, east - centre, own)
+                bad = bad or self.rests_badly(k, centre, centre - west, own)
+            if bad:
+                return True
+        return False
+
+    def gather(
+        self,
+        row: cython.Py_ssize_t,
+        column: cython.Py_ssize_t,
+        above: cython.double,
+        first: cython.Py_ssize_t,
+        last: cython.Py_ssize_t,
+    ) -> None:
+        """List the cells under the lander at a grid point that are higher than ``above``."""
+        k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        for k in range(first, last):
+            i, j = self.high[0, k] - row, self.high[1, k] - column - self.reach
+            if 0 <= i < 2 * self.reach and -self.half[i] <= j < self.half[i]:
+                top = self.top[self.high[0, k] * self.width + self.high[1, k]]
+                if top > above:
+                    self.near[0, self.nears] = (j + 0.5) * self.side
+                    self.near[1, self.nears] = (i - self.reach + 0.5) * self.side
+                    self.near[2, self.nears] = top
+                    self.which[self.nears] = k
+                    self.nears += 1
+
+    def rests_badly(
+        self,
+        heading: cython.Py_ssize_t,
+        centre: cython.double,
+        along: cython.double,
+        across: cython.double,
+    ) -> cython.bint:
+        """Whether a resting plane is too steep, or ground rises too high above it.
+
+        Args:
+            heading: Its number.
+            centre: Height of the plane at the grid point over the block's plane, m.
+            along, across: How much it rises in the heading and across it over a radius, m.
+        """
+        k: cython.Py_ssize_t
+        x = along * self.cos[heading] - across * self.sin[heading]
+        y = along * self.sin[heading] + across * self.cos[heading]
+        steep_x, steep_y = x + self.plane_x, y + self.plane_y
+        if steep_x * steep_x + steep_y * steep_y > self.steepest * self.steepest:
+            return True
+        for k in range(self.nears):
+            if self.near[2, k] - x * self.near[0, k] - y * self.near[1, k] > centre + self.limit:
+                self.spoiler = self.which[k]
+                return True
+        return False

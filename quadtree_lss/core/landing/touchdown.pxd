@@ -1,0 +1,62 @@
+cimport cython
+from libc.math cimport sqrt
+
+cdef enum:
+    #: Side of the blocks of grid points that are judged together.
+    BLOCK = 8
+    UNKNOWN = -1
+    FAILS = 1
+    #: Higher than any ground over a plane near it, m.
+    FAR = 1000000000
+
+cdef double ROUNDING, SAG
+
+
+@cython.final
+cdef class Lander:
+    cdef readonly double side, radius, limit, steepest, plane_x, plane_y
+    cdef readonly Py_ssize_t yaws, reach, width, highs, nears, spoiler
+    cdef readonly bint bounded
+    cdef double[::1] cos, sin
+    cdef Py_ssize_t[::1] pad_place, half, which
+    cdef Py_ssize_t[:, ::1] high
+    cdef float[::1] pad_x, pad_y, top, pad, slope_x, slope_y, run, floor, spread, roof
+    cdef float[:, ::1] stand, near
+
+    cpdef void judge(
+        self,
+        const double[:, :, ::1] ground,
+        const unsigned char[:, ::1] changed,
+        const unsigned char[:, ::1] due,
+        signed char[:, ::1] verdict,
+    )
+    cdef void judge_block(
+        self,
+        const double[:, :, ::1] ground,
+        const unsigned char[:, ::1] changed,
+        const unsigned char[:, ::1] due,
+        signed char[:, ::1] verdict,
+        Py_ssize_t row,
+        Py_ssize_t column,
+    ) noexcept nogil
+    cdef bint touched(
+        self, const unsigned char[:, ::1] changed, Py_ssize_t row, Py_ssize_t column
+    ) noexcept nogil
+    cdef void load(
+        self, const double[:, :, ::1] ground, Py_ssize_t row, Py_ssize_t column
+    ) noexcept nogil
+    cdef void set_down(self) noexcept nogil
+    cdef void cover(self) noexcept nogil
+    cdef bint fails(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil
+    cdef bint fails_somewhere(self, Py_ssize_t place) noexcept nogil
+    cdef void gather(
+        self,
+        Py_ssize_t row,
+        Py_ssize_t column,
+        double above,
+        Py_ssize_t first,
+        Py_ssize_t last,
+    ) noexcept nogil
+    cdef bint rests_badly(
+        self, Py_ssize_t heading, double centre, double along, double across
+    ) noexcept nogil
