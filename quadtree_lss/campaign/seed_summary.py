@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from quadtree_lss.campaign.statistics import Statistic, summarise, upper_bound
 from quadtree_lss.evaluation.evaluate import EvaluationResult, show
-from quadtree_lss.evaluation.statistics import Statistic, summarise, upper_bound
 from quadtree_lss.replay.results import plain
 
 Row = EvaluationResult

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from quadtree_lss.evaluation.metrics import ErrorField, bilinear
+from quadtree_lss.evaluation.metrics import ErrorField
 from quadtree_lss.evaluation.plotting import (
     RUNS,
     Box,
@@ -53,7 +53,7 @@ def cells_and_scans(results: Results, truth: Truth) -> Figure:
 def _around_all(leaves: Leaves, outlines: FloatArray) -> Box:
     """The domain, and a little of what scans saw beyond."""
     xmin, xmax, ymin, ymax = domain(leaves)
-    room = 0.1 * leaves.domain_size
+    room = 0.1 * leaves.domain.size
     if outlines.size and np.isfinite(outlines).any():
         low, high = np.nanmin(outlines, axis=(0, 1)), np.nanmax(outlines, axis=(0, 1))
         xmin, xmax = max(min(xmin, low[0]), xmin - room), min(max(xmax, high[0]), xmax + room)
@@ -63,8 +63,8 @@ def _around_all(leaves: Leaves, outlines: FloatArray) -> Box:
 
 def domain(leaves: Leaves) -> Box:
     """Extent of the map."""
-    size = leaves.domain_size
-    return leaves.xmin, leaves.xmin + size, leaves.ymin, leaves.ymin + size
+    of = leaves.domain
+    return of.xmin, of.xmin + of.size, of.ymin, of.ymin + of.size
 
 
 def _edges(leaves: Leaves) -> FloatArray:
@@ -98,7 +98,7 @@ def elevation_estimate(heights: ErrorField, truth: Truth) -> Figure:
     box = _seen_box(heights)
     figure, axes = map_axes("Elevation estimate; contours: truth", box)
     estimate = np.where(heights.seen, heights.estimate, np.nan)
-    low, high = limits(bilinear(truth, *np.meshgrid(heights.x, heights.y))[heights.seen])
+    low, high = limits(truth.elevation_at(*np.meshgrid(heights.x, heights.y))[heights.seen])
     shown = image(axes, heights.x, heights.y, estimate, cmap="cividis", vmin=low, vmax=high)
     figure.colorbar(shown, ax=axes, label="elevation [m]", extend="both")
     contours(axes, truth, box)

@@ -100,21 +100,6 @@ class MissedPlace:
     peak_y: float
 
 
-def bilinear(truth: Truth, x: FloatArray, y: FloatArray) -> FloatArray:
-    """True elevation at map coordinates; NaN outside the DEM."""
-    dx = (truth.x[-1] - truth.x[0]) / (truth.x.size - 1)
-    dy = (truth.y[-1] - truth.y[0]) / (truth.y.size - 1)
-    u, v = (x - truth.x[0]) / dx, (y - truth.y[0]) / dy
-    inside = (u >= 0.0) & (u <= truth.x.size - 1) & (v >= 0.0) & (v <= truth.y.size - 1)
-    i = np.clip(np.floor(u).astype(np.int64), 0, truth.x.size - 2)
-    j = np.clip(np.floor(v).astype(np.int64), 0, truth.y.size - 2)
-    fu, fv = u - i, v - j
-    z = truth.elevation
-    low = z[j, i] * (1.0 - fu) + z[j, i + 1] * fu
-    high = z[j + 1, i] * (1.0 - fu) + z[j + 1, i + 1] * fu
-    return np.where(inside, low * (1.0 - fv) + high * fv, np.nan)
-
-
 def seen_at(grid: Grid, x: FloatArray, y: FloatArray) -> BoolArray:
     """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
     u, v = (x - grid.x[0]) / grid.spacing, (y - grid.y[0]) / grid.spacing
@@ -133,12 +118,13 @@ def seen_at(grid: Grid, x: FloatArray, y: FloatArray) -> BoolArray:
 
 def elevation_field(leaves: Leaves, grid: Grid, truth: Truth) -> ErrorField:
     """Compare leaf planes with the truth at points spread evenly over the finest cells."""
-    parts = max(2, int(np.ceil(leaves.finest_size / _SAMPLE_STEP)))
-    step = leaves.finest_size / parts
-    offsets = (np.arange(leaves.finest_count * parts, dtype=np.float64) + 0.5) * step
-    x, y = leaves.xmin + offsets, leaves.ymin + offsets
+    domain = leaves.domain
+    parts = max(2, int(np.ceil(domain.finest_size / _SAMPLE_STEP)))
+    step = domain.finest_size / parts
+    offsets = (np.arange(domain.finest_count * parts, dtype=np.float64) + 0.5) * step
+    x, y = domain.xmin + offsets, domain.ymin + offsets
     estimate = leaves.elevation_at(x[None, :], y[:, None])
-    true = bilinear(truth, *np.meshgrid(x, y))
+    true = truth.elevation_at(*np.meshgrid(x, y))
     seen = seen_at(grid, x, y) & np.isfinite(true)
     error = np.where(seen, estimate - true, np.nan)
     return ErrorField(x, y, estimate, error, seen, leaves.without_estimate)

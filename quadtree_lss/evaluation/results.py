@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadtree_lss.core.tree.quadtree import Domain
 from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.simulation.terrain import bilinear
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -49,28 +51,14 @@ class Leaves:
     z: FloatArray
     normal: FloatArray
     measured: BoolArray
-    xmin: float
-    ymin: float
-    domain_size: float
-    min_level: int
-    max_level: int
+    domain: Domain
     observed: NDArray[np.int64]
     """Number of the finest cells of each leaf in which a point fell; 0 if the file tells none."""
 
     @property
     def fixed(self) -> bool:
         """Whether the map has one level only (Section VI.B)."""
-        return self.min_level == self.max_level
-
-    @property
-    def finest_count(self) -> int:
-        """Finest cells along one side of the domain."""
-        return 1 << self.max_level
-
-    @property
-    def finest_size(self) -> float:
-        """Side of a finest cell (m)."""
-        return self.domain_size / self.finest_count
+        return self.domain.min_level == self.domain.max_level
 
     @property
     def estimated(self) -> BoolArray:
@@ -80,7 +68,7 @@ class Leaves:
     @cached_property
     def index(self) -> NDArray[np.int64]:
         """Leaf of every finest cell, (n, n) as [iy, ix]; −1 where there is none."""
-        n = self.finest_count
+        n = self.domain.finest_count
         leaf = np.full((n, n), -1, np.int64)
         for level in np.unique(self.level):
             rows = np.flatnonzero(self.level == level)
@@ -100,9 +88,9 @@ class Leaves:
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
         """Elevation (m) of the leaf planes at map coordinates; NaN without an estimate."""
         x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
-        n = self.finest_count
-        i = np.floor((x_map - self.xmin) / self.finest_size).astype(np.int64)
-        j = np.floor((y_map - self.ymin) / self.finest_size).astype(np.int64)
+        n, size = self.domain.finest_count, self.domain.finest_size
+        i = np.floor((x_map - self.domain.xmin) / size).astype(np.int64)
+        j = np.floor((y_map - self.domain.ymin) / size).astype(np.int64)
         inside = (i >= 0) & (i < n) & (j >= 0) & (j < n)
         leaf = np.where(inside, self.index[np.clip(j, 0, n - 1), np.clip(i, 0, n - 1)], -1)
         normal = self.normal[leaf]
@@ -178,6 +166,10 @@ class Truth:
     """Name of the bag beside the file; None where the file does not tell, like ``seed``."""
     seed: int | None = None
 
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """True elevation (m) at map coordinates; NaN outside the DEM."""
+        return bilinear(self.x, self.y, self.elevation, x, y)
+
     def outlines_of(self, stamps_ns: NDArray[np.int64], every: int) -> tuple[FloatArray, int]:
         """Closed outlines (n, K + 1, 2) of every so-manieth of the given scans; their number."""
         rows = np.flatnonzero(np.isin(self.scan_stamp_ns, stamps_ns))
@@ -248,11 +240,7 @@ def load_leaves(path: Path) -> Leaves:
         z=a["z"].astype(float),
         normal=np.stack([a["nx"], a["ny"], a["nz"]], axis=-1).astype(float),
         measured=a["measured"].astype(bool),
-        xmin=float(xmin),
-        ymin=float(ymin),
-        domain_size=float(size),
-        min_level=int(min_level),
-        max_level=int(max_level),
+        domain=Domain(*map(float, (xmin, ymin, size)), int(min_level), int(max_level)),
         observed=a["observed"].astype(np.int64),
     )
 

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from quadtree_lss.simulation.terrain import FloatArray, bilinear
+
 BoolArray = NDArray[np.bool_]
 
 _TOLERANCE = 1e-9  # m: a post on the very rim of a pad or of the circle is under it
@@ -50,18 +51,6 @@ class _Posts:
             float(self.x[-1] - self.x[0]) / (self.x.size - 1),
             float(self.y[-1] - self.y[0]) / (self.y.size - 1),
         )
-
-    def bilinear(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Surface at points inside the DEM."""
-        dx, dy = self.step
-        u, v = (x - self.x[0]) / dx, (y - self.y[0]) / dy
-        i = np.clip(u.astype(np.int64), 0, self.x.size - 2)
-        j = np.clip(v.astype(np.int64), 0, self.y.size - 2)
-        fu, fv = u - i, v - j
-        z = self.elevation
-        low = z[j, i] * (1.0 - fu) + z[j, i + 1] * fu
-        high = z[j + 1, i] * (1.0 - fu) + z[j + 1, i + 1] * fu
-        return np.asarray(low * (1.0 - fv) + high * fv)
 
     def window(self, radius: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Offsets, from the first post of a disc's bounding square, that a disc can contain."""
@@ -140,7 +129,7 @@ def safety_map(
 
 def _pad_heights(posts: _Posts, x: FloatArray, y: FloatArray, radius: float) -> FloatArray:
     """Highest ground under pads centred at (x, y), any shape."""
-    height = posts.bilinear(x, y)
+    height = bilinear(posts.x, posts.y, posts.elevation, x, y)
     i0, j0 = posts.first(x, y, radius)
     nx, ny = posts.x.size, posts.y.size
     dx, dy = posts.step

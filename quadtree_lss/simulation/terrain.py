@@ -35,6 +35,28 @@ class Surface(Protocol):
         ...
 
 
+def bilinear(
+    posts_x: FloatArray, posts_y: FloatArray, elevation: FloatArray, x: ArrayLike, y: ArrayLike
+) -> FloatArray:
+    """Elevation (m) at map coordinates of any equal shape; NaN outside the posts.
+
+    Posts (nx,), (ny,) ascend in equal steps; ``elevation`` is (ny, nx).
+    """
+    x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+    nx, ny = posts_x.size, posts_y.size
+    u = (x_map - posts_x[0]) / (float(posts_x[-1] - posts_x[0]) / (nx - 1))
+    v = (y_map - posts_y[0]) / (float(posts_y[-1] - posts_y[0]) / (ny - 1))
+    slack = 1e-9
+    inside = (u >= -slack) & (u <= nx - 1 + slack) & (v >= -slack) & (v <= ny - 1 + slack)
+    u, v = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
+    i = np.clip(u.astype(np.int64), 0, nx - 2)
+    j = np.clip(v.astype(np.int64), 0, ny - 2)
+    fu, fv = u - i, v - j
+    low = elevation[j, i] * (1.0 - fu) + elevation[j, i + 1] * fu
+    high = elevation[j + 1, i] * (1.0 - fu) + elevation[j + 1, i + 1] * fu
+    return np.where(inside, low * (1.0 - fv) + high * fv, np.nan)
+
+
 @dataclass(frozen=True)
 class Terrain:
     """A heightfield: posts ``x`` (nx,), ``y`` (ny,) and ``elevation`` (ny, nx), metres, z up.
@@ -84,20 +106,7 @@ class Terrain:
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
         """Bilinear elevation (m) at map coordinates of any equal shape; NaN outside."""
-        x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
-        dx, dy = self.post
-        u, v = (x_map - self.x[0]) / dx, (y_map - self.y[0]) / dy
-        nx, ny = self.x.size, self.y.size
-        slack = 1e-9
-        inside = (u >= -slack) & (u <= nx - 1 + slack) & (v >= -slack) & (v <= ny - 1 + slack)
-        u, v = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
-        i = np.clip(u.astype(np.int64), 0, nx - 2)
-        j = np.clip(v.astype(np.int64), 0, ny - 2)
-        fu, fv = u - i, v - j
-        z = self.elevation
-        low = z[j, i] * (1.0 - fu) + z[j, i + 1] * fu
-        high = z[j + 1, i] * (1.0 - fu) + z[j + 1, i + 1] * fu
-        return np.where(inside, low * (1.0 - fv) + high * fv, np.nan)
+        return bilinear(self.x, self.y, self.elevation, x, y)
 
     @cached_property
     def window_maxima(self) -> WindowMaxima:
