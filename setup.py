@@ -28,6 +28,8 @@ ROS_EXECUTABLES = {
     "evaluate": "quadtree_lss.cli:main_evaluate",
 }
 
+BY_PIP = "bdist_wheel" in sys.argv
+
 # With QUADTREE_LSS_CHECKED=1 every index is checked, even where a kernel waives that.
 CHECKED = os.environ.get("QUADTREE_LSS_CHECKED", "0") not in ("", "0")
 DIRECTIVES = {
@@ -144,8 +146,9 @@ setup(
         (f"share/{NAME}/rviz", sorted(glob("rviz/*.rviz"))),
         (f"share/{NAME}/foxglove", sorted(glob("foxglove/*.json"))),
         (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
-        # pip puts console scripts into bin/ only; these start them from where ROS looks.
-        (f"lib/{NAME}", [f"scripts/{name}" for name in ROS_EXECUTABLES]),
+        # pip puts console scripts into bin/ only; these start them from where ROS looks, which
+        # colcon itself sees to.
+        (f"lib/{NAME}", [f"scripts/{name}" for name in ROS_EXECUTABLES if BY_PIP]),
     ],
     zip_safe=False,
     install_requires=[
