@@ -13,8 +13,8 @@ INTRODUCTION = """\
 # Parameters
 
 Written by `python -m quadtree_lss.config.documentation > docs/parameters.md` from the table in
-`quadtree_lss/config/sections.py`, which also declares and documents them; `core/config.py` checks
-them.
+`quadtree_lss/config/sections.py`, which also declares and documents them; `config/settings.py`
+checks them.
 
 Both nodes accept all of them, so one parameter file serves both, and `quadtree-lss replay` as
 well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after

@@ -90,7 +90,7 @@ const LAYERS = {
 if (leaf.sigma) {
   LAYERS.sigma = onLeaves("Uncertainty of height, 1 σ", "m", leaf.sigma.at,
                           leaf.sigma.limits, "magma");
-  LAYERS.roughness = onLeaves("Roughness density", "m³", leaf.roughness.at,
+  LAYERS.roughness = onLeaves("Roughness (mean distance)", "mm", leaf.roughness.at,
                               leaf.roughness.limits, "magma");
 }
 function paint(layer) {
@@ -327,7 +327,7 @@ function values(x, y) {
   if (r >= 0) {
     rows.push(["leaf", `${short(leafSize(leaf.level.raw[r]))} m, level ${leaf.level.raw[r]}`]);
     if (leaf.sigma) {
-      const s = leaf.sigma.at(r), bump = leaf.feature.at(r);
+      const s = leaf.sigma.at(r), height = leaf.feature.at(r);
       rows.push(["its plane", leaf.measured.raw[r] ? "measured" :
         Number.isNaN(s) ? "none" : "inherited"]);
       rows.push(["height", Number.isNaN(s) ? "–" :
@@ -335,10 +335,10 @@ function values(x, y) {
       rows.push(["leaf's slope", Number.isNaN(s) ? "–" : leaf.slope.at(r).toFixed(1) + "°"]);
       rows.push(["measurements", leaf.count.raw[r]]);
       rows.push(["roughness", Number.isNaN(leaf.roughness.at(r)) ? "–" :
-        leaf.roughness.at(r).toPrecision(3) + " m³"]);
+        leaf.roughness.at(r).toFixed(1) + " mm"]);
       rows.push(["exceptions", Number.isNaN(leaf.exceptions.at(r)) ? "–" :
         (100 * leaf.exceptions.at(r)).toFixed(1) + " %"]);
-      rows.push(["feature", Number.isNaN(bump) ? "none" : bump.toFixed(2) + " m high"]);
+      rows.push(["feature", Number.isNaN(height) ? "none" : height.toFixed(2) + " m high"]);
     }
   }
   return rows;

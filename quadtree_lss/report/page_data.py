@@ -114,6 +114,7 @@ def _leaves(cells: CellMap) -> dict[str, Any]:
         with np.errstate(invalid="ignore"):
             sigma = np.where(cells.estimated, np.sqrt(cells.covariance[:, 2, 2]), np.nan)
             degrees = np.where(cells.estimated, np.degrees(slope(cells.normal)), np.nan)
+        rough = 1e3 * cells.roughness / cells.size**2  # Eq. 55 by area: mm off the plane
         shown = np.isfinite(cells.feature[:, 0])
         height = np.full(len(cells.level), np.nan)
         height[shown] = peak(cells.feature[shown])
@@ -121,7 +122,7 @@ def _leaves(cells: CellMap) -> dict[str, Any]:
             "z": quantised(cells.z),
             "slope": quantised(degrees),
             "sigma": quantised(sigma) | {"limits": colour_limits(sigma)},
-            "roughness": quantised(cells.roughness) | {"limits": colour_limits(cells.roughness)},
+            "roughness": quantised(rough) | {"limits": colour_limits(rough)},
             "exceptions": quantised(cells.exception_fraction, "u1"),
             "feature": quantised(height),
             "count": whole_numbers(cells.count, "u4"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter table of ``core.config`` declared on a node."""
+"""The parameter table of ``config.settings`` declared on a node."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 """The page: one file, whose embedded arrays are those of grid.npz; drawn by a real browser."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
@@ -109,6 +110,14 @@ def test_the_embedded_leaves_are_those_of_the_map(result, text):
     for name in ("level", "ix", "iy", "count"):
         np.testing.assert_array_equal(column(data[name]), getattr(result.cells, name))
     np.testing.assert_allclose(column(data["z"]), result.cells.z, atol=data["z"]["step"])
+
+
+def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(result):
+    """A map whose leaves lie 7 mm off their planes in the mean, large ones and small ones."""
+    cells = result.cells
+    even = dataclasses.replace(cells, roughness=0.007 * cells.size**2)
+    data = page_data.page_data(dataclasses.replace(result, cells=even), CONFIG)["leaves"]
+    np.testing.assert_allclose(column(data["roughness"]), 7.0)
 
 
 def test_large_maps_stay_small_pages(result, monkeypatch):
