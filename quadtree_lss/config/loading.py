@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration files, in the form of ROS 2 parameter files, to `core.config.Config` and back.
+"""Configuration files, in the form of ROS 2 parameter files, to `config.settings.Config` and back.
 
     /**:
       ros__parameters:

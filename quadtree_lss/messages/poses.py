@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses as they arrive, validated, to ``core.lidar.Pose``; duck-typed like the clouds."""
+"""Poses as they arrive, validated, to ``core.sensing.lidar.Pose``; duck-typed like the clouds."""
 
 from __future__ import annotations
 
