@@ -30,8 +30,8 @@ class LidarConfig:
     max_range: float = _p(5000.0, "longer ranges are no returns", unit="m", low=0.1, high=1e6)
     outlier_gate: float = _p(
         0.4,
-        "a return whose nearest neighbour is farther than this (and than five times the scan's"
-        " usual spacing) is noise; 0 keeps every return",
+        "returns no farther from a neighbour than this (or than five times the scan's usual"
+        " spacing) hang together; fewer than three that do are noise; 0 keeps every return",
         unit="m",
         low=0.0,
         high=1000.0,

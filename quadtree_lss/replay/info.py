@@ -190,7 +190,7 @@ def _read(
             scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain)
             info.points += ready.points_lidar.size // 3
             dropped.update(lost)
-            if missed_at is None and not len(scan.finest):
+            if missed_at is None and not len(scan.key):
                 missed_at = scan.centre
         for notice in intake.notices():
             texts.setdefault(notice.reason, notice.text)

@@ -116,12 +116,11 @@ def test_statistics_are_those_of_equations_17_46_and_61():
     seen = registered(mapper, scan(GROUND, x, y, pose, NOISE, rng), pose)
     found = prefit_statistics(mapper.leaves, seen, NOISE)
     leaves = mapper.leaves
-    sigma = lidar.point_covariances(seen.points.T, pose, NOISE)
+    sigma = lidar.point_covariances(seen.points + seen.origin, pose, NOISE)
     for k, (i, row) in enumerate(zip(found.point, found.row, strict=True)):
         n = leaves.normal[row]
-        arm = seen.points[:, i] - (leaves.x[row], leaves.y[row], leaves.z[row])
-        ray = seen.points[:, i] - pose.position
-        ray /= np.linalg.norm(ray)
+        arm = seen.origin + seen.points[i] - (leaves.x[row], leaves.y[row], leaves.z[row])
+        ray = seen.points[i] / np.linalg.norm(seen.points[i])
         residual = n @ arm
         # The predicted point moves along its ray: d r / d(dphi, dd) = u / (n.u) a.
         a = np.r_[sphere.tangent_basis(n).T @ arm, -1.0]
@@ -152,7 +151,7 @@ def test_only_points_of_measured_leaves_are_compared():
     before = mapper.leaves.z.copy()
     found = prefit_statistics(mapper.leaves, everywhere, NOISE)
     assert mapper.leaves.measured[found.row].all()
-    assert (everywhere.points[0, found.point] < 8.0).all()
+    assert (everywhere.points[found.point, 0] + everywhere.origin[0] < 8.0).all()
     assert len(found.residual) == np.count_nonzero(half)
     np.testing.assert_array_equal(mapper.leaves.z, before)
 

@@ -21,6 +21,7 @@ from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing import lidar
 from quadtree_lss.core.sensing.register import register
+from quadtree_lss.core.tree import morton
 
 DRAWS = 40_000
 #: A sample (co)variance of DRAWS normal values errs by sqrt(2 / DRAWS) = 0.7 % (one sigma).
@@ -66,10 +67,39 @@ def test_registered_points_are_those_of_equation_15(count):
     points = (expected - pose.position) @ rotation
     found, dropped = register(points, pose, config.lidar, domain)
     assert sum(dropped.values()) == 0
-    order = np.lexsort(found.points)
-    np.testing.assert_allclose(found.points.T[order], expected[np.lexsort(expected.T)], atol=1e-9)
-    column, row = (expected[np.lexsort(expected.T), :2] / domain.finest_size).astype(int).T
-    np.testing.assert_array_equal(found.finest[order], row * domain.finest_count + column)
+    order = np.lexsort(found.points.T)
+    expected = expected[np.lexsort(expected.T)]
+    np.testing.assert_allclose(found.points[order] + found.origin, expected, atol=1e-9)
+    cells = [morton.decode(key) for key in found.key[order].tolist()]
+    np.testing.assert_array_equal(cells, (expected[:, :2] / domain.finest_size).astype(int))
+
+
+@pytest.mark.parametrize("form", ["organised", "unorganised", "float32", "every other"])
+def test_points_of_a_cell_are_one_run_in_the_order_of_the_scan(form):
+    pose = make_pose((8.0, 8.0, 100.0))
+    config = configured()
+    x, y = lattice(-2.0, 0.0, 16.0, 40)
+    points = scan(flat(), x, y, pose, 0.3, np.random.default_rng(1))
+    points[::7] = np.nan
+    if form == "organised":
+        points = points.reshape(40, 40, 3)
+    elif form == "float32":
+        points = points.astype(np.float32)
+    elif form == "every other":
+        points = np.repeat(points, 2, axis=0)[::2]
+    found, dropped = register(points, pose, config.lidar, domain_of(config))
+    place = points.reshape(-1, 3).astype(float) @ pose.rotation_map_lidar.T
+    cell = (place[:, :2] + pose.position[:2]) / domain_of(config).finest_size
+    inside = np.flatnonzero((cell >= 0.0).all(axis=1))
+    key = np.array([morton.encode(int(x), int(y)) for x, y in cell[inside]])
+    order = np.argsort(key, kind="stable")
+    np.testing.assert_array_equal(found.key, key[order])
+    np.testing.assert_allclose(found.points, place[inside[order]], atol=1e-12)
+    lost = {"no_return": int(np.isnan(place[:, 0]).sum()), "range": 0, "isolated": 0}
+    returns = np.isfinite(place[:, 0])
+    assert dropped == {**lost, "outside": int(returns.sum()) - len(inside)}
+    middle = place[returns, :2].mean(axis=0) + pose.position[:2]
+    np.testing.assert_allclose(found.centre, middle, atol=1e-9)
 
 
 @pytest.mark.parametrize("convention", ["fixed axes with cross block", "lidar axes (Eq. 16)"])
@@ -134,57 +164,3 @@ def test_cross_block_turns_with_the_axes():
     body = lidar.body_from_fixed_covariance(fixed, rotation)
     np.testing.assert_allclose(body[:3, 3:], fixed[:3, 3:] @ rotation, atol=1e-15)
     np.testing.assert_allclose(body[3:, 3:], rotation.T @ fixed[3:, 3:] @ rotation, atol=1e-15)
-
-
-def organised(height: int = 12, width: int = 16) -> np.ndarray:
-    azimuth, elevation = np.meshgrid(
-        np.linspace(-0.01, 0.01, width), np.linspace(-0.01, 0.01, height)
-    )
-    return lidar.points_from_ranges(np.full((height, width), 400.0), azimuth, elevation)
-
-
-def isolated(points: np.ndarray, gate: float = 0.4) -> np.ndarray:
-    ranges = np.linalg.norm(points, axis=-1)
-    rows = points.reshape(-1, 3).T
-    return lidar.isolated_returns(rows, np.isfinite(ranges), ranges, gate)
-
-
-@pytest.mark.parametrize("where", [(5, 5), (0, 0), (11, 15), (0, 7)])
-@pytest.mark.parametrize("form", ["organised", "unorganised"])
-def test_a_lonely_return_is_found_and_only_it(where, form):
-    points = organised()
-    points[where] *= 1.0 + 30.0 / 400.0
-    expected = np.zeros(points.shape[:2], dtype=bool)
-    expected[where] = True
-    if form == "unorganised":
-        points, expected = points.reshape(-1, 3), expected.ravel()
-    np.testing.assert_array_equal(isolated(points), expected)
-
-
-def test_slanted_ground_has_no_lonely_returns():
-    """Neighbours differ by 2 m in range there, more than the gate."""
-    points = organised()
-    points *= (1.0 + 2.0 * np.arange(12)[:, None] / 400.0)[:, :, None]
-    assert not isolated(points).any()
-
-
-def test_missing_returns_are_no_neighbours_and_not_flagged():
-    points = organised()
-    points[3:6, 3:6] = np.nan
-    points[4, 4] = organised()[4, 4]
-    expected = np.zeros(points.shape[:2], dtype=bool)
-    expected[4, 4] = True
-    np.testing.assert_array_equal(isolated(points), expected)
-
-
-@pytest.mark.parametrize("returns", [0, 1])
-def test_too_few_returns_are_not_judged(returns):
-    points = np.full((4, 4, 3), np.nan)
-    points.reshape(-1, 3)[:returns] = (0.0, 0.0, 10.0)
-    assert not isolated(points).any()
-
-
-def test_gate_zero_keeps_all():
-    points = organised()
-    points[5, 5] *= 2.0
-    assert not isolated(points, gate=0.0).any()

@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 
 from quadtree_lss.core.geometry import planes, sphere
 from quadtree_lss.core.sensing.lidar import point_covariances
-from quadtree_lss.core.sensing.register import RegisteredScan
+from quadtree_lss.core.sensing.register import RegisteredScan, finest_of
 from quadtree_lss.core.tree.leaves import Leaves
 
 Array = NDArray[np.float64]
@@ -127,13 +127,13 @@ def prefit_statistics(leaves: Leaves, scan: RegisteredScan, range_noise: float) 
 
     Args:
         leaves: Not changed.
-        scan: Points (3, N) in the map frame with their finest cells.
+        scan: Points with the finest cells under them.
         range_noise: Standard deviation of a range, m.
     """
-    of_point = leaves.leaf_of_finest[scan.finest].astype(np.intp)
+    of_point = leaves.leaf_of_finest[finest_of(scan, leaves.domain)].astype(np.intp)
     point = np.flatnonzero(leaves.measured[of_point])
     row = of_point[point]
-    points = scan.points[:, point].T
+    points = scan.points[point] + scan.origin
     normal = leaves.normal[row]
     arm = points - np.column_stack([leaves.x[row], leaves.y[row], leaves.z[row]])
     residual = np.einsum("ni,ni->n", normal, arm)

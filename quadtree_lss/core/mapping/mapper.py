@@ -19,7 +19,7 @@ from quadtree_lss.core.mapping.stored import StoredPoints
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS
-from quadtree_lss.core.sensing.register import register
+from quadtree_lss.core.sensing.register import finest_of, register
 from quadtree_lss.core.tree.leaves import Leaves
 from quadtree_lss.core.tree.quadtree import CellMap, Domain, morton_order
 
@@ -131,8 +131,8 @@ class Mapper:
         scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain)
         refused_before = self._stored.refused
         divisions = refused = 0
-        if len(scan.finest):
-            self.observed[scan.finest] = True
+        if len(scan.key):
+            self.observed[finest_of(scan, self.domain)] = True
             if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
                 self.stamp_ns = pose.stamp_ns
             change = ScanUpdate(self.leaves, self._stored, self._alignment, self.config, scan)
@@ -148,7 +148,7 @@ class Mapper:
         return ScanReport(
             stamp_ns=pose.stamp_ns,
             points=points_lidar.size // 3,
-            points_used=len(scan.finest) - refused_points,
+            points_used=len(scan.key) - refused_points,
             dropped=dropped,
             leaves=self.leaves.count,
             divisions=divisions,

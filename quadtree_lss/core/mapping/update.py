@@ -19,7 +19,7 @@ from quadtree_lss.core.mapping.fitting import Fit, SlopePrior
 from quadtree_lss.core.mapping.rounds import Round
 from quadtree_lss.core.mapping.statistics import FinalGroups, Residuals
 from quadtree_lss.core.mapping.stored import StoredPoints
-from quadtree_lss.core.sensing.register import RegisteredScan, compact
+from quadtree_lss.core.sensing.register import RegisteredScan, compact, finest_of
 from quadtree_lss.core.tree.leaves import Leaves
 
 Array = NDArray[np.float64]
@@ -51,8 +51,10 @@ class ScanUpdate:
         self.config = config.mapping
         self.range_noise = config.lidar.range_noise
         self.scan = scan
-        self.origin = scan.points.mean(axis=1)
-        self.points = scan.points - self.origin[:, None]
+        middle = scan.points.mean(axis=0)
+        self.origin = scan.origin + middle
+        self.points = np.ascontiguousarray((scan.points - middle).T)
+        self.finest = finest_of(scan, leaves.domain)
         self.lidar = scan.pose.position - self.origin
         self.few = FewPoints(leaves, stored, self.config, self.range_noise, scan, self.lidar)
         self.divisions = 0
@@ -66,7 +68,7 @@ class ScanUpdate:
         Returns:
             The residuals about the planes of the leaves in which the points came to rest.
         """
-        return self._settle(self.points, self.scan.finest, first=True)
+        return self._settle(self.points, self.finest, first=True)
 
     def divide(self, rows: Index) -> Residuals | None:
         """Divide leaves ``rows`` that the scan's points came to rest in, and go on below them.
@@ -74,14 +76,14 @@ class ScanUpdate:
         Returns:
             The residuals of the points concerned; None if there was no room for any division.
         """
-        leaf = self.leaves.leaf_of_finest[self.scan.finest]
+        leaf = self.leaves.leaf_of_finest[self.finest]
         mark = np.zeros(self.leaves.count, dtype=np.bool_)
         mark[self._divide(rows)] = True
         index = np.flatnonzero(mark[leaf])
         if not len(index):
             self.leaves.mend()
             return None
-        return self._settle(self.points.take(index, axis=1), self.scan.finest[index])
+        return self._settle(self.points.take(index, axis=1), self.finest[index])
 
     def _divide(self, rows: Index) -> Index:
         divided = self.leaves.divide(rows)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One scan on its way into the map: validated, taken to the map frame, binned (paper IV.A)."""
+"""One scan on its way into the map: validated, taken to map axes, in Morton order (paper IV.A)."""
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,100 +11,115 @@ from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LidarConfig
 from quadtree_lss.core.geometry.planes import covariance_root
-from quadtree_lss.core.sensing.lidar import Pose, isolated_returns
+from quadtree_lss.core.sensing.isolated import isolated_in_image, isolated_in_space
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.sensing.points import arrange, bin_runs, turn
+from quadtree_lss.core.tree.morton import SPREAD, sort_packed
 from quadtree_lss.core.tree.quadtree import Domain
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+Points = NDArray[np.float32] | NDArray[np.float64]
+Keys = NDArray[np.int64]
 
-#: So many points from different parts of the scan follow one another.
-LANES = 8
+#: Of larger scans no memory is kept.
+KEPT_POINTS = 1 << 16
 
 
 @dataclass(frozen=True)
 class RegisteredScan:
-    """Points of one scan inside the domain.
+    """Points of one scan inside the domain, in Morton order of the finest cells under them.
 
     Attributes:
-        pose: Lidar pose, its covariance positive semidefinite and bounded.
+        pose: Lidar pose at the scan's stamp, its covariance positive semidefinite and bounded.
         pose_root: (6, 6) root of the pose covariance.
-        points: (3, N) map frame, m.
-        finest: (N,) index iy * n + ix of the finest cell under each point.
+        origin: (3,) position of the lidar at the scan's stamp, map frame, m.
+        points: (N, 3) map axes about ``origin``, m: each point is its own ray.
+        key: (N,) Morton code of the finest cell under each point, ascending; points of a cell
+            keep the order of the scan.
         centre: x and y of the middle of the sound returns, those outside the domain included,
             map frame, m; None if there is none.
     """
 
     pose: Pose
     pose_root: Array
+    origin: Array
     points: Array
-    finest: Index
+    key: Keys
     centre: tuple[float, float] | None
 
 
 def register(
-    points_lidar: Array, pose: Pose, lidar: LidarConfig, domain: Domain
+    points_lidar: Points, pose: Pose, lidar: LidarConfig, domain: Domain
 ) -> tuple[RegisteredScan, dict[str, int]]:
-    """Keep the sound returns, apply Eq. 15 and find each one's finest cell.
+    """Keep the sound returns, apply Eq. 15 and bring them into the order of the cells.
 
     Args:
-        points_lidar: (H, W, 3) organised or (N, 3), lidar axes, m; not finite = no return.
+        points_lidar: (H, W, 3) organised or (N, 3), float32 or float64, lidar axes, m; not
+            finite = no return.
 
     Returns:
         The scan and how many points were dropped, by reason: ``no_return``, ``range``,
         ``isolated``, ``outside`` (of the domain).
     """
-    shape = points_lidar.shape[:-1]
     flat = points_lidar.reshape(-1, 3)
-    with np.errstate(invalid="ignore", over="ignore"):
-        points = pose.rotation_map_lidar @ flat.T
-        ranges = np.sqrt(points[0] * points[0] + points[1] * points[1] + points[2] * points[2])
-        finite = np.isfinite(ranges)
-        valid = finite & (ranges > 0.0) & (ranges >= lidar.min_range) & (ranges <= lidar.max_range)
-    returns = int(np.count_nonzero(finite))
-    in_range = int(np.count_nonzero(valid))
-    if in_range:
-        lonely = isolated_returns(
-            points, valid.reshape(shape), ranges.reshape(shape), lidar.outlier_gate
-        )
-        valid &= ~lonely.ravel()
-    kept = int(np.count_nonzero(valid))
-    if kept < len(flat):
-        points = points.take(np.flatnonzero(valid), axis=1)
-    points += pose.position[:, None]
-    centre = (float(points[0].mean()), float(points[1].mean())) if kept else None
-    n = domain.finest_count
-    scale = 1.0 / domain.finest_size
-    column = np.floor((points[0] - domain.xmin) * scale)
-    row = np.floor((points[1] - domain.ymin) * scale)
-    inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
-    within = _apart(np.flatnonzero(inside))
-    points, column, row = points.take(within, axis=1), column[within], row[within]
-    finest = (row * n + column).astype(np.intp)
-    dropped = {
-        "no_return": len(valid) - returns,
-        "range": returns - in_range,
-        "isolated": in_range - kept,
-        "outside": kept - len(finest),
-    }
+    work = _workspace(len(flat))
+    lost, found, sums = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2)
+    rotation = np.ascontiguousarray(pose.rotation_map_lidar)
+    turn(flat, rotation, lidar.min_range, lidar.max_range, work.points, work.ranges, lost)
+    if points_lidar.ndim == 3:
+        image = work.ranges.reshape(points_lidar.shape[:2])
+        isolated = isolated_in_image(image, lidar.outlier_gate)
+    else:
+        isolated = isolated_in_space(work.points, work.ranges, lidar.outlier_gate)
+    missing, beyond = lost.tolist()
+    sound = len(flat) - missing - beyond - isolated
+    west, south = (pose.position[:2] - [domain.xmin, domain.ymin]).tolist()
+    n, per_metre = domain.finest_count, 1.0 / domain.finest_size
+    bin_runs(
+        work.points,
+        work.ranges,
+        west,
+        south,
+        per_metre,
+        n,
+        SPREAD,
+        work.runs,
+        work.spans,
+        found,
+        sums,
+    )
+    inside, run_count = found.tolist()
+    runs, spare = work.runs[:run_count], work.spare[:run_count]
+    points, key = np.empty((inside, 3)), np.empty(inside, np.int64)
+    arrange(work.points, spare if sort_packed(runs, spare) else runs, work.spans, points, key)
     root = covariance_root(pose.covariance)
-    pose = replace(pose, covariance=root @ root.T)
-    scan = RegisteredScan(pose, root, points, finest, centre)
+    middle = (sums / sound + pose.position[:2]).tolist() if sound else None
+    scan = RegisteredScan(
+        pose=replace(pose, covariance=root @ root.T),
+        pose_root=root,
+        origin=pose.position,
+        points=points,
+        key=key,
+        centre=None if middle is None else (middle[0], middle[1]),
+    )
+    dropped = {
+        "no_return": missing,
+        "range": beyond,
+        "isolated": isolated,
+        "outside": sound - inside,
+    }
     return scan, dropped
 
 
-def _apart(index: Index) -> Index:
-    """The same indices (N,) in an order that takes neighbours apart.
-
-    Sums over cells wait for the last addition to the same cell: neighbours in a row of pixels,
-    which mostly share theirs, take half as long again as points far apart.
-    """
-    rows = len(index) // LANES
-    return np.concatenate(
-        [index[: rows * LANES].reshape(LANES, rows).T.ravel(), index[rows * LANES :]]
-    )
+def finest_of(scan: RegisteredScan, domain: Domain) -> NDArray[np.intp]:
+    """(N,) index iy * n + ix of the finest cell under each point."""
+    x, y = (scan.key >> axis & 0x55555555 for axis in (0, 1))
+    for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
+        x, y = (x | x >> shift) & mask, (y | y >> shift) & mask
+    return y * domain.finest_count + x
 
 
-def compact(values: Index, bound: int) -> tuple[Index, Index]:
+def compact(values: NDArray[np.intp], bound: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Distinct values, ascending, and the place of each value among them, without sorting.
 
     Args:
@@ -115,3 +131,25 @@ def compact(values: Index, bound: int) -> tuple[Index, Index]:
     place = np.empty(bound, dtype=np.intp)
     place[distinct] = np.arange(len(distinct))
     return distinct, place[values]
+
+
+class _Workspace:
+    """What the passes over N points write and read, see there."""
+
+    def __init__(self, size: int) -> None:
+        self.points, self.ranges = np.empty((size, 3)), np.empty(size)
+        self.runs, self.spare = np.empty((2, size), np.int64)
+        self.spans = np.empty((size, 2), np.int32)
+
+
+def _workspace(size: int) -> _Workspace:
+    """Kept for the next scan of this size: fresh memory costs as much as the work in it."""
+    if size > KEPT_POINTS:
+        return _Workspace(size)
+    if getattr(_kept, "size", None) != size:
+        _kept.size, _kept.work = size, _Workspace(size)
+    work: _Workspace = _kept.work
+    return work
+
+
+_kept = threading.local()

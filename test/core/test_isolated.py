@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Isolated returns: strays go, alone or by twos; the edges of what is sound stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from quadtree_lss.core.sensing import lidar
+from quadtree_lss.core.sensing.isolated import (
+    _usual_distance,
+    isolated_in_image,
+    isolated_in_space,
+)
+
+
+def scene(height: int = 12, width: int = 16) -> np.ndarray:
+    azimuth, elevation = np.meshgrid(
+        np.linspace(-0.01, 0.01, width), np.linspace(-0.01, 0.01, height)
+    )
+    return lidar.points_from_ranges(np.full((height, width), 400.0), azimuth, elevation)
+
+
+def isolated(points: np.ndarray, gate: float = 0.4) -> np.ndarray:
+    """Mask (H, W) or (N,) of the isolated among points (H, W, 3) or (N, 3)."""
+    ranges = np.linalg.norm(points, axis=-1)
+    left = ranges.copy()
+    if points.ndim == 3:
+        count = isolated_in_image(left, gate)
+    else:
+        count = isolated_in_space(points, left, gate)
+    out = np.isfinite(ranges) & np.isnan(left)
+    assert count == np.count_nonzero(out)
+    np.testing.assert_array_equal(left[~out], ranges[~out])
+    return out
+
+
+@pytest.mark.parametrize("where", [(5, 5), (0, 0), (11, 15), (0, 7)])
+@pytest.mark.parametrize("form", ["organised", "unorganised"])
+def test_a_lonely_return_is_found_and_only_it(where, form):
+    points = scene()
+    points[where] *= 1.0 + 30.0 / 400.0
+    expected = np.zeros(points.shape[:2], dtype=bool)
+    expected[where] = True
+    if form == "unorganised":
+        points, expected = points.reshape(-1, 3), expected.ravel()
+    np.testing.assert_array_equal(isolated(points), expected)
+
+
+def test_slanted_ground_has_no_lonely_returns():
+    """Neighbours differ by 2 m in range there, more than the gate."""
+    points = scene()
+    points *= (1.0 + 2.0 * np.arange(12)[:, None] / 400.0)[:, :, None]
+    assert not isolated(points).any()
+
+
+def test_missing_returns_are_no_neighbours_and_not_flagged():
+    points = scene()
+    points[3:6, 3:6] = np.nan
+    points[4, 4] = scene()[4, 4]
+    expected = np.zeros(points.shape[:2], dtype=bool)
+    expected[4, 4] = True
+    np.testing.assert_array_equal(isolated(points), expected)
+
+
+@pytest.mark.parametrize("returns", [0, 1, 2])
+def test_too_few_returns_are_not_judged(returns):
+    points = np.full((4, 4, 3), np.nan)
+    points.reshape(-1, 3)[:returns] = np.outer(range(1, returns + 1), (0.0, 0.0, 10.0))
+    assert not isolated(points).any()
+    assert not isolated(points.reshape(-1, 3)).any()
+
+
+def test_gate_zero_keeps_all():
+    points = scene()
+    points[5, 5] *= 2.0
+    assert not isolated(points, gate=0.0).any()
+
+
+@pytest.mark.parametrize("second", [(5, 6), (6, 5)])
+@pytest.mark.parametrize("form", ["organised", "unorganised"])
+def test_two_strays_that_meet_do_not_hold_each_other(second, form):
+    points = scene()
+    expected = np.zeros(points.shape[:2], dtype=bool)
+    for where in ((5, 5), second):
+        points[where] *= 1.0 + 30.0 / 400.0
+        expected[where] = True
+    if form == "unorganised":
+        points, expected = points.reshape(-1, 3), expected.ravel()
+    np.testing.assert_array_equal(isolated(points), expected)
+
+
+def test_the_ends_of_rows_that_do_not_hang_together_stay():
+    """Each has one neighbour within the gate, the next in its row."""
+    points = scene() * (1.0 + 2.0 * np.arange(12)[:, None] / 400.0)[:, :, None]
+    points[:, 5:8] = np.nan
+    assert not isolated(points).any()
+
+
+def clusters_of_less_than_three(points: np.ndarray, gate: float) -> np.ndarray:
+    pairs = cKDTree(points).query_pairs(gate, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
+    _, label = connected_components(links, directed=False)
+    return np.bincount(label)[label] < 3
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.integers(3, 400), st.floats(0.3, 30.0))
+def test_in_space_it_is_those_in_clusters_of_less_than_three(seed, count, size):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.5 * size, 0.5 * size, (count, 3))
+    points[: count // 2] = 0.2 * rng.normal(size=(count // 2, 3))
+    gate = max(1.0, 5.0 * usual_distance(points))
+    np.testing.assert_array_equal(isolated(points, 1.0), clusters_of_less_than_three(points, gate))
+
+
+def usual_distance(points: np.ndarray) -> float:
+    """Of as few points as are not sampled."""
+    assert len(points) <= 400
+    return _usual_distance(points, np.ones(len(points)), len(points))
+
+
+@pytest.mark.parametrize("count", [200, 3000, 40_000])
+def test_usual_distance_of_a_plane_of_points_whatever_their_number(count):
+    rng = np.random.default_rng(1)
+    points = np.zeros((count, 3))
+    points[:, :2] = rng.uniform(0.0, 10.0, (count, 2))
+    exact = np.median(cKDTree(points).query(points, k=3)[0][:, 2])
+    found = _usual_distance(points, np.ones(count), count)
+    assert found == pytest.approx(exact, rel=0.2)
+
+
+def test_two_percent_of_strays_leave_hardly_one_behind():
+    rng = np.random.default_rng(2)
+    ranges = 400.0 + 0.06 * rng.standard_normal((128, 128))
+    stray = rng.random(ranges.shape) < 0.02
+    error = rng.uniform(-10.0, 10.0, ranges.shape)
+    ranges[stray] += error[stray]
+    isolated_in_image(ranges, 0.4)
+    gone = np.isnan(ranges)
+    assert not gone[~stray].any()
+    assert not (stray & ~gone & (np.abs(error) > 1.0)).any()
