@@ -2,6 +2,7 @@
 """Package set-up, read by pip and by colcon (ament_python) alike."""
 
 import json
+import multiprocessing
 import os
 import re
 import shutil
@@ -40,6 +41,7 @@ DIRECTIVES = {
     "initializedcheck": CHECKED,
 }
 COMPILE = ["-O3", "-ffp-contract=off", "-g0"]
+SHARED = f"{NAME}.shared"
 # C is written here, and the state it was made of.
 GENERATED = Path("build", "cython")
 STATE = GENERATED / "state.json"
@@ -74,6 +76,15 @@ def extensions():
         Extension(module_name(path), [str(root / path)], extra_compile_args=COMPILE)
         for path in build.kernels(Path(NAME))
     ]
+    options = {}
+    if tuple(map(int, Cython.__version__.split(".")[:2])) >= (3, 1) and kernels:
+        # What all kernels have in common, compiled once: a third less time.
+        kernels.insert(
+            0, Extension(SHARED, [f"{NAME}/shared.c"], extra_compile_args=["-O1", "-g0"])
+        )
+        options["shared_utility_qualified_name"] = SHARED
+    if multiprocessing.get_start_method() == "fork":  # the others would run this file once more
+        options["nthreads"] = 2
     # Not a word on stdout, which colcon reads.
     try:
         kernels = cythonize(
@@ -82,6 +93,7 @@ def extensions():
             build_dir=str(GENERATED),
             force=before["flags"] != flags,
             quiet=True,
+            **options,
         )
     except CompileError as error:  # which has said what is wrong
         sys.exit(f"{NAME}: Cython cannot compile {error}")
@@ -110,7 +122,8 @@ def forget_what_is_gone():
             source = path.relative_to(root)
             if path.suffix == ".so":
                 source = source.with_name(source.name.split(".")[0] + ".pxd")
-            if path.is_file() and not source.exists() and path.name.split(".")[0] != "built":
+            own = path.name.startswith(("built.", "shared."))
+            if path.is_file() and not source.exists() and not own:
                 path.unlink()
 
 
