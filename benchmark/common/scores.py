@@ -47,12 +47,12 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
     mapper, counts, times = Mapper(config), Counts(), []
     for scan in flight.scans:
         if consistent:
-            registered, _ = register(scan.points_lidar, scan.pose, config.lidar, mapper.domain)
+            registered, _ = register(*scan[1:3], config.lidar, mapper.domain, scan.sweep)
             counts += prefit_statistics(
                 mapper.leaves, registered, config.lidar.range_noise
             ).counts()
         began = time.process_time()
-        mapper.update(scan.points_lidar, scan.pose)
+        mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         times.append(1e3 * (time.process_time() - began))
     cells = mapper.snapshot()
     found = LandingSiteSelector(config).assess(cells)

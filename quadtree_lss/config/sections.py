@@ -36,6 +36,9 @@ class LidarConfig:
         low=0.0,
         high=1000.0,
     )
+    deskew: bool = _p(
+        True, "a cloud with a time for each point is taken point by point, each at its own pose"
+    )
 
 
 @dataclass(frozen=True)

@@ -78,10 +78,10 @@ def consistency(
     for scan in scans(bag, config, scan_topic=scan_topic, pose_topic=pose_topic):
         if scan.stamp_ns not in wanted:
             continue
-        registered, _ = register(scan.points_lidar, scan.pose, config.lidar, mapper.domain)
+        registered, _ = register(*scan[1:3], config.lidar, mapper.domain, scan.sweep)
         statistics = prefit_statistics(mapper.leaves, registered, config.lidar.range_noise)
         counts += statistics.counts()
-        wanted.check(mapper.update(scan.points_lidar, scan.pose), bag)
+        wanted.check(mapper.update(scan.points_lidar, scan.pose, scan.sweep), bag)
         number += 1
         if progress is not None:
             progress(number)

@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core.sensing.lidar import points_from_ranges
+from quadtree_lss.core.sensing.points import reach_beyond
 from quadtree_lss.errors import QuadtreeLssError
 
 Array = NDArray[np.float64]
+Points = NDArray[np.float32] | NDArray[np.float64]
 
 CARTESIAN = ("x", "y", "z")
 SPHERICAL = ("range", "azimuth", "elevation")
@@ -70,20 +72,33 @@ class _Layout:
             for offset, kind in zip(self.offsets, self.formats, strict=True)
         )
 
+    def view(self, data: NDArray[np.uint8]) -> Points | None:
+        """(height, width, 3) of the bytes themselves; None if they do not lie so."""
+        kind, size = self.formats[0], int(self.formats[0][1])
+        start, address = self.offsets[0], data.__array_interface__["data"][0]
+        aligned = not any(n % size for n in (address + start, self.point_step, self.row_step))
+        together = self.offsets == (start, start + size, start + 2 * size)
+        same = self.formats == (kind,) * 3 and np.dtype(self.order + kind).isnative
+        if not (aligned and together and same):
+            return None
+        shape, strides = (self.height, self.width, 3), (self.row_step, self.point_step, size)
+        return np.ndarray(shape, kind, data, start, strides)
 
-def points_from_cloud(msg: Any) -> Array:
+
+def points_from_cloud(msg: Any) -> Points:
     """Points of a cloud in lidar axes, m; NaN where a coordinate is missing: no return.
 
     The fields are x, y, z or range, azimuth, elevation (m, rad; Eq. 14: z boresight, x right,
     y down), each float32 or float64, at any offset, in either byte order, with any padding of
     points and rows. Infinite coordinates are no returns either. Single coordinates beyond
-    ``MAX_DISTANCE`` are limited to it, so that the range gate counts them.
+    ``MAX_DISTANCE`` are limited to it, so that the range gate counts them. Points that lie in the
+    message as the core takes them are not copied: the answer is then a view of its data.
 
     Args:
         msg: Like ``sensor_msgs/PointCloud2``.
 
     Returns:
-        (H, W, 3) float64 for an organised cloud (height > 1), otherwise (N, 3).
+        (H, W, 3) float32 or float64 for an organised cloud (height > 1), otherwise (N, 3).
 
     Raises:
         MessageError: with reason ``size``, ``fields``, ``field_type``, ``layout``,
@@ -100,15 +115,39 @@ def points_from_cloud(msg: Any) -> Array:
         text = f"cloud claims {width} x {height} points; {MAX_POINTS} is the most"
         raise MessageError("too_large", text)
     names, layout = _layout(msg, height, width, data.size)
+    seen = layout.view(data) if names is CARTESIAN else None
+    if seen is not None and not reach_beyond(seen.reshape(-1, 3), MAX_DISTANCE):
+        return seen if height > 1 else seen[0]
     first, second, third = layout.columns(data)
     with np.errstate(invalid="ignore", over="ignore"):
         if names is CARTESIAN:
-            points = np.empty((height, width, 3))
+            points = np.empty((height, width, 3), np.result_type(first, second, third))
             points[..., 0], points[..., 1], points[..., 2] = first, second, third
         else:
             points = _from_spherical(*(np.asarray(c, "=f8") for c in (first, second, third)))
     _limit(points)
     return points if height > 1 else points[0]
+
+
+def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
+    """(height, width) values of one field of a cloud that `points_from_cloud` has taken.
+
+    Args:
+        kind: NumPy's word for the field's type, without byte order.
+
+    Raises:
+        MessageError: ``layout`` if the field lies outside a point or is no single value.
+    """
+    if int(field.count) != 1 or not 0 <= int(field.offset) <= msg.point_step - int(kind[1]):
+        text = f"cloud field '{field.name}' is no single value within a point"
+        raise MessageError("layout", text)
+    return np.ndarray(
+        (msg.height, msg.width),
+        (">" if msg.is_bigendian else "<") + kind,
+        _bytes(msg.data),
+        int(field.offset),
+        (msg.row_step, msg.point_step),
+    )
 
 
 def stamp_ns(header: Any) -> int:
@@ -227,7 +266,7 @@ def _from_spherical(ranges: Array, azimuth: Array, elevation: Array) -> Array:
     return points_from_ranges(ranges, azimuth, elevation)
 
 
-def _limit(points: Array) -> None:
+def _limit(points: Points) -> None:
     """Makes infinite coordinates NaN and limits absurd ones, in place."""
     far = np.abs(points) > MAX_DISTANCE
     if not far.any():

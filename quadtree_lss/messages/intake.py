@@ -17,13 +17,15 @@ from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.mount import MountedPoses, fixed_mount
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, PoseBuffer, seconds
 from quadtree_lss.core.sensing.scan_queue import Drop, ScanQueue
+from quadtree_lss.core.sensing.sweep import Sweep, poses_during, sweep
 from quadtree_lss.core.tree.quadtree import Domain
-from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.messages.clouds import MessageError, Points, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import (
     has_unknown_covariance,
     mount_from_message,
     pose_from_message,
 )
+from quadtree_lss.messages.times import offsets_from_cloud
 
 NOISE_RATIO_LIMIT = 1.4
 """Observed over configured range noise that is worth a warning, either way."""
@@ -37,11 +39,22 @@ class Notice(NamedTuple):
 
 
 class ReadyScan(NamedTuple):
-    """A scan and the pose of the lidar at its stamp; points as of `points_from_cloud`."""
+    """A scan and the pose of the lidar at its stamp; points as of `points_from_cloud`.
+
+    ``sweep`` is how the lidar moved while it took the scan, None if that was at once.
+    """
 
     stamp_ns: int
-    points_lidar: NDArray[np.float64]
+    points_lidar: Points
     pose: Pose
+    sweep: Sweep | None = None
+
+
+class _Cloud(NamedTuple):
+    """What waits for its pose; ``times`` as of `offsets_from_cloud`."""
+
+    points: Points
+    times: tuple[NDArray[np.int32], tuple[int, int]] | None
 
 
 class Intake:
@@ -51,12 +64,13 @@ class Intake:
     raises on bad input: it is counted in ``rejected`` or ``queue.dropped`` and told by `notices`.
 
     Args:
-        config: Of which ``pose``, ``frames`` and ``mount`` matter: with a mount, poses are the
-            body's; with ``mount.gimbal`` the mount comes by `on_gimbal`.
+        config: Of which ``pose``, ``frames``, ``mount`` and ``lidar.deskew`` matter: with a
+            mount, poses are the body's; with ``mount.gimbal`` the mount comes by `on_gimbal`.
         scan_topic, pose_topic, gimbal_topic: Names for messages to the user.
 
     Attributes:
-        rejected: Unusable messages by reason, ``cloud_<reason>``, ``pose_<reason>``, ….
+        rejected: Unusable messages by reason, ``cloud_<reason>``, ``pose_<reason>``, …; as
+            ``times_<reason>`` clouds that were taken as of one time.
         scans, poses_taken: Usable messages.
         queue: The waiting scans; ``queue.dropped`` counts those given up.
     """
@@ -71,6 +85,7 @@ class Intake:
     ) -> None:
         self._pose_config = config.pose
         self._map_frame = config.frames.map
+        self._deskew = config.lidar.deskew
         self._body = self._buffer()
         self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
         held = self._gimbal if self._gimbal is not None else fixed_mount(config.mount)
@@ -141,9 +156,16 @@ class Intake:
         if points.size == 0:
             self.reject("cloud", MessageError("empty", "cloud has no points"))
             return None
+        times = None
+        if self._deskew:
+            try:
+                times = offsets_from_cloud(msg, stamp, points)
+            except MessageError as error:
+                self.reject("times", error)
         self.scans += 1
         jumps = self.queue.jumps
-        self.queue.push_scan(stamp, points, arrival_ns)
+        span_ns = (0, 0) if times is None else times[1]
+        self.queue.push_scan(stamp, _Cloud(points, times), arrival_ns, span_ns)
         if self.queue.jumps != jumps:
             text = "scan stamps jumped back (a looping bag?): waiting scans dropped, map kept"
             self._notices.append(Notice("time_jump", text))
@@ -161,7 +183,14 @@ class Intake:
             self._tell(drops)
             scans += self.queue.pop_ready()
             drops = self.queue.expire(now_ns)
-        return [ReadyScan(*scan) for scan in scans]
+        return [self._with_sweep(*scan) for scan in scans]
+
+    def _with_sweep(self, stamp: int, cloud: _Cloud, pose: Pose) -> ReadyScan:
+        if cloud.times is None:
+            return ReadyScan(stamp, cloud.points, pose)
+        offsets, (first, last) = cloud.times
+        poses = poses_during(self.queue.poses, stamp + first, stamp + last)
+        return ReadyScan(stamp, cloud.points, pose, sweep(offsets, pose, poses))
 
     def finish(self) -> None:
         """Gives up what still waits, because nothing more will come."""

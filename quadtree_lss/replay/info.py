@@ -187,7 +187,7 @@ def _read(
         stream.take(bag, intake, message)
         for ready in intake.ready(message.received_ns):
             info.scans_with_pose += 1
-            scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain)
+            scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
             info.points += ready.points_lidar.size // 3
             dropped.update(lost)
             if missed_at is None and not len(scan.key):

@@ -178,7 +178,7 @@ class Run:
 
     def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
         began = time.perf_counter()
-        report = mapper.update(scan.points_lidar, scan.pose)
+        report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
         if len(self._decode_ms) > 2 * self.config.pose.queue:
             self._decode_ms.clear()  # those of dropped scans

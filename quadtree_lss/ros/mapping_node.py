@@ -218,7 +218,7 @@ class MappingNode(Node):
 
     def _map(self, scan: ReadyScan) -> None:
         start = time.perf_counter()
-        report = self._mapper.update(scan.points_lidar, scan.pose)
+        report = self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         self._map_ms.add(1e3 * (time.perf_counter() - start))
         self._scans += 1
         self._report = report

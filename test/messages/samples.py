@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-DATATYPES = {"f4": 7, "f8": 8, "i4": 5, "u1": 2}
+DATATYPES = {"f4": 7, "f8": 8, "i4": 5, "u4": 6, "u1": 2}
 
 
 def header(stamp_ns=0, frame="map"):
@@ -27,11 +27,19 @@ def cloud(
     stamp_ns=0,
     container=np.asarray,
     filler=0xA5,
+    times=None,
 ):
-    """A cloud of points (H, W, 3) or (N, 3); ``gap`` bytes after each field, junk in between."""
+    """A cloud of points (H, W, 3) or (N, 3); ``gap`` bytes after each field, junk in between.
+
+    ``times`` are a field's name, its kind and its values (H, W) or (N,).
+    """
     points = np.asarray(points, dtype=np.float64)
     grid = points if points.ndim == 3 else points[None]
     height, width, _ = grid.shape
+    columns = [grid[..., k] for k in range(3)]
+    if times is not None:
+        names, kinds = (*names, times[0]), (*kinds, times[1])
+        columns.append(np.reshape(times[2], (height, width)))
     offsets, offset = [], lead
     for kind in kinds:
         offsets.append(offset)
@@ -48,7 +56,7 @@ def cloud(
             offset=start,
             strides=(row_step, point_step),
         )
-        view[...] = grid[..., k]
+        view[...] = columns[k]
     fields = [
         SimpleNamespace(name=name, offset=start, datatype=DATATYPES[kind], count=1)
         for name, kind, start in zip(names, kinds, offsets, strict=True)

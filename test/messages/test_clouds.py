@@ -60,7 +60,7 @@ def test_every_layout_gives_the_points_that_were_put_in(
     )
     decoded = points_from_cloud(msg)
     expected = points if height > 1 and not flat else points[0]
-    assert decoded.dtype == np.float64
+    assert decoded.dtype == ("f4" if set(kinds) == {"f4"} else "f8")
     np.testing.assert_array_equal(decoded, expected)
 
 

@@ -19,7 +19,8 @@ from quadtree_lss.core.mapping.stored import StoredPoints
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS
-from quadtree_lss.core.sensing.register import finest_of, register
+from quadtree_lss.core.sensing.register import Points, finest_of, register
+from quadtree_lss.core.sensing.sweep import Sweep
 from quadtree_lss.core.tree.leaves import Leaves
 from quadtree_lss.core.tree.quadtree import CellMap, Domain, morton_order
 
@@ -119,16 +120,17 @@ class Mapper:
     def _parts(self) -> dict[str, Leaves | StoredPoints | ScanAlignment]:
         return {"leaves": self.leaves, "stored": self._stored, "alignment": self._alignment}
 
-    def update(self, points_lidar: Array, pose: Pose) -> ScanReport:
+    def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan.
 
         Args:
             points_lidar: (H, W, 3) organised or (N, 3), lidar axes (z boresight), m; rows that
                 are not finite are no returns.
             pose: Lidar pose at the scan's stamp.
+            sweep: How the lidar moved while it took the scan; None if at once.
         """
         pose = self._alignment.predicted(pose)
-        scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain)
+        scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain, sweep)
         refused_before = self._stored.refused
         divisions = refused = 0
         if len(scan.key):

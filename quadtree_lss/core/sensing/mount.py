@@ -53,6 +53,19 @@ class MountedPoses:
         mount = self.mount.at(stamp_ns) if isinstance(self.mount, PoseBuffer) else self.mount
         return None if body is None or mount is None else mounted(body, mount)
 
+    def covers(self, stamp_ns: int) -> bool:
+        """True if ``at`` has an answer."""
+        return self.body.covers(stamp_ns) and (
+            isinstance(self.mount, Pose) or self.mount.covers(stamp_ns)
+        )
+
+    def between(self, first_ns: int, last_ns: int) -> list[int]:
+        """Stamps of the poses of either that lie between, both ends excluded."""
+        stamps = self.body.between(first_ns, last_ns)
+        if isinstance(self.mount, PoseBuffer):
+            stamps = sorted({*stamps, *self.mount.between(first_ns, last_ns)})
+        return stamps
+
     def hopeless(self, stamp_ns: int) -> str | None:
         """As of the body; of the mount with ``gimbal_`` in front."""
         reason = self.body.hopeless(stamp_ns)

@@ -1,4 +1,4 @@
-from libc.math cimport INFINITY, NAN, sqrt
+from libc.math cimport NAN, sqrt
 
 from quadtree_lss.core.tree.morton cimport PLACE_BITS, PLACE_MASK
 
@@ -7,14 +7,17 @@ ctypedef fused Coordinate:
     double
 
 cpdef void turn(
-    Coordinate[:, :] points_lidar,
-    double[:, ::1] rotation,
+    const Coordinate[:, :] points_lidar,
+    int[::1] offsets,
+    double[::1] times,
+    double[:, ::1] motion,
     double least,
     double most,
     double[:, ::1] points,
     double[::1] ranges,
     long long[::1] lost,
 )
+cpdef bint reach_beyond(const Coordinate[:, :] points, double limit)
 cpdef void bin_runs(
     double[:, ::1] points,
     double[::1] ranges,

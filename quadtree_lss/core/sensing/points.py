@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 if not cython.compiled:
-    from math import inf as INFINITY
     from math import nan as NAN
     from math import sqrt
 
@@ -23,17 +22,19 @@ Places = NDArray[np.int32]
 @cython.boundscheck(False)
 def turn(
     points_lidar: Points,
-    rotation: Array,
+    offsets: Places,
+    times: Array,
+    motion: Array,
     least: float,
     most: float,
     points: Array,
     ranges: Array,
     lost: Keys,
 ) -> cython.void:
-    """Turn points (N, 3) to map axes, about the lidar, m.
+    """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m.
 
     Args:
-        rotation: (3, 3) rotation_map_lidar.
+        offsets, times, motion: Of a `sweep.Sweep`; without offsets, the first row is for all.
         least, most: Shorter or longer ranges are no returns, m.
         points: (N, 3) for the answer.
         ranges: (N,) for their ranges, NaN where there is no return.
@@ -45,10 +46,13 @@ def turn(
     x: cython.double
     y: cython.double
     z: cython.double
-    r = cython.declare(cython.double[9])
+    k: cython.Py_ssize_t
+    row: cython.Py_ssize_t = 0
+    moving: cython.bint = offsets.shape[0] > 0
+    r = cython.declare(cython.double[12])
     with cython.nogil:
-        for i in range(9):
-            r[i] = rotation[i // 3, i % 3]
+        for k in range(12):
+            r[k] = motion[0, k]
         for i in range(points_lidar.shape[0]):
             x = points_lidar[i, 0]
             y = points_lidar[i, 1]
@@ -56,17 +60,37 @@ def turn(
             distance = sqrt(x * x + y * y + z * z)
             if distance > 0.0 and least <= distance <= most:
                 ranges[i] = distance
-                points[i, 0] = r[0] * x + r[1] * y + r[2] * z
-                points[i, 1] = r[3] * x + r[4] * y + r[5] * z
-                points[i, 2] = r[6] * x + r[7] * y + r[8] * z
+                if moving:
+                    while row > 0 and offsets[i] < times[row]:
+                        row -= 1
+                    while row < times.shape[0] - 2 and offsets[i] >= times[row + 1]:
+                        row += 1
+                    share = (offsets[i] - times[row]) / (times[row + 1] - times[row])
+                    for k in range(12):
+                        r[k] = motion[row, k] + share * (motion[row + 1, k] - motion[row, k])
+                points[i, 0] = r[0] * x + r[1] * y + r[2] * z + r[9]
+                points[i, 1] = r[3] * x + r[4] * y + r[5] * z + r[10]
+                points[i, 2] = r[6] * x + r[7] * y + r[8] * z + r[11]
             else:
                 ranges[i] = NAN
-                if distance < INFINITY:
+                # The square of an absurd coordinate may be infinite though it is not.
+                if x - x + (y - y) + (z - z) == 0.0:
                     beyond += 1
                 else:
                     missing += 1
     lost[0] = missing
     lost[1] = beyond
+
+
+@cython.boundscheck(False)
+def reach_beyond(points: Points, limit: float) -> cython.bint:
+    """True if one of points (N, 3) has a coordinate beyond ``limit`` or infinite."""
+    i: cython.Py_ssize_t
+    with cython.nogil:
+        for i in range(points.shape[0]):
+            if abs(points[i, 0]) > limit or abs(points[i, 1]) > limit or abs(points[i, 2]) > limit:
+                return True
+    return False
 
 
 @cython.boundscheck(False)

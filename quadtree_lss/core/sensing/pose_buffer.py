@@ -110,6 +110,11 @@ class PoseBuffer:
         """True if ``at`` has an answer."""
         return self._bracket(stamp_ns) is not None
 
+    def between(self, first_ns: int, last_ns: int) -> list[int]:
+        """Stamps of the poses that lie between, both ends excluded."""
+        start = bisect.bisect_right(self._stamps, first_ns)
+        return self._stamps[start : bisect.bisect_left(self._stamps, last_ns)]
+
     def lacking(self, stamp_ns: int) -> str:
         """``no_pose``: the key to count a scan by that has waited for one in vain."""
         return "no_pose"

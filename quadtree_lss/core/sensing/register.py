@@ -14,6 +14,7 @@ from quadtree_lss.core.geometry.planes import covariance_root
 from quadtree_lss.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.points import arrange, bin_runs, turn
+from quadtree_lss.core.sensing.sweep import Sweep, still
 from quadtree_lss.core.tree.morton import SPREAD, sort_packed
 from quadtree_lss.core.tree.quadtree import Domain
 
@@ -33,7 +34,8 @@ class RegisteredScan:
         pose: Lidar pose at the scan's stamp, its covariance positive semidefinite and bounded.
         pose_root: (6, 6) root of the pose covariance.
         origin: (3,) position of the lidar at the scan's stamp, map frame, m.
-        points: (N, 3) map axes about ``origin``, m: each point is its own ray.
+        points: (N, 3) map axes about ``origin``, m: each point is its own ray (but for the
+            lidar's way between the stamp and the point's time, far shorter than a ray).
         key: (N,) Morton code of the finest cell under each point, ascending; points of a cell
             keep the order of the scan.
         centre: x and y of the middle of the sound returns, those outside the domain included,
@@ -49,13 +51,19 @@ class RegisteredScan:
 
 
 def register(
-    points_lidar: Points, pose: Pose, lidar: LidarConfig, domain: Domain
+    points_lidar: Points,
+    pose: Pose,
+    lidar: LidarConfig,
+    domain: Domain,
+    sweep: Sweep | None = None,
 ) -> tuple[RegisteredScan, dict[str, int]]:
     """Keep the sound returns, apply Eq. 15 and bring them into the order of the cells.
 
     Args:
         points_lidar: (H, W, 3) organised or (N, 3), float32 or float64, lidar axes, m; not
             finite = no return.
+        pose: Of the lidar at the scan's stamp.
+        sweep: How the lidar moved while it took the scan, if it did.
 
     Returns:
         The scan and how many points were dropped, by reason: ``no_return``, ``range``,
@@ -64,8 +72,10 @@ def register(
     flat = points_lidar.reshape(-1, 3)
     work = _workspace(len(flat))
     lost, found, sums = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2)
-    rotation = np.ascontiguousarray(pose.rotation_map_lidar)
-    turn(flat, rotation, lidar.min_range, lidar.max_range, work.points, work.ranges, lost)
+    moved = still(pose.rotation_map_lidar) if sweep is None else sweep
+    least, most = lidar.min_range, lidar.max_range
+    of_sweep = (moved.offsets, moved.times, moved.motion)
+    turn(flat, *of_sweep, least, most, work.points, work.ranges, lost)
     if points_lidar.ndim == 3:
         image = work.ranges.reshape(points_lidar.shape[:2])
         isolated = isolated_in_image(image, lidar.outlier_gate)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, seconds
+from quadtree_lss.core.sensing.sweep import Poses, uncovered
 
 
 class Drop(NamedTuple):
@@ -24,7 +25,7 @@ class Drop(NamedTuple):
     text: str
 
 
-class PoseSource(Protocol):
+class PoseSource(Poses, Protocol):
     """What a scan asks for its pose: `PoseBuffer`, or `mount.MountedPoses` on top of it."""
 
     @property
@@ -33,9 +34,6 @@ class PoseSource(Protocol):
 
     def clear(self) -> None:
         """Forgets every pose."""
-
-    def at(self, stamp_ns: int) -> Pose | None:
-        """Pose at the stamp, or None while there is none."""
 
     def hopeless(self, stamp_ns: int) -> str | None:
         """Short key of the reason why no later pose can help, or None while one can."""
@@ -55,6 +53,8 @@ class _Waiting(NamedTuple):
     stamp_ns: int
     scan: Any
     arrival_ns: int
+    first_ns: int
+    last_ns: int
 
 
 @dataclass
@@ -95,8 +95,14 @@ class ScanQueue:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def push_scan(self, stamp_ns: int, scan: Any, arrival_ns: int) -> None:
-        """Takes a scan that arrived at ``arrival_ns`` (any steady clock)."""
+    def push_scan(
+        self, stamp_ns: int, scan: Any, arrival_ns: int, span_ns: tuple[int, int] = (0, 0)
+    ) -> None:
+        """Takes a scan that arrived at ``arrival_ns`` (any steady clock).
+
+        Args:
+            span_ns: Times of its first and last point, from the stamp, which lies between.
+        """
         self._follow_pose_jump()
         last = self._last_ns
         if last is not None and stamp_ns == last:
@@ -105,11 +111,11 @@ class ScanQueue:
         if last is not None and stamp_ns < last - self.jump_ns:
             self._jump(stamp_ns, last)
         self._last_ns = stamp_ns
-        self._waiting.append(_Waiting(stamp_ns, scan, arrival_ns))
+        first, last = (stamp_ns + offset for offset in span_ns)
+        self._waiting.append(_Waiting(stamp_ns, scan, arrival_ns, first, last))
         if len(self._waiting) > self.max_scans:
             oldest = self._waiting.popleft()
-            why = self.poses.explain(oldest.stamp_ns, self.pose_topic)
-            more = f"{self.max_scans} scans wait already (pose.queue); {why}"
+            more = f"{self.max_scans} scans wait already (pose.queue); {self._why(oldest)}"
             self._drop(oldest.stamp_ns, "queue_full", more)
 
     def pop_ready(self) -> list[tuple[int, Any, Pose]]:
@@ -118,11 +124,12 @@ class ScanQueue:
         ready: list[tuple[int, Any, Pose]] = []
         while self._waiting:
             first = self._waiting[0]
-            pose = self.poses.at(first.stamp_ns)
+            lacks = self._lacks(first)
+            pose = self.poses.at(first.stamp_ns) if lacks is None else None
             if pose is not None:
                 ready.append((first.stamp_ns, first.scan, pose))
             else:
-                reason = self.poses.hopeless(first.stamp_ns)
+                reason = self.poses.hopeless(first.stamp_ns if lacks is None else lacks)
                 if reason is None:
                     break
                 self._drop(first.stamp_ns, reason, self._why(first))
@@ -137,10 +144,11 @@ class ScanQueue:
         """
         while self._waiting and now_ns - self._waiting[0].arrival_ns >= self.max_wait_ns:
             first = self._waiting[0]
-            if self.poses.at(first.stamp_ns) is not None:
+            lacks = self._lacks(first)
+            if lacks is None:
                 break
             waited = (now_ns - first.arrival_ns) / SECOND_NS
-            reason = self.poses.lacking(first.stamp_ns)
+            reason = self.poses.lacking(lacks)
             self._drop(first.stamp_ns, reason, f"waited {waited:.3f} s; {self._why(first)}")
             self._waiting.popleft()
         drops, self._drops = self._drops, []
@@ -150,13 +158,23 @@ class ScanQueue:
         """Drops what still waits, because nothing more will come."""
         while self._waiting:
             first = self._waiting.popleft()
-            reason = self.poses.lacking(first.stamp_ns)
+            lacks = self._lacks(first)
+            reason = self.poses.lacking(first.stamp_ns if lacks is None else lacks)
             self._drop(first.stamp_ns, reason, f"the data end; {self._why(first)}")
         drops, self._drops = self._drops, []
         return drops
 
+    def _lacks(self, waiting: _Waiting) -> int | None:
+        """A stamp within the scan for which there is no pose."""
+        return uncovered(self.poses, waiting.first_ns, waiting.last_ns)
+
     def _why(self, waiting: _Waiting) -> str:
-        return self.poses.explain(waiting.stamp_ns, self.pose_topic)
+        lacks = self._lacks(waiting)
+        why = self.poses.explain(waiting.stamp_ns if lacks is None else lacks, self.pose_topic)
+        if waiting.first_ns == waiting.last_ns:
+            return why
+        first, last = seconds(waiting.first_ns), seconds(waiting.last_ns)
+        return f"its points are of {first} .. {last}; {why}"
 
     def _drop(self, stamp_ns: int, reason: str, why: str) -> None:
         self.dropped[reason] += 1

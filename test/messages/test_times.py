@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scanning lidars: times in every driver's layout, and a map that motion does not bend."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from messages.samples import cloud, pose
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.messages.clouds import MessageError, points_from_cloud
+from quadtree_lss.messages.intake import Intake
+from quadtree_lss.messages.times import offsets_from_cloud
+
+SECOND = 1_000_000_000
+STAMP = 1_700_000_000 * SECOND + 123_456_789
+OFFSETS = np.linspace(0.0, 0.0999, 64)
+
+#: Driver: field, type, values from seconds after the stamp, what float holds of them in ns.
+LAYOUTS = {
+    "Ouster": ("t", "u4", lambda s: np.rint(s * 1e9), 1),
+    "Velodyne": ("time", "f4", lambda s: s, 8),
+    "Velodyne, stamped at the end": ("time", "f4", lambda s: s - 0.0999, 8),
+    "Hesai": ("timestamp", "f8", lambda s: STAMP * 1e-9 + s, 500),
+    "Hesai, stamped at the end": ("timestamp", "f8", lambda s: STAMP * 1e-9 + s - 0.0999, 500),
+    "Livox": ("timestamp", "f8", lambda s: STAMP + s * 1e9, 500),
+    "Livox, offsets": ("offset_time", "u4", lambda s: np.rint(s * 1e9), 1),
+    "offsets": ("time_offset", "f4", lambda s: s, 8),
+}
+
+
+@pytest.mark.parametrize("driver", LAYOUTS)
+@pytest.mark.parametrize("order", "<>")
+def test_each_drivers_times_are_known(driver, order):
+    name, kind, values, error = LAYOUTS[driver]
+    shift = -0.0999 if driver.endswith("end") else 0.0
+    msg = cloud(np.ones((64, 3)), order=order, gap=2, times=(name, kind, values(OFFSETS)))
+    offsets, span = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    np.testing.assert_allclose(offsets, (OFFSETS + shift) * 1e9, atol=error)
+    assert span[0] <= min(offsets.min(), 0) and span[1] >= max(offsets.max(), 0)
+    np.testing.assert_allclose(span, (min(shift * 1e9, 0.0), (0.0999 + shift) * 1e9), atol=error)
+
+
+def test_a_clock_that_began_with_the_simulation_is_taken_for_what_it_is():
+    for name, values in (("timestamp", 0.3 + OFFSETS), ("time", OFFSETS)):
+        msg = cloud(np.ones((64, 3)), times=(name, "f8", values))
+        offsets, _ = offsets_from_cloud(msg, 300_000_000, points_from_cloud(msg))
+        np.testing.assert_allclose(offsets, OFFSETS * 1e9, atol=1.0)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.05])
+def test_one_time_for_all_says_no_more_than_the_stamp(value):
+    msg = cloud(np.ones((8, 3)), times=("time", "f4", np.full(8, value)))
+    assert offsets_from_cloud(msg, STAMP, points_from_cloud(msg)) is None
+    assert offsets_from_cloud(cloud(np.ones((8, 3))), STAMP, np.ones((8, 3))) is None
+
+
+def test_times_of_no_returns_do_not_matter():
+    points = np.ones((64, 3))
+    points[10] = np.nan
+    times = OFFSETS.copy()
+    times[10] = np.nan
+    msg = cloud(points, times=("time", "f4", times))
+    offsets, _ = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    np.testing.assert_allclose(np.delete(offsets, 10), np.delete(OFFSETS, 10) * 1e9, atol=8)
+
+
+UNREASONABLE = {
+    "not finite": ("time", "f4", np.where(OFFSETS > 0.05, np.nan, OFFSETS)),
+    "longer than a second": ("t", "u4", OFFSETS * 20e9),
+    "of another clock": ("timestamp", "f8", OFFSETS + 1e6),
+    "before the stamp, unsigned": ("t", "u4", np.rint(OFFSETS * 1e9) + 2**32 - 10**8),
+}
+
+
+@pytest.mark.parametrize("how", UNREASONABLE)
+def test_unreasonable_times_are_told_and_the_scan_is_taken_as_of_one_time(how):
+    intake = Intake(config_from_values({}))
+    intake.on_pose(pose(STAMP))
+    intake.on_cloud(cloud(np.ones((64, 3)), stamp_ns=STAMP, times=UNREASONABLE[how]), 0)
+    (ready,) = intake.ready(0)
+    assert ready.sweep is None and ready.points_lidar.shape == (64, 3)
+    (notice,) = intake.notices()
+    assert notice.reason == "times_unreasonable" and "\n" not in notice.text
+    assert "lidar.deskew" in notice.text
+    assert intake.rejected == {"times_unreasonable": 1} and not intake.dropped
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "reason"),
+    [("datatype", 2, "type"), ("count", 3, "layout"), ("offset", 14, "layout")],
+)
+def test_a_field_of_times_that_cannot_be_read_has_a_reason(name, change, reason):
+    msg = cloud(np.ones((64, 3)), times=("time", "f4", OFFSETS))
+    setattr(msg.fields[3], name, change)
+    with pytest.raises(MessageError) as caught:
+        offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    assert caught.value.reason == reason
+
+
+VELOCITY = np.array([12.0, -5.0, -3.0])
+RATE = np.array([0.3, 0.2, -0.5])  # rad/s about map axes
+LINES, PER_LINE = 100, 160
+ROCK = np.array([2.0, -1.0]), 1.0  # a hemisphere's place and radius
+
+
+def position(t):
+    return np.array([0.0, 0.0, 60.0]) + np.multiply.outer(t, VELOCITY)
+
+
+def rotation(t):
+    """Of the lidar, which looks down at t = 0."""
+    turn = Rotation.from_rotvec(np.multiply.outer(t, RATE))
+    return turn * Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+
+
+def ranges_to_ground(origin, ray):
+    """First hit (N,) of rays with the plane z = 0 or the rock on it."""
+    plane = -origin[:, 2] / ray[:, 2]
+    arm = origin - (*ROCK[0], 0.0)
+    b = (arm * ray).sum(axis=1)
+    root = b**2 - (arm**2).sum(axis=1) + ROCK[1] ** 2
+    rock = np.where(root > 0.0, -b - np.sqrt(np.maximum(root, 0.0)), np.inf)
+    return np.minimum(plane, rock)
+
+
+def scan_lines(start):
+    """Points in lidar axes and seconds from ``start``: line after line for 0.1 s."""
+    across, along = np.meshgrid(np.linspace(-0.12, 0.12, PER_LINE), np.linspace(-0.1, 0.1, LINES))
+    seconds = np.linspace(0.0, 0.0999, LINES * PER_LINE)
+    ray = np.stack([across.ravel(), along.ravel(), np.ones(across.size)], axis=1)
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    t = start + seconds
+    ranges = ranges_to_ground(position(t), rotation(t).apply(ray))
+    return ray * ranges[:, None], seconds
+
+
+def flown(driver, **config):
+    """An intake that heard poses at 100 Hz and one scan, taken during 0.1 s from t = 0.05."""
+    name, kind, values, _ = LAYOUTS[driver]
+    intake = Intake(config_from_values(config))
+    start = 0.05
+    stamp = STAMP + (99_900_000 if driver.endswith("end") else 0)
+    points, seconds = scan_lines(start)
+    times = values(seconds)
+    if driver.startswith("Hesai") and driver.endswith("end"):
+        times = STAMP * 1e-9 + seconds  # since the epoch, whatever the stamp
+    for k in range(30):
+        t = 0.01 * k - 0.003
+        place, turn = position(t), rotation(t).as_quat()
+        intake.on_pose(pose(STAMP + round((t - start) * 1e9), place, turn, 1e-9 * np.eye(6)))
+    intake.on_cloud(cloud(points, stamp_ns=stamp, times=(name, kind, times)), 0)
+    (ready,) = intake.ready(0)
+    assert not intake.rejected and not intake.notices()
+    return ready, points, start + (stamp - STAMP) * 1e-9, start + seconds
+
+
+MAP = {
+    "domain.xmin": -16.0,
+    "domain.ymin": -16.0,
+    "domain.size": 32.0,
+    "domain.min_level": 5,
+    "domain.max_level": 7,
+    "lidar.outlier_gate": 0.0,
+    "lidar.range_noise": 0.01,
+}
+
+
+def mapped(ready):
+    mapper = Mapper(config_from_values(MAP))
+    mapper.update(ready.points_lidar, ready.pose, ready.sweep)
+    cells = mapper.snapshot()
+    return cells, cells.measured & np.isfinite(cells.z)
+
+
+@pytest.mark.parametrize("driver", LAYOUTS)
+def test_a_moving_and_turning_lidar_maps_the_ground_where_it_is(driver):
+    ready, points, at, t = flown(driver)
+    cells, known = mapped(ready)
+    away = np.hypot(cells.x - ROCK[0][0], cells.y - ROCK[0][1])
+    ground = known & (away > ROCK[1] + cells.size)
+    assert ground.sum() > 50
+    assert np.abs(cells.z[ground]).max() < 0.01
+    assert cells.normal[ground, 2].min() > np.cos(0.01)
+    top = known & (away < 0.4) & (cells.size < 0.6)
+    assert cells.z[top].max() == pytest.approx(ROCK[1], abs=0.1)
+
+
+def test_without_the_times_it_is_off_by_what_the_motion_says():
+    ready, points, at, t = flown("Ouster", **{"lidar.deskew": False})
+    assert ready.sweep is None
+    cells, known = mapped(ready)
+    # Where each point is put, and where it should be: the ground is bent by the difference.
+    put = rotation(at).apply(points) + position(at)
+    assert np.abs(put[:, 2]).max() > 1.0
+    for level in np.unique(cells.level[known]):
+        rows = np.flatnonzero(known & (cells.level == level))
+        for row in rows[:10]:
+            inside = np.abs(put[:, :2] - (cells.x[row], cells.y[row])).max(axis=1)
+            near = inside < 0.5 * cells.size[row]
+            assert cells.z[row] == pytest.approx(put[near, 2].mean(), abs=0.3 * cells.size[row])
+
+
+def test_a_flash_with_a_time_for_each_point_gives_the_same_bits_as_without():
+    points, _ = scan_lines(0.05)
+    maps = []
+    for times in (None, ("t", "u4", np.zeros(len(points)))):
+        intake = Intake(config_from_values({}))
+        intake.on_pose(pose(STAMP, position(0.05), rotation(0.05).as_quat(), 1e-9 * np.eye(6)))
+        intake.on_cloud(cloud(points, stamp_ns=STAMP, times=times), 0)
+        (ready,) = intake.ready(0)
+        maps.append(mapped(ready)[0])
+    np.testing.assert_array_equal(maps[0].z, maps[1].z)
+    np.testing.assert_array_equal(maps[0].normal, maps[1].normal)
