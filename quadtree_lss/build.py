@@ -27,15 +27,19 @@ class BuildError(QuadtreeLssError, ImportError):
     """The core cannot be imported as it was built."""
 
 
+def declarations(package: Path = PACKAGE) -> list[Path]:
+    """The ``.pxd`` files, sorted."""
+    return sorted((package / "core").glob("*/*.pxd"))
+
+
 def kernels(package: Path = PACKAGE) -> list[Path]:
     """The sources that are compiled, sorted: ``.py`` with a ``.pxd`` of the same name."""
-    declared = sorted((package / "core").rglob("*.pxd"))
-    return [path for pxd in declared if (path := pxd.with_suffix(".py")).exists()]
+    return [path for pxd in declarations(package) if (path := pxd.with_suffix(".py")).exists()]
 
 
 def source_hashes(package: Path = PACKAGE) -> dict[str, str]:
-    """Hash of every file that kernels are made of, by its path in the package."""
-    files = sorted({*(package / "core").rglob("*.pxd"), *kernels(package)})
+    """Hash of every file that the binaries are made of, by its path in the package."""
+    files = [*declarations(package), *kernels(package)]
     return {
         path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in files
