@@ -93,8 +93,8 @@ def compare(scenario: str, flight: Recording, scans: int) -> None:
         ready.append((points[inside], (iy * n + ix)[inside]))
     fixed = Mapper(config_from_values({"domain.min_level": config.domain.max_level}, config))
     methods: list[tuple[str, Callable, list]] = [
-        ("quadtree_lss", lambda scan: mapper.update(*scan[1:]).leaves, chosen),
-        ("quadtree_lss, fixed resolution", lambda scan: fixed.update(*scan[1:]).leaves, chosen),
+        ("quadtree_lss", lambda scan: mapper.update(*scan[1:3]).leaves, chosen),
+        ("quadtree_lss, fixed resolution", lambda scan: fixed.update(*scan[1:3]).leaves, chosen),
         ("loop over cells, lstsq", least_squares_loop, ready),
         ("loop over cells, SVD", svd_loop, ready),
         ("loop over sorted cells, SVD", sorted_svd_loop, ready),

@@ -24,7 +24,7 @@ from quadtree_lss.core.tree.quadtree import Domain
 
 Array = NDArray[np.float64]
 Heights = Callable[[Array, Pose], Array]
-"""From points (…, 3) in lidar axes and the lidar's pose to mean heights (n, n) [iy, ix], m."""
+"""From points (…, 3), float64, in lidar axes and the pose to mean heights (n, n) [iy, ix], m."""
 
 METHODS = ("plain compiled loop", "numpy.bincount", "scipy binned_statistic_2d")
 
