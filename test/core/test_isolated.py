@@ -12,11 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from quadtree_lss.core.sensing import lidar
-from quadtree_lss.core.sensing.isolated import (
-    _usual_distance,
-    isolated_in_image,
-    isolated_in_space,
-)
+from quadtree_lss.core.sensing.isolated import isolated_in_image
+from quadtree_lss.core.sensing.isolated_points import isolated_in_space, usual_distance
 
 
 def scene(height: int = 12, width: int = 16) -> np.ndarray:
@@ -115,23 +112,17 @@ def test_in_space_it_is_those_in_clusters_of_less_than_three(seed, count, size):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.5 * size, 0.5 * size, (count, 3))
     points[: count // 2] = 0.2 * rng.normal(size=(count // 2, 3))
-    gate = max(1.0, 5.0 * usual_distance(points))
+    gate = max(1.0, 5.0 * usual_distance(points, np.ones(count), count))
     np.testing.assert_array_equal(isolated(points, 1.0), clusters_of_less_than_three(points, gate))
 
 
-def usual_distance(points: np.ndarray) -> float:
-    """Of as few points as are not sampled."""
-    assert len(points) <= 400
-    return _usual_distance(points, np.ones(len(points)), len(points))
-
-
 @pytest.mark.parametrize("count", [200, 3000, 40_000])
-def test_usual_distance_of_a_plane_of_points_whatever_their_number(count):
+def testusual_distance_of_a_plane_of_points_whatever_their_number(count):
     rng = np.random.default_rng(1)
     points = np.zeros((count, 3))
     points[:, :2] = rng.uniform(0.0, 10.0, (count, 2))
     exact = np.median(cKDTree(points).query(points, k=3)[0][:, 2])
-    found = _usual_distance(points, np.ones(count), count)
+    found = usual_distance(points, np.ones(count), count)
     assert found == pytest.approx(exact, rel=0.2)
 
 

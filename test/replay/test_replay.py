@@ -14,6 +14,7 @@ from replay.recordings import (
     SECOND,
     START,
     Recorder,
+    descent,
     flight,
     storage_file,
     write_ros2,
@@ -172,6 +173,21 @@ def test_it_is_the_map_that_the_messages_give_one_by_one(bag, result):
         mapper.update(scan.points_lidar, scan.pose)
     cells = arrays(result.out / "cells.npz")
     np.testing.assert_array_equal(cells["z"], mapper.snapshot().z)
+
+
+def test_a_scanning_lidar_maps_level_ground_level(tmp_path):
+    """It comes down by 1.6 m during each scan, which is by how much the map tilts otherwise."""
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        descent(Recorder(writer))
+    highest = {}
+    for deskew in (True, False):
+        config = config_from_values({**GROUND, "lidar.deskew": deskew, "mapping.align": False})
+        result = replay(tmp_path / "bag", tmp_path / "out", config, report=False)
+        assert result.summary["scans"] == 4 and not result.summary["messages_rejected"]
+        cells = arrays(result.out / "cells.npz")
+        highest[deskew] = np.abs(cells["z"][cells["measured"]]).max()
+    assert highest[True] < 0.01
+    assert 1.0 < highest[False] < 2.0
 
 
 def test_without_report_an_old_one_does_not_stay(bag, tmp_path):

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LidarConfig
 from quadtree_lss.core.geometry.planes import covariance_root
-from quadtree_lss.core.sensing.isolated import isolated_in_image, isolated_in_space
+from quadtree_lss.core.sensing.isolated import isolated_in_image
+from quadtree_lss.core.sensing.isolated_points import isolated_in_space
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.points import arrange, bin_runs, turn
 from quadtree_lss.core.sensing.sweep import Sweep, still
