@@ -82,7 +82,9 @@ def check() -> None:
     built = _built()
     version = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
     if built is None:
-        msg = f"the core in {PACKAGE} is not compiled for {version}; {REMEDY}"
+        checkout = (PACKAGE.parent / "setup.py").exists()
+        hint = " (PYTHONSAFEPATH=1 takes what is installed instead)" if checkout else ""
+        msg = f"the core in {PACKAGE} is not compiled for {version}; {REMEDY}{hint}"
         raise BuildError(msg)
     if built.SOURCES != digest(source_hashes()):
         msg = f"the core in {PACKAGE} was compiled from other sources than those there; {REMEDY}"
