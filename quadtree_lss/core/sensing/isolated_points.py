@@ -95,11 +95,12 @@ def cube_of(
 @cython.boundscheck(False)
 def slot_of(cubes: Keys, cube: cython.longlong) -> cython.Py_ssize_t:
     """Where a cube stands in the table, or would. Eight in a row lie side by side."""
-    mixed: cython.ulonglong = cube >> 3
-    odd: cython.ulonglong = 0x9E3779B97F4A7C15
+    column: cython.longlong = cube & 0xFFFFF
+    row: cython.longlong = (cube >> 20) & 0xFFFFF
+    mixed: cython.longlong = (column >> 3) * 83492791
+    mixed ^= (row * 73856093) ^ ((cube >> 40) * 19349663)
     mask: cython.Py_ssize_t = cubes.shape[0] - 1
-    mixed = (mixed * odd) >> 32
-    slot: cython.Py_ssize_t = ((mixed << 3) | (cube & 7)) & mask
+    slot: cython.Py_ssize_t = ((mixed << 3) | (column & 7)) & mask
     while cubes[slot] != 0 and cubes[slot] >> 2 != cube:
         slot = (slot + 1) & mask
     return slot

@@ -24,7 +24,7 @@ Points = NDArray[np.float32] | NDArray[np.float64]
 Keys = NDArray[np.int64]
 
 #: Of larger scans no memory is kept.
-KEPT_POINTS = 1 << 16
+KEPT_POINTS = 1 << 20
 
 
 @dataclass(frozen=True)
