@@ -122,7 +122,7 @@ def print_result(result: ReplayResult) -> None:
     for k, (x, y, z) in enumerate(sites.position):
         print(
             f"{k + 1:4d} {x:8.2f} {y:8.2f} {z:8.2f} {sites.score[k]:8.4f}"
-            f" {sites.slope_deg[k]:5.1f}° {sites.roughness[k]:7.3f} m³"
+            f" {sites.slope_deg[k]:5.1f}° {sites.roughness[k]:7.3f} m"
             f" {sites.hazard_distance[k]:8.2f} m {sites.subscale_height[k]:7.2f} m"
         )
     if result.out is not None:

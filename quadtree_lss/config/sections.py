@@ -288,7 +288,8 @@ class LssConfig:
     pad_radius: float = _p(0.15, "radius of a landing pad", unit="m", low=0.0, high=10.0)
     hazard_growth: float = _p(
         0.25,
-        "unsafe ground is taken to reach this much farther: what the map's place is wrong by",
+        "unsafe ground is taken to reach this much farther: what the map's place is wrong by; "
+        "rounded up to whole finest cells",
         unit="m",
         low=0.0,
         high=100.0,
@@ -304,7 +305,12 @@ class LssConfig:
     )
     weight_slope: float = _p(1.0, "alpha_theta of Eq. 58, per radian", low=0.0, high=1e6, live=True)
     weight_roughness: float = _p(
-        1.0, "alpha_R of Eq. 58, per cubic metre", low=0.0, high=1e6, live=True
+        2.0,
+        "alpha_R of Eq. 58 over the leaf's area, per metre: as it is, a centimetre of roughness "
+        "counts like a degree of slope",
+        low=0.0,
+        high=1e6,
+        live=True,
     )
     weight_hazard_distance: float = _p(
         0.02, "alpha_H of Eq. 58, per metre", low=0.0, high=1e6, live=True

@@ -178,6 +178,7 @@ def write_grid(path: Path, assessment: LandingAssessment) -> None:
             "x": assessment.x,
             "y": assessment.y,
             "elevation": assessment.elevation,
+            "plane_elevation": assessment.plane_elevation,
             "slope_deg": assessment.slope_deg,
             "hazard": assessment.hazard,
             "safe": assessment.safe,

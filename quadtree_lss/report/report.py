@@ -133,7 +133,7 @@ def _sites(result: ReplayResult) -> str:
     sites = result.assessment.sites
     if not len(sites.score):
         return f"<p>None. {escape(result.assessment.explanation)}</p>"
-    header = ["rank", "x, m", "y, m", "z, m", "score", "slope, deg", "roughness, m³"]
+    header = ["rank", "x, m", "y, m", "z, m", "score", "slope, deg", "roughness, m"]
     header += ["to hazard, m", "subscale height, m", "why"]
     rows = [
         (

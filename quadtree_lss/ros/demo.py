@@ -150,7 +150,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 def print_sites(rows: Sequence[dict[str, str]]) -> None:
     """The ranked sites as a table."""
     print("\n rank       x       y       z   score  slope  roughness  hazard  subscale")
-    print("            m       m       m             deg        m^3       m         m")
+    print("            m       m       m             deg          m       m         m")
     for row in rows:
         v = {name: float(value) for name, value in row.items()}
         print(

@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from core.builders import configured, make_pose, scan, scattered
 
 from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.landing.hazards import LeafHazards, avoided_features, reference_level
 from quadtree_lss.core.landing.sites import LandingSiteSelector
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.messages.maps import round_trip
@@ -59,25 +56,3 @@ def test_another_domain_is_no_growth_of_the_last():
         cells = round_trip(mapper.snapshot())
         anew = LandingSiteSelector(config).assess(cells)
         np.testing.assert_array_equal(follower.assess(cells).hazard, anew.hazard)
-
-
-def test_a_leaf_that_changes_is_found_whatever_changes_in_it():
-    """Hazards of leaves kept from the last map are those found anew."""
-    config = configured(domain={"size": 16.0, "min_level": 2, "max_level": 6})
-    mapper, rng = Mapper(config), np.random.default_rng(8)
-    x, y = scattered(rng, 0.0, 0.0, 16.0, 12000)
-    pose = make_pose((8.0, 8.0, 300.0))
-    mapper.update(scan(rocks, x, y, pose, 0.03, rng), pose)
-    cells = round_trip(mapper.snapshot())
-    follower = LeafHazards(config.lss)
-    level = reference_level(cells, config.lss.elevation_reference_size)
-    assert (cells.level > level).any()
-    np.testing.assert_array_equal(follower.of(cells), avoided_features(cells, config.lss))
-    for name, value in (("z", 0.2), ("exception_fraction", 0.5), ("measured", -1), ("count", 7)):
-        for row in rng.choice(len(cells.level), 4, replace=False):
-            column = getattr(cells, name).copy()
-            column[row] = not column[row] if name == "measured" else column[row] + value
-            changed = dataclasses.replace(cells, **{name: column})
-            np.testing.assert_array_equal(
-                follower.of(changed), avoided_features(changed, config.lss)
-            )

@@ -7,13 +7,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped, slope, strip
+from core.builders import configured, elevation, flat, mapped, slope, strip
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.polygons import signed_distance
 from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.distances import distance_from
-from quadtree_lss.core.landing.nodes import touching
+from quadtree_lss.core.landing.lattice import distance_from, touching
 from quadtree_lss.core.landing.raster import rasterise
 from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.core.mapping.mapper import Mapper
@@ -84,12 +83,12 @@ def test_distance_is_to_the_cells_edge(share):
             assert found[row, column] == pytest.approx(expected, abs=1e-12)
 
 
-def test_grid_nodes_start_at_the_corner(level_ground):
+def test_grid_points_start_at_the_corner(level_ground):
     for spacing, count in ((0.5, 33), (0.3, 54), (5.0, 4)):
         found = assess(level_ground, small(grid_spacing=spacing))
         np.testing.assert_allclose(found.x, spacing * np.arange(count), atol=1e-12)
         np.testing.assert_array_equal(found.x, found.y)
-        for name in ("elevation", "slope_deg", "hazard", "safe", "score"):
+        for name in ("elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score"):
             assert getattr(found, name).shape == (count, count)
 
 
@@ -142,7 +141,7 @@ def test_leaves_with_exceptions_divide_rather_than_stay_hazards():
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.7, 1.3])
-def test_the_margin_keeps_off_nodes_that_fail_the_touchdown_check(cells, margin):
+def test_the_margin_keeps_off_points_that_fail_the_touchdown_check(cells, margin):
     config = small(margin=margin)
     found = assess(cells, config)
     failed = np.argwhere(found.hazard & hazards.TOUCHDOWN > 0)
@@ -160,7 +159,7 @@ def densities(cells: CellMap, config: Config) -> np.ndarray:
     subscale = rasterise(cells, lss.max_gap).subscale
     return (
         lss.weight_slope * np.arccos(np.minimum(cells.normal[:, 2], 1.0))[leaf]
-        + lss.weight_roughness * np.nan_to_num(cells.roughness[leaf])
+        + lss.weight_roughness * np.nan_to_num(cells.roughness / cells.size**2)[leaf]
         + lss.weight_subscale * subscale
     )
 
@@ -231,7 +230,7 @@ def test_sites_are_described_by_the_ground_in_their_zone(cells):
     leaf, sites = cells.leaf_raster(), found.sites
     bad = marked(hazards.avoided_features(cells, config.lss)[leaf] > 0)
     subscale = rasterise(cells, config.lss.max_gap).subscale_peak
-    rough = np.nan_to_num(cells.roughness[leaf])
+    rough = np.nan_to_num(cells.roughness / cells.size**2)[leaf]
     for k, (x, y, z) in enumerate(sites.position):
         over = zone_cells(x, y, RADIUS)
         assert sites.roughness[k] == pytest.approx(rough[over].max(), abs=1e-12)
@@ -244,15 +243,77 @@ def test_sites_are_described_by_the_ground_in_their_zone(cells):
 
 
 def test_hazard_distance_by_touchdown_is_from_the_ground_that_spoils(cells):
-    """From the nodes that fail the check, or from the domain's edge, less the zone's radius."""
+    """From the points that fail the check, or from the domain's edge, less the zone's radius."""
     config = small(assessment="touchdown", hazard_growth=0.0, hazard_distance_cap=6.0)
     found = assess(cells, config)
     row, column = np.nonzero(found.hazard & hazards.TOUCHDOWN)
     assert len(row) and len(found.sites.score)
     for k, (x, y, _) in enumerate(found.sites.position):
-        node = np.hypot(found.x[column] - x, found.y[row] - y).min() + RADIUS
-        clear = min(node, x, y, 16.0 - x, 16.0 - y) - RADIUS
+        point = np.hypot(found.x[column] - x, found.y[row] - y).min() + RADIUS
+        clear = min(point, x, y, 16.0 - x, 16.0 - y) - RADIUS
         assert found.sites.hazard_distance[k] == pytest.approx(clear, abs=1e-9)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.4])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_hazard_distance_is_how_far_the_zone_may_move(cells, assessment, margin):
+    """From the site itself, wherever the grid puts it: no lattice of half metres here."""
+    lss = {"assessment": assessment, "margin": margin, "grid_spacing": 0.35, "sites": 50}
+    config = small(hazard_growth=0.0, min_separation=0.0, **lss)
+    found = assess(cells, config)
+    fine = assess(cells, small(hazard_growth=0.0, assessment=assessment))
+    bad = marked(hazards.avoided_features(cells, config.lss)[cells.leaf_raster()] > 0)
+    failed = np.argwhere(fine.hazard & hazards.TOUCHDOWN) * 0.5
+    assert len(found.sites.score) == 50
+    for k, (x, y, _) in enumerate(found.sites.position):
+        free = min(x, y, 16.0 - x, 16.0 - y) - RADIUS - margin
+        if assessment == "paper":
+            free = min(free, rectangle_distance(x, y, bad, 0.5) - RADIUS - margin)
+        else:
+            free = min(free, np.hypot(*(failed - (y, x)).T).min() - margin)
+        assert found.sites.hazard_distance[k] == pytest.approx(free, abs=1e-9)
+
+
+def test_elevation_is_the_maps_own_and_the_planes_is_another():
+    """Over a block of 1 m, 0.5 m high, the plane at the lander's scale stays low."""
+
+    def ground(x, y):
+        return 0.5 * ((np.abs(x - 8.25) < 0.5) & (np.abs(y - 8.25) < 0.5)) + 0.04 * x
+
+    for spacing in (0.5, 0.35):
+        config = small(vehicle_diameter=2.9, grid_spacing=spacing)
+        cells = mapped(config, ground, density=200.0).snapshot()
+        found = assess(cells, config)
+        x, y = np.meshgrid(found.x[:-1], found.y[:-1])
+        own = elevation(cells, x.ravel(), y.ravel())
+        np.testing.assert_allclose(found.elevation[:-1, :-1].ravel(), own, atol=1e-9)
+        near = (np.abs(x - 8.25) < 0.3) & (np.abs(y - 8.25) < 0.3)
+        assert near.any()
+        assert (found.elevation[:-1, :-1][near] > 0.04 * x[near] + 0.4).all()
+        assert (found.plane_elevation[:-1, :-1][near] < 0.04 * x[near] + 0.3).all()
+        for k, (sx, sy, sz) in enumerate(found.sites.position):
+            at = np.flatnonzero(found.y == sy)[0], np.flatnonzero(found.x == sx)[0]
+            assert found.sites.position[k, 2] == sz == found.plane_elevation[at]
+
+
+def test_roughness_is_a_height_whatever_the_leafs_size():
+    """Eq. 55's volume over the leaf's area: the same ground is as rough in large leaves."""
+    found = []
+    for level in (2, 4):
+        config = configured(
+            domain={"min_level": level, "max_level": level},
+            lidar={"range_noise": 0.02},
+            lss={"vehicle_diameter": 1.9, "touchdown_roughness": 5.0, "touchdown_slope_deg": 80.0},
+        )
+
+        def ground(x, y):
+            return 0.2 * np.sin(9.0 * x) * np.sin(9.0 * y)
+
+        cells = mapped(config, ground, density=300.0).snapshot()
+        found.append(assess(cells, config).sites.roughness[0])
+    large, little = found
+    assert 0.03 < large < 0.2
+    assert 0.5 < little / large < 2.0
 
 
 @pytest.mark.parametrize(("assessment", "limit"), [("paper", 11), ("touchdown", 8)])
@@ -362,7 +423,7 @@ def test_terrain_outside_the_domain_is_never_landable(level_ground):
         assert min(x, y, 16.0 - x, 16.0 - y) >= RADIUS + 1.0 - 1e-9
 
 
-def test_a_node_between_lattice_nodes_is_as_safe_as_all_around_it(cells):
+def test_a_grid_point_between_lattice_points_is_as_safe_as_all_around_it(cells):
     fine, between = assess(cells, small()), assess(cells, small(grid_spacing=0.3))
     for row, y in enumerate(between.y):
         for column, x in enumerate(between.x):
@@ -393,7 +454,7 @@ def test_near_the_target_is_better(level_ground):
     config = small(weight_target=100.0, sites=1)
     for target in ((4.0, 11.0), (4.0, 11.0, 250.0), (100.0, 8.0)):
         first = assess(level_ground, config, target=target).sites.position[0]
-        nearest = np.clip(target[:2], 1.0, 15.0)  # first grid node beyond the radius
+        nearest = np.clip(target[:2], 1.0, 15.0)  # first grid point beyond the radius
         np.testing.assert_allclose(first[:2], nearest, atol=1e-9)
     plain = assess(level_ground, config)
     aimed = assess(level_ground, config, target=(4.0, 11.0))

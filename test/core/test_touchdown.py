@@ -24,7 +24,7 @@ BELL = 1.25
 
 
 class SlowLander:
-    """Stands on the leaf planes of a fully measured map, one node and heading at a time."""
+    """Stands on the leaf planes of a fully measured map, one grid point and heading at a time."""
 
     def __init__(self, cells: CellMap, config: LssConfig) -> None:
         self.cells, self.config = cells, config
@@ -39,7 +39,7 @@ class SlowLander:
         return c.z[k] + self.slope_x[k] * (x - c.x[k]) + self.slope_y[k] * (y - c.y[k])
 
     def pad(self, row: int, column: int, x: float, y: float) -> float:
-        """Height a pad at offset x, y from a node stands on: the plane's highest point under it."""
+        """Height that a pad at offset x, y from a grid point stands on: the highest under it."""
         d = self.cells.domain
         k = self.leaf[row + int(np.floor(y / self.side)), column + int(np.floor(x / self.side))]
         tilt = np.hypot(self.slope_x[k], self.slope_y[k])
@@ -94,7 +94,7 @@ def touchdown_bits(cells: CellMap, config) -> np.ndarray:
 
 
 def landable(cells: CellMap, config) -> list[tuple[int, int]]:
-    """Nodes whose lander circle lies inside the domain."""
+    """Grid points whose lander circle lies inside the domain."""
     n, side = cells.domain.finest_count, cells.domain.finest_size
     reach = 0.5 * config.lss.vehicle_diameter
     inside = [k for k in range(n + 1) if min(k, n - k) * side >= reach]
@@ -102,7 +102,7 @@ def landable(cells: CellMap, config) -> list[tuple[int, int]]:
 
 
 def assert_agrees(cells: CellMap, config) -> None:
-    """Node by node with the slow check, of which some nodes must pass and some fail."""
+    """Point by point with the slow check, of which some must pass and some fail."""
     assert cells.measured.all()
     found, slow = touchdown_bits(cells, config), SlowLander(cells, config.lss)
     limit = np.tan(np.radians(config.lss.touchdown_slope_deg))
@@ -118,9 +118,9 @@ def assert_agrees(cells: CellMap, config) -> None:
     assert outcome == {True, False}
 
 
-def bumpy(rng: np.random.Generator, size: float, bumps: int):
-    """Gently tilted ground with bumps of 5 to 40 cm."""
-    place, high = rng.uniform(0.0, size, (bumps, 2)), rng.uniform(0.05, 0.4, bumps)
+def uneven(rng: np.random.Generator, size: float, mounds: int):
+    """Gently tilted ground with mounds of 5 to 40 cm."""
+    place, high = rng.uniform(0.0, size, (mounds, 2)), rng.uniform(0.05, 0.4, mounds)
 
     def ground(x, y):
         parts = [
@@ -141,18 +141,18 @@ def lander(domain: dict[str, object], yaws: int, **lss: object):
 @pytest.mark.parametrize("yaws", [1, 5])
 def test_rough_ground_against_the_slow_check(seed, yaws):
     config = lander(SMALL, yaws)
-    ground = bumpy(np.random.default_rng(seed), 8.0, 12)
+    ground = uneven(np.random.default_rng(seed), 8.0, 12)
     assert_agrees(mapped(config, ground, density=150.0, scans=1, seed=seed).snapshot(), config)
 
 
 def test_a_larger_map_against_the_slow_check():
     config = lander({"size": 16.0, "min_level": 1, "max_level": 5}, 3)
-    ground = bumpy(np.random.default_rng(5), 16.0, 25)
+    ground = uneven(np.random.default_rng(5), 16.0, 25)
     assert_agrees(mapped(config, ground, density=100.0, scans=1).snapshot(), config)
 
 
 def test_subscale_features_stand_out_of_the_ground():
-    """Boulders a little lower than the limit on smooth ground, their bells some over it."""
+    """Rocks a little lower than the limit on smooth ground, their bells some over it."""
     config = lander(SMALL, 3)
     cells = mapped(config, slope(0.02, -0.03), density=100.0, scans=1).snapshot()
     feature = np.full((len(cells.z), 5), np.nan)
@@ -163,9 +163,11 @@ def test_subscale_features_stand_out_of_the_ground():
     assert_agrees(dataclasses.replace(cells, feature=feature), config)
 
 
-@pytest.mark.parametrize("growth", [0.5, 0.8, 1.3])
-def test_unsafe_ground_grows_by_the_set_length(growth):
-    """A node is unsafe if one that fails lies within ``hazard_growth`` of it."""
+@pytest.mark.parametrize(
+    ("growth", "reach"), [(0.0, 0.0), (0.25, 0.5), (0.5, 0.5), (0.8, 1.0), (1.3, 1.5)]
+)
+def test_unsafe_ground_grows_by_the_set_length_rounded_outwards(growth, reach):
+    """Points lie half a metre apart: the next one at the least is unsafe, if it grows at all."""
     lander = {"vehicle_diameter": 2.9, "hazard_growth": 0.0}
     config = configured(domain=SMALL, lidar={"range_noise": 0.02}, lss=lander)
 
@@ -179,7 +181,7 @@ def test_unsafe_ground_grows_by_the_set_length(growth):
     unsafe = np.argwhere(bare)
     for row, column in landable(cells, config):
         distance = cells.domain.finest_size * np.hypot(*(unsafe - (row, column)).T).min()
-        assert grown[row, column] == (distance <= growth)
+        assert grown[row, column] == (distance <= reach)
 
 
 @pytest.mark.parametrize(("degrees", "unsafe"), [(0.0, False), (8.0, False), (10.0, True)])
@@ -190,7 +192,7 @@ def test_even_slopes_fail_by_their_angle(degrees, unsafe):
         ground = slope(tangent * np.cos(direction), tangent * np.sin(direction))
         cells = mapped(config, ground, density=60.0).snapshot()
         bits = touchdown_bits(cells, config)
-        assert all(bits[node] == unsafe for node in landable(cells, config))
+        assert all(bits[point] == unsafe for point in landable(cells, config))
 
 
 @pytest.mark.parametrize(("rise", "unsafe"), [(0.18, False), (0.35, True)])
@@ -234,7 +236,7 @@ def placed(raster: TerrainRaster, rows: int, columns: int) -> TerrainRaster:
 def test_how_grid_points_fall_into_blocks_changes_nothing(yaws, diameter, shift):
     """Other blocks are other planes to compare with and other bounds."""
     config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, yaws, vehicle_diameter=diameter)
-    ground = bumpy(np.random.default_rng(9), 16.0, 40)
+    ground = uneven(np.random.default_rng(9), 16.0, 40)
     raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
     candidates = np.zeros((65, 65), dtype=np.bool_)
     candidates[8:-8, 8:-8] = True  # 2 m from the edge
@@ -250,7 +252,7 @@ def test_how_grid_points_fall_into_blocks_changes_nothing(yaws, diameter, shift)
 
 def test_far_from_sea_level_the_verdict_is_the_same():
     config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, 5)
-    ground = bumpy(np.random.default_rng(9), 16.0, 40)
+    ground = uneven(np.random.default_rng(9), 16.0, 40)
     raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
     high = dataclasses.replace(raster, elevation=raster.elevation + 3000.0)
     everywhere = np.ones((65, 65), dtype=np.bool_)

@@ -5,19 +5,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cython
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.core.geometry.feature import height, mean_height
-from quadtree_lss.core.landing.distances import grown
+from quadtree_lss.core.landing.lattice import grown, nearest_marked
 from quadtree_lss.core.tree.quadtree import CellMap, Domain
+
+if not cython.compiled:
+    from math import erf, exp, pi, sqrt
+
+    fmax, fmin, M_PI = max, min, pi
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: Lower tails of a feature are no feature, m.
-NEGLIGIBLE = 0.005
+NEGLIGIBLE = cython.declare(cython.double, 0.005)
 
 
 @dataclass(frozen=True)
@@ -58,39 +62,94 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     """
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
-    leaf = cells.leaf_raster()
-    # About the middle of the domain, for the sake of digits.
-    along = (np.arange(n) + 0.5 - 0.5 * n) * side
-    x = cells.x - (domain.xmin + 0.5 * domain.size)
-    y = cells.y - (domain.ymin + 0.5 * domain.size)
-    measured = cells.measured[leaf]
+    leaf = np.zeros((n, n), dtype=np.int32)
+    elevation, slope_x, slope_y, subscale, peak = layers = np.zeros((5, n, n))
     if not (cells.measured.any() and cells.observed.any()):
-        nothing = np.zeros((n, n))
         unseen = np.zeros((n, n), dtype=np.bool_)
-        flat = (nothing,) * 4
-        return TerrainRaster(domain, leaf, nothing + np.nan, *flat, seen=unseen, firm=unseen)
+        elevation += np.nan
+        leaf, seen, firm = cells.leaf_raster(), unseen, unseen
+        return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, peak, seen, firm)
     seen = grown(cells.observed, max_gap, side, short=0.5)
     firm = cells.observed | ~grown(~seen, max_gap, side, short=0.5)
-    with np.errstate(invalid="ignore"):
-        leaf_slope_x = np.where(cells.measured, -cells.normal[:, 0] / cells.normal[:, 2], 0.0)
-        leaf_slope_y = np.where(cells.measured, -cells.normal[:, 1] / cells.normal[:, 2], 0.0)
-    slope_x, slope_y = leaf_slope_x.take(leaf), leaf_slope_y.take(leaf)
-    elevation = (cells.z - leaf_slope_x * x - leaf_slope_y * y).take(leaf)
-    elevation += slope_x * along
-    elevation += slope_y * along[:, None]
+    down = domain.max_level - cells.level.astype(np.intp)
+    lay_out(
+        cells.iy.astype(np.intp) << down,
+        cells.ix.astype(np.intp) << down,
+        np.left_shift(1, down),
+        np.where(cells.measured, cells.z, np.nan),
+        cells.normal,
+        cells.feature,
+        side,
+        leaf,
+        layers,
+    )
+    measured = cells.measured.take(leaf)
     if not measured.all():
-        nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
-        elevation = elevation[nearest[0], nearest[1]]
-    subscale, peak = np.zeros((n, n)), np.zeros((n, n))
-    featured = np.isfinite(cells.feature[:, 1])
-    if featured.any():
-        where = np.nonzero(featured[leaf])
-        rows = leaf[where]
-        state, half = cells.feature[rows], 0.5 * side
-        dx, dy = along[where[1]] - x[rows], along[where[0]] - y[rows]
-        subscale[where] = mean_height(state, dx, dy, half)
-        nearest_x = np.clip(state[:, 2], dx - half, dx + half)
-        nearest_y = np.clip(state[:, 3], dy - half, dy + half)
-        raised = height(state, nearest_x, nearest_y)
-        peak[where] = np.where(raised >= NEGLIGIBLE, raised, 0.0)
+        elevation = elevation.take(nearest_marked(measured)[1])
     return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, peak, seen, firm)
+
+
+@cython.boundscheck(False)
+def lay_out(
+    row: NDArray[np.intp],
+    column: NDArray[np.intp],
+    width: NDArray[np.intp],
+    z: Array,
+    normal: Array,
+    feature: Array,
+    side: float,
+    leaf: NDArray[np.int32],
+    layers: Array,
+) -> None:
+    """Fill the finest cells under leaves (M).
+
+    Args:
+        row, column: (M,) of each leaf's first finest cell.
+        width: (M,) finest cells along its side.
+        z: (M,) plane's elevation at the centre, NaN if it was not measured, m.
+        normal, feature: (M, 3), (M, 5).
+        side: Of the finest cells, m.
+        leaf: (n, n), set to the row of the leaf.
+        layers: (5, n, n) zeros, set to elevation, slopes in x and y, mean and greatest height of
+            the feature.
+    """
+    k: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    half = 0.5 * side
+    with cython.nogil:
+        for k in range(z.shape[0]):
+            middle = 0.5 * (width[k] - 1)
+            slope_x, slope_y = 0.0, 0.0
+            if z[k] == z[k]:
+                slope_x, slope_y = -normal[k, 0] / normal[k, 2], -normal[k, 1] / normal[k, 2]
+            for i in range(row[k], row[k] + width[k]):
+                y = (i - row[k] - middle) * side
+                for j in range(column[k], column[k] + width[k]):
+                    x = (j - column[k] - middle) * side
+                    leaf[i, j] = k
+                    layers[0, i, j] = z[k] + slope_x * x + slope_y * y
+                    layers[1, i, j] = slope_x
+                    layers[2, i, j] = slope_y
+            if not feature[k, 1] == feature[k, 1]:
+                continue
+            # Eq. 57: a bell is a product of two normal densities times its volume k^2.
+            sigma, volume = feature[k, 4], feature[k, 1] * feature[k, 1]
+            high = volume / (2.0 * M_PI * sigma * sigma)
+            for i in range(row[k], row[k] + width[k]):
+                y = (i - row[k] - middle) * side - feature[k, 3]
+                share = bell_share(y, half, sigma) * volume / (side * side)
+                near_y = fmax(fmax(y - half, -y - half), 0.0)
+                for j in range(column[k], column[k] + width[k]):
+                    x = (j - column[k] - middle) * side - feature[k, 2]
+                    near_x = fmax(fmax(x - half, -x - half), 0.0)
+                    layers[3, i, j] = share * bell_share(x, half, sigma)
+                    square = near_x * near_x + near_y * near_y
+                    raised = high * exp(-0.5 * square / (sigma * sigma))
+                    layers[4, i, j] = raised if raised >= NEGLIGIBLE else 0.0
+
+
+def bell_share(x: float, half: float, sigma: float) -> float:
+    """Of a normal density about 0 between x - half and x + half."""
+    scale = 1.0 / (sqrt(2.0) * sigma)
+    return 0.5 * (erf((x + half) * scale) - erf((x - half) * scale))

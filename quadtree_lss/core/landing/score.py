@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hazards, safety and score of every node of the finest lattice (paper V.B to V.D)."""
+"""Hazards, safety and score of every grid point of the finest lattice (paper V.B to V.D)."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.distances import distance_from, grown
-from quadtree_lss.core.landing.nodes import (
+from quadtree_lss.core.landing.lattice import (
     Disc,
-    NodePlanes,
+    GroundPlanes,
     disc,
-    node_means,
-    node_planes,
-    sum_of_corners,
+    disc_means,
+    distance_from,
+    ground_planes,
+    grown,
+    mean_of_corners,
     touching,
 )
 from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.landing.touchdown import TouchdownCheck
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.quadtree import CellMap, Domain
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
@@ -31,54 +32,8 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Clearance:
-    """How far ground that spoils a landing is from the nodes (n + 1, n + 1).
-
-    Attributes:
-        marked: Nodes that tell of a hazard ...
-        beyond: ... which lies this much farther, m.
-        unseen: Corners of unseen cells.
-        side: Of a finest cell, m.
-        cap: m.
-        near: To the nearest hazard, or ground that is unseen or outside, up to ``cap``, m.
-    """
-
-    marked: Mask
-    beyond: float
-    unseen: Mask
-    side: float
-    cap: float
-    near: Array
-
-    @classmethod
-    def measure(
-        cls, marked: Mask, beyond: float, unseen: Mask, side: float, cap: float
-    ) -> Clearance:
-        """Distances up to a cap."""
-        near = np.minimum(distance_from(marked, side, cap) + beyond, cap)
-        np.minimum(near, seen_about(unseen, side, float(near.max())), out=near)
-        return cls(marked, beyond, unseen, side, cap, near)
-
-    def of_nodes(self, rows: Index, columns: Index) -> Array:
-        """Distance (K,) whatever the cap, m."""
-        out = self.near[rows, columns]
-        if (out < self.cap).all() or np.isinf(self.cap):
-            return out
-        far = Clearance.measure(self.marked, self.beyond, self.unseen, self.side, np.inf)
-        return far.of_nodes(rows, columns)
-
-
-def seen_about(unseen: Mask, side: float, cap: float) -> Array:
-    """Distance of nodes to ground that is unseen or outside, up to ``cap`` or farther, m."""
-    lattice = np.arange(len(unseen))
-    border = np.minimum(lattice, lattice[::-1]) * side
-    out = np.minimum(border[:, None], border)
-    return np.minimum(out, distance_from(unseen, side, cap), out=out)
-
-
-@dataclass(frozen=True)
-class NodeAssessment:
-    """What the assessment finds on the lattice of finest-cell corners, (n + 1, n + 1).
+class PointAssessment:
+    """What the assessment finds at the grid points of the finest lattice, (n + 1, n + 1).
 
     Attributes:
         planes: Ground at the lander's scale.
@@ -86,84 +41,124 @@ class NodeAssessment:
         hazard: Bits of ``hazards``.
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
-        clearance: Distances to hazards.
-        roughness: Of the finest cells, (n, n), m^3.
+        roughness: Of the finest cells, (n, n), m.
         subscale: Greatest height of a subscale feature within each of them, (n, n), m.
         zone: Which finest cells a zone covers.
+        spoiled: What the zone must keep off: finest cells (n, n) by the paper's rules, grid points
+            at which the lander fails with the touchdown check ...
+        reach: ... and how near the zone's centre may come to them, m.
+        unseen: (n, n) finest cells the zone must keep off.
     """
 
-    planes: NodePlanes
+    planes: GroundPlanes
     slope: Array
     hazard: Bits
     safe: Mask
     score: Array
-    clearance: Clearance
     roughness: Array
     subscale: Array
     zone: Disc
+    spoiled: Mask
+    reach: float
+    unseen: Mask
 
 
-def assess_nodes(
-    cells: CellMap,
-    raster: TerrainRaster,
-    lss: LssConfig,
-    leaf_hazards: hazards.LeafHazards,
-    touchdown: TouchdownCheck,
-) -> NodeAssessment:
+def assess_points(
+    cells: CellMap, raster: TerrainRaster, lss: LssConfig, touchdown: TouchdownCheck
+) -> PointAssessment:
     """Hazards, safety and score on the finest lattice."""
     side = cells.domain.finest_size
     radius = 0.5 * lss.vehicle_diameter
     zone = radius + lss.margin
-    bits = np.where(raster.seen, leaf_hazards.of(cells).take(raster.leaf), np.uint8(0))
-    planes = node_planes(raster, 0.75 * radius)
+    bits = np.where(
+        raster.seen, hazards.avoided_features(cells, lss).take(raster.leaf), np.uint8(0)
+    )
+    planes = ground_planes(raster.elevation, side, 0.75 * radius)
     slope = np.arctan(np.sqrt(planes.slope_x**2 + planes.slope_y**2))
-    unseen = touching((~raster.firm).view(np.uint8)) > 0
     hazard = touching(bits)
-    inside, cap = seen_about(unseen, side, zone + side), lss.hazard_distance_cap
+    inside = _seen_about(raster)
     if lss.assessment == "touchdown":
         landable = inside >= radius - 1e-9
-        unsafe = touchdown.unsafe(raster, landable)
-        unsafe |= landable & grown(touching(bits & np.uint8(hazards.EXCEPTION)) > 0, radius, side)
-        unsafe |= landable & grown(unsafe, lss.hazard_growth, side)
-        hazard |= unsafe * np.uint8(hazards.TOUCHDOWN)
-        # Ground that spoils a landing lies about a radius from the nodes it makes unsafe.
-        clearance = Clearance.measure(unsafe, radius, unseen, side, cap)
-        safe = ~grown(unsafe, lss.margin, side) & (inside >= zone - 1e-9)
-        density_slope = 0.25 * sum_of_corners(slope)
+        spoiled = touchdown.unsafe(raster, landable)
+        excepted = touching(bits & np.uint8(hazards.EXCEPTION)) > 0
+        spoiled |= landable & grown(excepted, radius, side)
+        # Rounded outwards: a map that may be off at all is off by a grid point.
+        steps = np.ceil(lss.hazard_growth / side - 1e-9)
+        spoiled |= landable & grown(spoiled, steps * side, side)
+        hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
+        safe = ~grown(spoiled, lss.margin, side) & (inside >= zone - 1e-9)
+        # Ground that spoils a landing lies about a radius from the points it makes unsafe.
+        near, reach = distance_from(spoiled, side) + radius, lss.margin
+        density_slope = mean_of_corners(slope)
     else:
-        clearance = Clearance.measure(hazard > 0, 0.0, unseen, side, cap)
-        safe = ~grown(clearance.marked, zone, side) & (inside >= zone - 1e-9)
+        spoiled = bits > 0
+        safe = ~grown(hazard > 0, zone, side) & (inside >= zone - 1e-9)
+        near, reach = distance_from(hazard > 0, side), zone
         density_slope = hazards.slope(cells.normal).take(raster.leaf)
+    near = np.minimum(np.minimum(near, inside), lss.hazard_distance_cap)
     hazard |= (touching((~raster.seen).view(np.uint8)) > 0) * np.uint8(hazards.UNSEEN)
     over = disc(zone, side)
-    rough = np.nan_to_num(cells.roughness).take(raster.leaf)
-    score = _score(raster, density_slope, rough, clearance.near, over, lss)
-    return NodeAssessment(
-        planes, slope, hazard, safe, score, clearance, rough, raster.subscale_peak, over
+    # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
+    rough = np.nan_to_num(cells.roughness / cells.size**2).take(raster.leaf)
+    # Eq. 58 on the finest cells; Eq. 56's integral as Eq. 59's mean over the disc of each point.
+    density = lss.weight_slope * np.nan_to_num(density_slope)
+    density += lss.weight_roughness * rough
+    density -= lss.weight_hazard_distance * mean_of_corners(near)
+    density += lss.weight_subscale * raster.subscale
+    return PointAssessment(
+        planes,
+        slope,
+        hazard,
+        safe,
+        disc_means(density, over),
+        rough,
+        raster.subscale_peak,
+        over,
+        spoiled,
+        reach,
+        ~raster.firm,
     )
 
 
-def _score(
-    raster: TerrainRaster,
-    slope: Array,
-    roughness: Array,
-    clearance: Array,
-    over: Disc,
-    lss: LssConfig,
-) -> Array:
-    """Eq. 58 on the finest cells; Eq. 56's integral as Eq. 59's mean over the disc of each node.
+def _seen_about(raster: TerrainRaster) -> Array:
+    """Distance of grid points to ground that is unseen or outside, m."""
+    n, side = raster.domain.finest_count, raster.domain.finest_size
+    border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
+    unseen = touching((~raster.firm).view(np.uint8)) > 0
+    return np.minimum(np.minimum(border[:, None], border), distance_from(unseen, side))
 
-    The distance to a hazard counts up to ``hazard_distance_cap``.
+
+def room_about(points: PointAssessment, domain: Domain, zone: float, x: Array, y: Array) -> Array:
+    """How far a zone of radius ``zone`` centred at x, y (K,) may move in any direction, (K,), m.
+
+    That is until it touches a hazard (or, with the touchdown check, until the lander fails within
+    the margin), unseen ground or the domain's border. 0 where it does.
     """
-    density = lss.weight_slope * np.nan_to_num(slope)
-    density += lss.weight_roughness * roughness
-    density -= (0.25 * lss.weight_hazard_distance) * sum_of_corners(clearance)
-    density += lss.weight_subscale * raster.subscale
-    return node_means(density, over)
+    x, y = x - domain.xmin, y - domain.ymin
+    out = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
+    for marked, reach in ((points.spoiled, points.reach), (points.unseen, zone)):
+        row, column = np.nonzero(marked & ~_surrounded(marked))
+        if not len(row):
+            continue
+        # Cells have an extent, points of the lattice have none.
+        half = 0.5 * (domain.finest_count + 1 - len(marked))
+        for k in range(len(x)):
+            dx = np.abs(x[k] / domain.finest_size - column - half) - half
+            dy = np.abs(y[k] / domain.finest_size - row - half) - half
+            away = np.hypot(np.maximum(dx, 0.0), np.maximum(dy, 0.0)).min() * domain.finest_size
+            out[k] = min(out[k], away - reach)
+    return np.maximum(out, 0.0)
+
+
+def _surrounded(marked: Mask) -> Mask:
+    """Marked places between marked ones on all four sides."""
+    out = np.zeros_like(marked)
+    out[1:-1, 1:-1] = marked[:-2, 1:-1] & marked[2:, 1:-1] & marked[1:-1, :-2] & marked[1:-1, 2:]
+    return out
 
 
 def greatest_in_zones(values: Array, over: Disc, rows: Index, columns: Index) -> Array:
-    """Greatest value (K,) of the cells (n, n) in the disc about nodes (K,) inside the domain."""
+    """Greatest value (K,) of the cells (n, n) in the disc about grid points (K,) in the domain."""
     last = len(values) - 1
     row = np.clip(rows[:, None] + over.row, 0, last)
     column = np.clip(columns[:, None] + over.column, 0, last)

@@ -9,14 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.config.settings import Config, LssConfig
-from quadtree_lss.core.geometry.planes import normal_from_slopes
 from quadtree_lss.core.geometry.polygons import signed_distance
 from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.grid import GridSampler, best_points, grid_axis
 from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
-from quadtree_lss.core.landing.sampling import GridSampler, best_nodes
-from quadtree_lss.core.landing.score import NodeAssessment, assess_nodes, greatest_in_zones
+from quadtree_lss.core.landing.score import (
+    PointAssessment,
+    assess_points,
+    greatest_in_zones,
+    room_about,
+)
 from quadtree_lss.core.landing.touchdown import TouchdownCheck
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.quadtree import CellMap, Domain
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
@@ -29,13 +33,14 @@ class Sites:
     """Ranked sites, best first; K rows, map frame.
 
     Attributes:
-        position: (K, 3) on the terrain, m.
-        normal: (K, 3) of the ground at the lander's scale.
+        position: (K, 3) on the plane of the ground at the lander's scale, where its pads rest, m.
+        normal: (K, 3) of that plane.
         score: (K,) mean score density over the zone (Eq. 59), lower is better.
         slope_deg: (K,) at the lander's scale.
-        roughness: (K,) greatest roughness density in the zone, m^3.
-        hazard_distance: (K,) least distance of the zone's ground from a hazard or from unseen
-            ground, which is never landable, m.
+        roughness: (K,) greatest mean deviation from the plane beyond noise in the zone: Eq. 55's
+            volume over the leaf's area, m.
+        hazard_distance: (K,) how far the zone may move in any direction until it touches a hazard
+            or unseen ground, m; see ``score.room_about``.
         subscale_height: (K,) greatest height of a subscale feature in the zone, m.
         reasons: A sentence for each.
     """
@@ -57,13 +62,14 @@ class LandingAssessment:
     Attributes:
         stamp_ns: The map's stamp.
         sites: Ranked sites, none if no ground is safe.
-        x, y: (nx,), (ny,) grid nodes, m.
-        elevation: (ny, nx) ground at the node, m, NaN if unknown.
-        slope_deg: (ny, nx) slope at the lander's scale, NaN if unknown.
+        x, y: (nx,), (ny,) of the grid points, m.
+        elevation: (ny, nx) height of the map's own planes at the grid point, m, NaN if unseen.
+        plane_elevation: (ny, nx) of the plane at the lander's scale there, m, NaN if unseen.
+        slope_deg: (ny, nx) slope at the lander's scale, NaN if unseen.
         hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 128 unseen.
         safe: (ny, nx) landing centred here is allowed by the ground itself.
         score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
-        explanation: Why there are no sites, or how many nodes were safe.
+        explanation: Why there are no sites, or how many grid points are safe.
     """
 
     stamp_ns: int
@@ -71,6 +77,7 @@ class LandingAssessment:
     x: Array
     y: Array
     elevation: Array
+    plane_elevation: Array
     slope_deg: Array
     hazard: Bits
     safe: Mask
@@ -81,8 +88,8 @@ class LandingAssessment:
 class LandingSiteSelector:
     """Assesses maps.
 
-    Keeps the last first-ranked site, for ``lss.hysteresis``, and what was found of the last map's
-    leaves and by the touchdown check, to repeat only what changed.
+    Keeps the last first-ranked site, for ``lss.hysteresis``, and the verdicts of the touchdown
+    check, to repeat only what changed.
     """
 
     def __init__(self, config: Config) -> None:
@@ -92,7 +99,6 @@ class LandingSiteSelector:
     def configure(self, config: Config) -> None:
         """Go by these limits from now on; what was found by others is forgotten."""
         self.config = config
-        self._leaf_hazards = hazards.LeafHazards(config.lss)
         self._touchdown = TouchdownCheck(config.lss)
 
     def assess(
@@ -119,17 +125,17 @@ class LandingSiteSelector:
         nobody knows where landing is wanted: no site is given out and the explanation says why.
         """
         lss, domain = self.config.lss, cells.domain
-        x, y = (_grid(low, domain.size, lss.grid_spacing) for low in (domain.xmin, domain.ymin))
+        x, y = (grid_axis(low, domain.size, lss.grid_spacing) for low in (domain.xmin, domain.ymin))
         raster = rasterise(cells, lss.max_gap)
         if not raster.seen.any():
             return _nothing(cells.stamp_ns, x, y, "nothing is mapped yet")
-        nodes = assess_nodes(cells, raster, lss, self._leaf_hazards, self._touchdown)
+        points = assess_points(cells, raster, lss, self._touchdown)
         at = GridSampler(domain, x, y)
-        safe = at.everywhere(nodes.safe)
-        score = np.where(safe, at.nearest(nodes.score), np.nan)
-        explanation = f"{np.count_nonzero(safe)} of {safe.size} grid nodes are safe"
+        safe = at.everywhere(points.safe)
+        score = np.where(safe, at.nearest(points.score), np.nan)
+        explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
         if not safe.any():
-            explanation = _why_none(nodes, raster, lss)
+            explanation = _why_none(points, raster, lss)
         try:
             _restrict(score, x, y, lss, area, keep_out, target)
         except (TypeError, ValueError) as error:
@@ -141,16 +147,17 @@ class LandingSiteSelector:
         if withheld:
             score[...] = np.nan
             explanation = f"no site is given out: {withheld}"
-        sites = self._rank(nodes, at, score, x, y)
-        hazard = at.any(nodes.hazard)
+        sites = self._rank(points, domain, at, score, x, y)
+        hazard = at.any(points.hazard)
         unseen = (hazard & hazards.UNSEEN) > 0
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             sites=sites,
             x=x,
             y=y,
-            elevation=np.where(unseen, np.nan, at.linear(nodes.planes.elevation)),
-            slope_deg=np.where(unseen, np.nan, np.degrees(at.nearest(nodes.slope))),
+            elevation=np.where(unseen, np.nan, at.ground(raster)),
+            plane_elevation=np.where(unseen, np.nan, at.linear(points.planes.elevation)),
+            slope_deg=np.where(unseen, np.nan, np.degrees(at.nearest(points.slope))),
             hazard=hazard,
             safe=safe,
             score=score,
@@ -158,24 +165,32 @@ class LandingSiteSelector:
         )
 
     def _rank(
-        self, nodes: NodeAssessment, at: GridSampler, score: Array, x: Array, y: Array
+        self,
+        points: PointAssessment,
+        domain: Domain,
+        at: GridSampler,
+        score: Array,
+        x: Array,
+        y: Array,
     ) -> Sites:
-        """The best nodes, one after the other, each ``min_separation`` from those before."""
+        """The best grid points, one after the other, each ``min_separation`` from those before."""
         lss = self.config.lss
         first = self._keep_first(score, x, y)
-        where = best_nodes(score, x, y, lss.sites, lss.min_separation, first)
+        where = best_points(score, x, y, lss.sites, lss.min_separation, first)
         place = np.column_stack([x[where[1]], y[where[0]]])
         self._last_first = place[0].copy() if len(place) else None
         centre = at.lattice(*where)
-        planes, zone = nodes.planes, 0.5 * lss.vehicle_diameter + lss.margin
+        planes, zone = points.planes, 0.5 * lss.vehicle_diameter + lss.margin
+        along_x, along_y = planes.slope_x[centre], planes.slope_y[centre]
+        normal = np.column_stack([-along_x, -along_y, np.ones_like(along_x)])
         sites = Sites(
             position=np.column_stack([place, at.linear(planes.elevation)[where]]),
-            normal=normal_from_slopes(planes.slope_x[centre], planes.slope_y[centre]),
+            normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
             score=score[where],
-            slope_deg=np.degrees(nodes.slope[centre]),
-            roughness=greatest_in_zones(nodes.roughness, nodes.zone, *centre),
-            hazard_distance=np.maximum(nodes.clearance.of_nodes(*centre) - zone, 0.0),
-            subscale_height=greatest_in_zones(nodes.subscale, nodes.zone, *centre),
+            slope_deg=np.degrees(points.slope[centre]),
+            roughness=greatest_in_zones(points.roughness, points.zone, *centre),
+            hazard_distance=room_about(points, domain, zone, place[:, 0], place[:, 1]),
+            subscale_height=greatest_in_zones(points.subscale, points.zone, *centre),
             reasons=(),
         )
         return _with_reasons(sites, lss)
@@ -203,7 +218,7 @@ def _restrict(
     keep_out: ArrayLike | None,
     target: ArrayLike | None,
 ) -> None:
-    """Exclude nodes (ny, nx) by area and keep-out and add what the way to the target costs.
+    """Exclude grid points (ny, nx) by area and keep-out and add what the way to the target costs.
 
     Raises:
         ValueError, TypeError: a polygon with fewer than three finite vertices, a target that is
@@ -225,12 +240,6 @@ def _restrict(
         score += lss.weight_target * np.hypot(grid_x - goal[0], grid_y - goal[1])
 
 
-def _grid(low: float, size: float, spacing: float) -> Array:
-    """Nodes from ``low`` in steps of ``spacing`` up to the domain's far edge, inclusive."""
-    count = int(np.floor(size / spacing + 1e-9)) + 1
-    return np.asarray(low + spacing * np.arange(count), dtype=np.float64)
-
-
 def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
     """A sentence for each site: its figures, and the slope limit that decided."""
     lines = []
@@ -239,18 +248,18 @@ def _with_reasons(sites: Sites, lss: LssConfig) -> Sites:
     for k in range(len(sites.score)):
         clear = sites.hazard_distance[k]
         nearest = f"{clear:.1f} m clear of hazards and unseen ground"
-        bump = sites.subscale_height[k]
+        feature = sites.subscale_height[k]
         lines.append(
             f"slope {sites.slope_deg[k]:.1f} deg of {limit:g}, {nearest}, "
-            f"roughness {sites.roughness[k]:.3f} m³, "
-            + (f"features up to {bump:.2f} m" if bump >= 0.005 else "no subscale feature")
+            f"roughness {sites.roughness[k]:.3f} m, "
+            + (f"features up to {feature:.2f} m" if feature >= 0.005 else "no subscale feature")
         )
     return replace(sites, reasons=tuple(lines))
 
 
-def _why_none(nodes: NodeAssessment, raster: TerrainRaster, lss: LssConfig) -> str:
+def _why_none(points: PointAssessment, raster: TerrainRaster, lss: LssConfig) -> str:
     seen = float(np.mean(raster.seen))
-    hazardous = (nodes.hazard & 0x7F > 0) & (nodes.hazard & hazards.UNSEEN == 0)
+    hazardous = (points.hazard & 0x7F > 0) & (points.hazard & hazards.UNSEEN == 0)
     return (
         f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
         f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
@@ -269,6 +278,7 @@ def _nothing(stamp_ns: int, x: Array, y: Array, explanation: str) -> LandingAsse
         x=x,
         y=y,
         elevation=np.full(shape, np.nan),
+        plane_elevation=np.full(shape, np.nan),
         slope_deg=np.full(shape, np.nan),
         hazard=np.full(shape, hazards.UNSEEN, dtype=np.uint8),
         safe=np.zeros(shape, dtype=np.bool_),

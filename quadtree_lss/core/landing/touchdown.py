@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.geometry.feature import SHAPE
-from quadtree_lss.core.landing.nodes import disc
+from quadtree_lss.core.landing.lattice import disc
 from quadtree_lss.core.landing.raster import TerrainRaster
 
 Array = NDArray[np.float64]
@@ -320,16 +320,16 @@ class Lander:
         place: cython.Py_ssize_t = row * BLOCK + column
         lowest = self.floor[place] + self.limit
         tilt = sqrt(self.plane_x**2 + self.plane_y**2) + self.spread[place] / self.radius
+        steep: cython.bint = tilt > self.steepest - ROUNDING
         self.nears = 0
-        if self.roof[place] <= lowest:
-            return tilt > self.steepest - ROUNDING and self.fails_somewhere(place)
-        # What spoilt the last grid point mostly spoils this one.
-        self.gather(row, column, lowest, self.spoiler, self.spoiler + 1)
-        if self.fails_somewhere(place):
-            return True
-        self.nears = 0
-        self.gather(row, column, lowest, 0, self.highs)
-        return self.fails_somewhere(place)
+        if self.roof[place] > lowest:
+            # What spoilt the last grid point mostly spoils this one.
+            self.gather(row, column, lowest, self.spoiler, self.spoiler + 1)
+            if self.nears and self.fails_somewhere(place):
+                return True
+            self.nears = 0
+            self.gather(row, column, lowest, 0, self.highs)
+        return (steep or self.nears > 0) and self.fails_somewhere(place)
 
     def fails_somewhere(self, place: cython.Py_ssize_t) -> cython.bint:
         """Whether some heading fails by its slope or by one of the cells that are listed."""

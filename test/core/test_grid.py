@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lattice seen from the user's grid."""
+"""The finest lattice seen from the user's grid."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from quadtree_lss.core.landing.sampling import GridSampler
+from quadtree_lss.core.landing.grid import GridSampler
 from quadtree_lss.core.tree.quadtree import Domain
 
 
-def test_grid_nodes_between_lattice_nodes_take_the_nearest():
-    """Lattice nodes lie half a metre apart."""
+def test_grid_points_between_lattice_points_take_the_nearest():
+    """Lattice points lie half a metre apart."""
     x, y = np.array([0.7, 1.3]), np.array([0.8, 1.9])
     sampler = GridSampler(Domain(0.0, 0.0, 4.0, 0, 3), x, y)
     row, column = sampler.lattice(np.array([0, 1]), np.array([0, 1]))

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lattice of grid points, the corners of finest cells, and the ground in a disc about each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isqrt, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.landing.sweeps import disc_sums, find_nearest
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Disc:
+    """Finest cells whose centre lies within a radius of a grid point.
+
+    Attributes:
+        reach: Cells from the grid point to the disc's edge.
+        row, column: (K,) index offset of each cell from the grid point's (the cell to its
+            north-east).
+        x, y: (K,) offset of each cell's centre from the grid point, m.
+        half: (2 reach,) half width of the disc in each row, from the southernmost, in cells.
+    """
+
+    reach: int
+    row: Index
+    column: Index
+    x: Array
+    y: Array
+    half: Index
+
+
+def disc(radius: float, side: float) -> Disc:
+    """Cells of side ``side`` (m) within ``radius`` (m) of a grid point, four at the least."""
+    reach = max(int(np.ceil(radius / side)), 1)
+    offset = np.arange(-reach, reach)
+    row, column = (grid.ravel() for grid in np.meshgrid(offset, offset, indexing="ij"))
+    x, y = (column + 0.5) * side, (row + 0.5) * side
+    inside = np.hypot(x, y) <= max(radius, 0.75 * side)
+    half = np.count_nonzero(inside.reshape(2 * reach, 2 * reach), axis=1) // 2
+    return Disc(reach, row[inside], column[inside], x[inside], y[inside], half)
+
+
+def disc_means(values: Array, over: Disc) -> Array:
+    """Means over the disc of each grid point: (n, n) cells, 0 outside, to (n + 1, n + 1)."""
+    out: Array = _disc_sums(np.pad(values, over.reach), over, 1)[0]
+    out /= len(over.x)
+    return out
+
+
+@dataclass(frozen=True)
+class GroundPlanes:
+    """Least-squares plane of the map over a disc about each grid point: arrays (n + 1, n + 1).
+
+    Attributes:
+        elevation: Height at the grid point, m.
+        slope_x, slope_y: dz/dx, dz/dy.
+    """
+
+    elevation: Array
+    slope_x: Array
+    slope_y: Array
+
+
+def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
+    """Planes at the lander's scale, of the height (n, n) of finest cells of side ``side`` m.
+
+    A disc about a grid point is symmetric, so the normal equations are diagonal:
+    slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z). Outside the domain the ground
+    at its edge goes on.
+    """
+    over = disc(radius, side)
+    level = float(np.nanmean(elevation))
+    out = _disc_sums(np.pad(elevation - level, over.reach, mode="edge"), over, 3)
+    out[1:] *= side / np.sum(over.x**2)
+    return GroundPlanes(out[0] / len(over.x) + level, out[1], out[2])
+
+
+def _disc_sums(padded: Array, over: Disc, layers: int) -> Array:
+    """Sums over the disc of each grid point, of z (rows, columns) and, of three, of x z and y z."""
+    rows, columns = padded.shape
+    west = np.zeros((2 if layers == 3 else 1, rows, columns + 1))
+    np.cumsum(padded, axis=1, out=west[0, :, 1:])
+    if layers == 3:
+        np.cumsum(padded * (np.arange(columns) + 0.5), axis=1, out=west[1, :, 1:])
+    out = np.zeros((layers, rows - 2 * over.reach + 1, columns - 2 * over.reach + 1))
+    disc_sums(west, over.half, out)
+    return out
+
+
+def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Bits of the up to four cells that meet at each grid point: (n, n) to (n + 1, n + 1).
+
+    The point of a lattice square that is nearest to a grid point is a grid point itself, so the
+    distance to the nearest grid point that touches a marked cell is that to the cell's edge.
+    """
+    padded = np.pad(cells, 1)
+    out: NDArray[np.uint8] = padded[:-1, :-1] | padded[1:, :-1] | padded[:-1, 1:] | padded[1:, 1:]
+    return out
+
+
+def mean_of_corners(points: Array) -> Array:
+    """Mean of the four grid points of each cell: (n + 1, n + 1) to (n, n)."""
+    pairs = points[:-1] + points[1:]
+    out: Array = 0.25 * (pairs[:, :-1] + pairs[:, 1:])
+    return out
+
+
+def distance_from(marked: Mask, side: float) -> Array:
+    """Distance in m of each point to the nearest marked one, infinite if none is marked.
+
+    Args:
+        marked: (ny, nx).
+        side: Of the lattice, m.
+    """
+    if not marked.any():
+        return np.full(marked.shape, np.inf)
+    out: Array = np.sqrt(nearest_marked(marked)[0]) * side
+    return out
+
+
+def nearest_marked(marked: Mask) -> tuple[NDArray[np.int64], Index]:
+    """Square of the distance of each point to the nearest marked one, in steps, and its place.
+
+    Args:
+        marked: (ny, nx), somewhere True.
+
+    Returns:
+        (ny, nx) squares and (ny, nx) flat indices.
+    """
+    square, place = np.empty(marked.shape, dtype=np.int64), np.empty(marked.shape, dtype=np.intp)
+    find_nearest(np.ascontiguousarray(marked).view(np.uint8), square, place)
+    return square, place
+
+
+def grown(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mask:
+    """Points within ``distance`` (m) of a marked one, the marked ones included.
+
+    Args:
+        marked: (ny, nx).
+        distance: m.
+        side: Of the lattice, m.
+        short: Steps by which distances are taken to be shorter.
+    """
+    if not marked.any():
+        return marked.copy()
+    longest = sum(marked.shape)
+    square = int(min(distance / side + short, longest) ** 2) + 2
+    while square > 0 and (sqrt(square) - short) * side > distance:
+        square -= 1
+    out: Mask = marked.copy()
+    run = marked.copy()
+    reach, width = min(isqrt(square), len(marked) - 1), 0
+    # A disc is a stack of centred runs: the farthest row has the shortest.
+    for row in range(reach, -1, -1):
+        while width < isqrt(square - row * row) and width < marked.shape[1] - 1:
+            width += 1
+            run[:, width:] |= marked[:, :-width]
+            run[:, :-width] |= marked[:, width:]
+        out[row:] |= run[: len(run) - row]
+        out[: len(run) - row] |= run[row:]
+    return out

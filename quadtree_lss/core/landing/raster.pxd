@@ -1,0 +1,14 @@
+from libc.math cimport M_PI, erf, exp, fmax, sqrt
+
+cpdef void lay_out(
+    Py_ssize_t[::1] row,
+    Py_ssize_t[::1] column,
+    Py_ssize_t[::1] width,
+    double[::1] z,
+    double[:, ::1] normal,
+    double[:, ::1] feature,
+    double side,
+    int[:, ::1] leaf,
+    double[:, :, ::1] layers,
+)
+cdef double bell_share(double x, double half, double sigma) noexcept nogil
