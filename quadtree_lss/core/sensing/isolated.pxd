@@ -1,3 +1,8 @@
+from libc.math cimport INFINITY
+
+cdef double step_to(
+    double[:, ::1] ranges, Py_ssize_t row, Py_ssize_t column, Py_ssize_t k
+) noexcept nogil
 cdef Py_ssize_t pixel_links(
     double[:, ::1] ranges, Py_ssize_t row, Py_ssize_t column, double limit
 ) noexcept nogil

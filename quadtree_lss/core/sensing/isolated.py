@@ -19,6 +19,9 @@ import cython
 import numpy as np
 from numpy.typing import NDArray
 
+if not cython.compiled:
+    from math import inf as INFINITY
+
 Array = NDArray[np.float64]
 Keys = NDArray[np.int64]
 Places = NDArray[np.int32]
@@ -93,7 +96,6 @@ def pixels_without_hold(ranges: Array, limit: float, pixels: Places) -> cython.P
     return lonely
 
 
-@cython.boundscheck(False)
 def pixel_holds(
     ranges: Array, row: cython.Py_ssize_t, column: cython.Py_ssize_t, limit: float
 ) -> cython.bint:
@@ -103,64 +105,60 @@ def pixel_holds(
     r: cython.Py_ssize_t
     c: cython.Py_ssize_t
     for k in range(4):
-        r = row + (k == 2) - (k == 3)
-        c = column + (k == 0) - (k == 1)
-        if 0 <= r < ranges.shape[0] and 0 <= c < ranges.shape[1]:
-            if abs(ranges[r, c] - ranges[row, column]) <= limit:
-                links += 1
-                if links == 2 or pixel_links(ranges, r, c, limit) >= 2:
-                    return True
+        if step_to(ranges, row, column, k) <= limit:
+            links += 1
+            r = row + (k == 2) - (k == 3)
+            c = column + (k == 0) - (k == 1)
+            if links == 2 or pixel_links(ranges, r, c, limit) == 2:
+                return True
     return False
 
 
-@cython.boundscheck(False)
 def pixel_links(
     ranges: Array, row: cython.Py_ssize_t, column: cython.Py_ssize_t, limit: float
 ) -> cython.Py_ssize_t:
-    """With how many of the four next to it a pixel is linked, counted to two or more."""
+    """With how many of the four next to it a pixel is linked, counted to two."""
     links: cython.Py_ssize_t = 0
-    here = ranges[row, column]
-    if column > 0 and abs(ranges[row, column - 1] - here) <= limit:
-        links += 1
-    if column + 1 < ranges.shape[1] and abs(ranges[row, column + 1] - here) <= limit:
-        links += 1
-    if links == 2:
-        return links
-    if row > 0 and abs(ranges[row - 1, column] - here) <= limit:
-        links += 1
-    if row + 1 < ranges.shape[0] and abs(ranges[row + 1, column] - here) <= limit:
-        links += 1
+    k: cython.Py_ssize_t
+    for k in range(4):
+        links += step_to(ranges, row, column, k) <= limit
+        if links == 2:
+            break
     return links
 
 
 @cython.boundscheck(False)
+def step_to(
+    ranges: Array, row: cython.Py_ssize_t, column: cython.Py_ssize_t, k: cython.Py_ssize_t
+) -> float:
+    """Range difference of a pixel to the k-th of the four next to it; infinite if there is none."""
+    r: cython.Py_ssize_t = row + (k == 2) - (k == 3)
+    c: cython.Py_ssize_t = column + (k == 0) - (k == 1)
+    step: float = INFINITY
+    if 0 <= r < ranges.shape[0] and 0 <= c < ranges.shape[1]:
+        step = abs(ranges[r, c] - ranges[row, column])
+    return step
+
+
+@cython.boundscheck(False)
 def second_steps(ranges: Array, pixels: Places, steps: Array) -> cython.Py_ssize_t:
-    """Second least range difference of ``pixels`` (M,) to those next to them, to ``steps`` (M,),
-    m; how many of them have two neighbours."""
+    """Second least step from each of ``pixels`` (M,) to those next to it, to ``steps`` (M,), m;
+    how many of them have two neighbours."""
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    row: cython.Py_ssize_t
-    column: cython.Py_ssize_t
-    r: cython.Py_ssize_t
-    c: cython.Py_ssize_t
     known: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(pixels.shape[0]):
-            row = pixels[i] // ranges.shape[1]
-            column = pixels[i] % ranges.shape[1]
-            least = 1e300
-            second = 1e300
+            least = INFINITY
+            second = INFINITY
             for k in range(4):
-                r = row + (k == 2) - (k == 3)
-                c = column + (k == 0) - (k == 1)
-                if 0 <= r < ranges.shape[0] and 0 <= c < ranges.shape[1]:
-                    step = abs(ranges[r, c] - ranges[row, column])
-                    if step < least:
-                        second = least
-                        least = step
-                    elif step < second:
-                        second = step
-            if second < 1e300:
+                step = step_to(ranges, pixels[i] // ranges.shape[1], pixels[i] % ranges.shape[1], k)
+                if step < least:
+                    second = least
+                    least = step
+                elif step < second:
+                    second = step
+            if second < INFINITY:
                 steps[known] = second
                 known += 1
     return known

@@ -125,14 +125,13 @@ class ScanQueue:
         while self._waiting:
             first = self._waiting[0]
             lacks = self._lacks(first)
-            pose = self.poses.at(first.stamp_ns) if lacks is None else None
-            if pose is not None:
-                ready.append((first.stamp_ns, first.scan, pose))
-            else:
-                reason = self.poses.hopeless(first.stamp_ns if lacks is None else lacks)
+            if lacks is not None:
+                reason = self.poses.hopeless(lacks)
                 if reason is None:
                     break
                 self._drop(first.stamp_ns, reason, self._why(first))
+            elif (pose := self.poses.at(first.stamp_ns)) is not None:
+                ready.append((first.stamp_ns, first.scan, pose))
             self._waiting.popleft()
         return ready
 
@@ -158,8 +157,7 @@ class ScanQueue:
         """Drops what still waits, because nothing more will come."""
         while self._waiting:
             first = self._waiting.popleft()
-            lacks = self._lacks(first)
-            reason = self.poses.lacking(first.stamp_ns if lacks is None else lacks)
+            reason = self.poses.lacking(self._lacks(first) or first.stamp_ns)
             self._drop(first.stamp_ns, reason, f"the data end; {self._why(first)}")
         drops, self._drops = self._drops, []
         return drops
