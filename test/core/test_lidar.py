@@ -74,6 +74,15 @@ def test_registered_points_are_those_of_equation_15(count):
     np.testing.assert_array_equal(cells, (expected[:, :2] / domain.finest_size).astype(int))
 
 
+def test_points_of_any_kind_of_number_are_taken():
+    pose, config = make_pose((8.0, 8.0, 100.0)), configured()
+    points = np.array([[1, 2, 100], [-3, 0, 99], [2, 2, 98]])
+    expected, _ = register(points.astype(np.float64), pose, config.lidar, domain_of(config))
+    for kind in (np.int64, np.int16, np.float32, ">f8"):
+        found, _ = register(points.astype(kind), pose, config.lidar, domain_of(config))
+        np.testing.assert_array_equal(found.points, expected.points)
+
+
 @pytest.mark.parametrize("form", ["organised", "unorganised", "float32", "every other"])
 def test_points_of_a_cell_are_one_run_in_the_order_of_the_scan(form):
     pose = make_pose((8.0, 8.0, 100.0))

@@ -69,8 +69,16 @@ def register(
     Returns:
         The scan and how many points were dropped, by reason: ``no_return``, ``range``,
         ``isolated``, ``outside`` (of the domain).
+
+    Raises:
+        ValueError: the sweep is of another number of points.
     """
     flat = points_lidar.reshape(-1, 3)
+    if flat.dtype not in (np.float32, np.float64):
+        flat = flat.astype(np.float64)
+    if sweep is not None and len(sweep.offsets) != len(flat):
+        msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
+        raise ValueError(msg)
     work = _workspace(len(flat))
     lost, found, sums = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2)
     moved = still(pose.rotation_map_lidar) if sweep is None else sweep
