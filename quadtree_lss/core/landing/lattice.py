@@ -49,7 +49,7 @@ def disc(radius: float, side: float) -> Disc:
 
 def disc_means(values: Array, over: Disc) -> Array:
     """Means over the disc of each grid point: (n, n) cells, 0 outside, to (n + 1, n + 1)."""
-    out: Array = _disc_sums(np.pad(values, over.reach), over, 1)[0]
+    out = _sums(np.pad(values, over.reach), over, np.ones(2 * over.reach))
     out /= len(over.x)
     return out
 
@@ -77,20 +77,28 @@ def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
     """
     over = disc(radius, side)
     level = float(np.nanmean(elevation))
-    out = _disc_sums(np.pad(elevation - level, over.reach, mode="edge"), over, 3)
-    out[1:] *= side / np.sum(over.x**2)
-    return GroundPlanes(out[0] / len(over.x) + level, out[1], out[2])
+    z = np.pad(elevation - level, over.reach, mode="edge")
+    # x of the padded cells and of the grid points, y of the disc's rows, in cells.
+    x = np.arange(len(z)) + 0.5
+    y: Array = np.arange(-over.reach, over.reach, dtype=np.float64) + 0.5
+    at = np.arange(len(elevation) + 1.0) + over.reach
+    total = _sums(z, over, np.ones_like(y))
+    slope_x = _sums(x * z, over, np.ones_like(y))
+    slope_x -= at * total
+    slope_y = _sums(z, over, y)
+    for slope in (slope_x, slope_y):
+        slope *= side / np.sum(over.x**2)
+    total /= len(over.x)
+    total += level
+    return GroundPlanes(total, slope_x, slope_y)
 
 
-def _disc_sums(padded: Array, over: Disc, layers: int) -> Array:
-    """Sums over the disc of each grid point, of z (rows, columns) and, of three, of x z and y z."""
-    rows, columns = padded.shape
-    west = np.zeros((2 if layers == 3 else 1, rows, columns + 1))
-    np.cumsum(padded, axis=1, out=west[0, :, 1:])
-    if layers == 3:
-        np.cumsum(padded * (np.arange(columns) + 0.5), axis=1, out=west[1, :, 1:])
-    out = np.zeros((layers, rows - 2 * over.reach + 1, columns - 2 * over.reach + 1))
-    disc_sums(west, over.half, out)
+def _sums(padded: Array, over: Disc, weight: Array) -> Array:
+    """Sums over the disc of each grid point of cells and ``reach`` around, rows weighted."""
+    west = np.zeros((len(padded), len(padded) + 1))
+    np.cumsum(padded, axis=1, out=west[:, 1:])
+    out = np.empty((len(padded) - 2 * over.reach + 1,) * 2)
+    disc_sums(west, over.half, weight, out)
     return out
 
 

@@ -89,21 +89,21 @@ def assess_points(
         safe = ~grown(spoiled, lss.margin, side) & (inside >= zone - 1e-9)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.
         near, reach = distance_from(spoiled, side) + radius, lss.margin
-        density_slope = mean_of_corners(slope)
+        of_points, of_leaves = lss.weight_slope * slope, np.zeros(len(cells.level))
     else:
         spoiled = bits > 0
         safe = ~grown(hazard > 0, zone, side) & (inside >= zone - 1e-9)
         near, reach = distance_from(hazard > 0, side), zone
-        density_slope = hazards.slope(cells.normal).take(raster.leaf)
+        of_points, of_leaves = 0.0 * slope, lss.weight_slope * hazards.slope(cells.normal)
     near = np.minimum(np.minimum(near, inside), lss.hazard_distance_cap)
     hazard |= (touching((~raster.seen).view(np.uint8)) > 0) * np.uint8(hazards.UNSEEN)
     over = disc(zone, side)
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
-    rough = np.nan_to_num(cells.roughness / cells.size**2).take(raster.leaf)
+    rough = np.nan_to_num(cells.roughness / cells.size**2)
+    of_leaves += lss.weight_roughness * rough
     # Eq. 58 on the finest cells; Eq. 56's integral as Eq. 59's mean over the disc of each point.
-    density = lss.weight_slope * np.nan_to_num(density_slope)
-    density += lss.weight_roughness * rough
-    density -= lss.weight_hazard_distance * mean_of_corners(near)
+    density = mean_of_corners(of_points - lss.weight_hazard_distance * near)
+    density += np.nan_to_num(of_leaves).take(raster.leaf)
     density += lss.weight_subscale * raster.subscale
     return PointAssessment(
         planes,
@@ -111,7 +111,7 @@ def assess_points(
         hazard,
         safe,
         disc_means(density, over),
-        rough,
+        rough.take(raster.leaf),
         raster.subscale_peak,
         over,
         spoiled,

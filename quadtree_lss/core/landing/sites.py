@@ -94,6 +94,9 @@ class LandingSiteSelector:
 
     def __init__(self, config: Config) -> None:
         self._last_first: Array | None = None
+        # What glibc has freed once in this size it keeps: the arrays of a map need not be got
+        # from the system, page by page, for every map.
+        np.empty(31 << 20, dtype=np.uint8)
         self.configure(config)
 
     def configure(self, config: Config) -> None:

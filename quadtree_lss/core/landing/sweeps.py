@@ -12,37 +12,33 @@ Index = NDArray[np.intp]
 
 
 @cython.boundscheck(False)
-def disc_sums(west: Array, half: Index, out: Array) -> None:
-    """Sums of z over the disc of each grid point, and of x z and y z where three are asked for.
+def disc_sums(west: Array, half: Index, weight: Array, out: Array) -> None:
+    """Weighted sums over the disc of each grid point.
+
+    A disc is a stack of centred runs of cells; the sum of a run is a difference of sums from the
+    west.
 
     Args:
-        west: (1 or 2, rows, columns + 1) sums of z, and of x z with x in cells from the border of
-            the padded cells, over the cells west of each border between two.
+        west: (n + 2 reach, n + 2 reach + 1) sums of the cells west of each border between two.
         half: (2 reach,) half width of the disc in each row, in cells.
-        out: (1 or 3, n + 1, n + 1) zeros, set; x and y from the grid point in cells.
+        weight: (2 reach,) of each row.
+        out: (n + 1, n + 1), set.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    w: cython.Py_ssize_t
-    e: cython.Py_ssize_t
-    points: cython.Py_ssize_t = out.shape[1]
-    rows: cython.Py_ssize_t = half.shape[0]
-    moments: cython.bint = out.shape[0] == 3
+    reach: cython.Py_ssize_t = half.shape[0] // 2
     with cython.nogil:
-        for i in range(points):
-            for k in range(rows):
+        for i in range(out.shape[0]):
+            out[i, :] = 0.0
+            for k in range(2 * reach):
                 if half[k] == 0:
                     continue
-                y = k + 0.5 - 0.5 * rows
-                w, e = rows // 2 - half[k], rows // 2 + half[k]
-                for j in range(points):
-                    z = west[0, i + k, j + e] - west[0, i + k, j + w]
-                    out[0, i, j] += z
-                    if moments:
-                        x = west[1, i + k, j + e] - west[1, i + k, j + w]
-                        out[1, i, j] += x - (j + 0.5 * rows) * z
-                        out[2, i, j] += y * z
+                share = weight[k]
+                for j in range(out.shape[1]):
+                    out[i, j] += share * (
+                        west[i + k, j + reach + half[k]] - west[i + k, j + reach - half[k]]
+                    )
 
 
 @cython.boundscheck(False)

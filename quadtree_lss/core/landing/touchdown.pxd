@@ -1,5 +1,5 @@
 cimport cython
-from libc.math cimport sqrt
+from libc.math cimport fabs, sqrt
 
 cdef enum:
     #: Side of the blocks of grid points that are judged together.
@@ -9,42 +9,39 @@ cdef enum:
     #: Higher than any ground over a plane near it, m.
     FAR = 1000000000
 
-cdef double ROUNDING, SAG
+cdef double ROUNDING, SAG, SHAPE
 
 
 @cython.final
 cdef class Lander:
-    cdef readonly double side, radius, limit, steepest, plane_x, plane_y
-    cdef readonly Py_ssize_t yaws, reach, width, highs, nears, spoiler
+    cdef readonly double side, radius, pad_radius, limit, steepest, plane_x, plane_y
+    cdef readonly Py_ssize_t yaws, reach, width, blocks, highs, nears, spoiler, heading
     cdef readonly bint bounded
+    cdef double[:, :, ::1] ground
+    cdef unsigned char[:, ::1] changed
     cdef double[::1] cos, sin
     cdef Py_ssize_t[::1] pad_place, half, which
     cdef Py_ssize_t[:, ::1] high
     cdef float[::1] pad_x, pad_y, top, pad, slope_x, slope_y, run, floor, spread, roof
     cdef float[:, ::1] stand, near
 
-    cpdef void judge(
+    cpdef void stand_on(
         self,
-        const double[:, :, ::1] ground,
-        const unsigned char[:, ::1] changed,
-        const unsigned char[:, ::1] due,
-        signed char[:, ::1] verdict,
+        double[:, ::1] elevation,
+        double[:, ::1] slope_x,
+        double[:, ::1] slope_y,
+        double[:, ::1] subscale,
     )
+    cpdef void judge(self, const unsigned char[:, ::1] due, signed char[:, ::1] verdict)
     cdef void judge_block(
         self,
-        const double[:, :, ::1] ground,
-        const unsigned char[:, ::1] changed,
         const unsigned char[:, ::1] due,
         signed char[:, ::1] verdict,
         Py_ssize_t row,
         Py_ssize_t column,
     ) noexcept nogil
-    cdef bint touched(
-        self, const unsigned char[:, ::1] changed, Py_ssize_t row, Py_ssize_t column
-    ) noexcept nogil
-    cdef void load(
-        self, const double[:, :, ::1] ground, Py_ssize_t row, Py_ssize_t column
-    ) noexcept nogil
+    cdef bint touched(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil
+    cdef void load(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil
     cdef void set_down(self) noexcept nogil
     cdef void cover(self) noexcept nogil
     cdef bint fails(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil

@@ -26,16 +26,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LssConfig
-from quadtree_lss.core.geometry.feature import SHAPE
+from quadtree_lss.core.geometry import feature
 from quadtree_lss.core.landing.lattice import disc
 from quadtree_lss.core.landing.raster import TerrainRaster
+from quadtree_lss.core.tree.quadtree import Domain
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 if not cython.compiled:  # otherwise from the .pxd
-    from math import sqrt
+    from math import fabs, sqrt
 
     BLOCK = 8
     UNKNOWN, FAILS = -1, 1
@@ -44,6 +45,7 @@ if not cython.compiled:  # otherwise from the .pxd
 ROUNDING = 1e-4
 #: Where a resting plane may sink below the lowest pad, as a share of the pads' spread.
 SAG = 0.5 * (2.0**0.5 - 1.0)
+SHAPE = feature.SHAPE
 
 
 class TouchdownCheck:
@@ -55,9 +57,7 @@ class TouchdownCheck:
 
     def __init__(self, config: LssConfig) -> None:
         self.config = config
-        self._domain: object = None
-        self._ground: Array = np.zeros((4, 0, 0))
-        self._verdict: NDArray[np.int8] = np.zeros((0, 0), dtype=np.int8)
+        self._domain: Domain | None = None
 
     def unsafe(self, raster: TerrainRaster, candidates: Mask) -> Mask:
         """Grid points (n + 1, n + 1) at which some heading fails; False where not a candidate.
@@ -66,29 +66,14 @@ class TouchdownCheck:
             raster: The map on its finest cells.
             candidates: (n + 1, n + 1) points to check; their lander circle lies inside the domain.
         """
-        ground = ground_of(raster, self.config.pad_radius)
-        if raster.domain == self._domain:
-            changed = (ground != self._ground).any(axis=0)
-        else:
-            changed = np.ones(ground.shape[1:], dtype=np.bool_)
+        if raster.domain != self._domain:
+            self._domain = raster.domain
+            self._lander = Lander(self.config, raster.domain)
             self._verdict = np.full(candidates.shape, UNKNOWN, dtype=np.int8)
-        self._domain, self._ground = raster.domain, ground
-        lander = Lander(self.config, raster.domain.finest_size)
-        lander.judge(ground, changed.view(np.uint8), candidates.view(np.uint8), self._verdict)
+        layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
+        self._lander.stand_on(*layers)
+        self._lander.judge(candidates.view(np.uint8), self._verdict)
         return np.asarray(candidates & (self._verdict == FAILS))
-
-
-def ground_of(raster: TerrainRaster, pad_radius: float) -> Array:
-    """The ground as a lander meets it, (4, n, n) over the finest cells.
-
-    Height of a pad at the cell's centre (it stands on the highest ground within its radius), slopes
-    in x and y, and the highest ground: plane, its rise to the corner, subscale feature (a bell
-    fitted to part of a rock is low, so its own height counts and not the rock's).
-    """
-    x, y = raster.slope_x, raster.slope_y
-    pad = raster.elevation + pad_radius * np.sqrt(x * x + y * y)
-    rise = 0.5 * raster.domain.finest_size * (np.abs(x) + np.abs(y))
-    return np.stack([pad, x, y, raster.elevation + rise + SHAPE * raster.subscale])
 
 
 @cython.boundscheck(False)
@@ -96,6 +81,12 @@ class Lander:
     """A lander, and the ground about one block of grid points at a time.
 
     Attributes:
+        ground: (4, N, N) finest cells, those at the border repeated outside so that blocks fit:
+            height of a pad at the cell's centre (it stands on the highest ground within its
+            radius), slopes in x and y, and the highest ground: plane, its rise to the corner,
+            subscale feature (a bell fitted to part of a rock is low, so its own height counts and
+            not the rock's).
+        changed: (N, N) cells whose ground is not that of the map before.
         reach: Cells from a grid point to the farthest that the lander at it can meet.
         width: Cells along the window of a block.
         pad_place: (4 yaws,) place in the window of the cell that a pad stands on, from that of the
@@ -115,14 +106,19 @@ class Lander:
         plane_x, plane_y: Slopes of the block's plane.
     """
 
-    def __init__(self, config: LssConfig, side: float) -> None:
+    def __init__(self, config: LssConfig, domain: Domain) -> None:
+        side = domain.finest_size
         under = disc(0.5 * config.vehicle_diameter, side)
         self.side, self.radius = side, 0.5 * config.vehicle_diameter
-        self.limit = config.touchdown_roughness
+        self.pad_radius, self.limit = config.pad_radius, config.touchdown_roughness
         self.steepest = float(np.tan(np.radians(config.touchdown_slope_deg)))
         self.yaws = config.touchdown_yaws
         self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
         self.width = BLOCK - 1 + 2 * self.reach
+        self.blocks = domain.finest_count // BLOCK + 1
+        around = self.blocks * BLOCK - 1 + 2 * self.reach
+        self.ground = np.full((4, around, around), np.nan)
+        self.changed = np.zeros((around, around), dtype=np.uint8)
         # Cells beyond the circle may stand under the floor: then every one is compared.
         self.bounded = float(np.hypot(under.x, under.y).max()) <= self.radius
         yaw = np.arange(self.yaws) * (0.5 * np.pi / self.yaws)
@@ -145,37 +141,52 @@ class Lander:
         self.floor, self.spread, self.roof = np.zeros((3, BLOCK**2), dtype=np.float32)
         self.high = np.zeros((2, self.width**2), dtype=np.intp)
         self.near = np.zeros((3, self.width**2), dtype=np.float32)
-        self.highs = self.nears = self.spoiler = 0
+        self.highs = self.nears = self.spoiler = self.heading = 0
         self.which = np.zeros(self.width**2, dtype=np.intp)
         self.plane_x = self.plane_y = 0.0
 
-    def judge(
-        self,
-        ground: Array,
-        changed: NDArray[np.uint8],
-        due: NDArray[np.uint8],
-        verdict: NDArray[np.int8],
-    ) -> None:
-        """Bring the verdict on grid points up to date.
+    def stand_on(self, elevation: Array, slope_x: Array, slope_y: Array, subscale: Array) -> None:
+        """Take the ground of a map, (n, n) each: height, slopes and features of finest cells."""
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        r: cython.Py_ssize_t
+        c: cython.Py_ssize_t
+        n: cython.Py_ssize_t = elevation.shape[0]
+        around: cython.Py_ssize_t = self.changed.shape[0]
+        with cython.nogil:
+            for i in range(around):
+                r = min(max(i - self.reach, 0), n - 1)
+                for j in range(around):
+                    c = min(max(j - self.reach, 0), n - 1)
+                    x, y = slope_x[r, c], slope_y[r, c]
+                    pad = elevation[r, c] + self.pad_radius * sqrt(x * x + y * y)
+                    rise = 0.5 * self.side * (fabs(x) + fabs(y))
+                    top = elevation[r, c] + rise + SHAPE * subscale[r, c]
+                    self.changed[i, j] = (
+                        pad != self.ground[0, i, j]
+                        or x != self.ground[1, i, j]
+                        or y != self.ground[2, i, j]
+                        or top != self.ground[3, i, j]
+                    )
+                    self.ground[0, i, j], self.ground[1, i, j] = pad, x
+                    self.ground[2, i, j], self.ground[3, i, j] = y, top
+
+    def judge(self, due: NDArray[np.uint8], verdict: NDArray[np.int8]) -> None:
+        """Bring the verdict on grid points up to date after ``stand_on``.
 
         Args:
-            ground: (4, n, n) of ``ground_of``.
-            changed: (n, n) cells whose ground is not that of the last verdict.
             due: (n + 1, n + 1) points that need one.
             verdict: (n + 1, n + 1) ``UNKNOWN``, 0 if it stands, or ``FAILS``, changed in place.
         """
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
-        blocks: cython.Py_ssize_t = (due.shape[0] + BLOCK - 1) // BLOCK
         with cython.nogil:
-            for i in range(blocks):
-                for j in range(blocks):
-                    self.judge_block(ground, changed, due, verdict, i * BLOCK, j * BLOCK)
+            for i in range(self.blocks):
+                for j in range(self.blocks):
+                    self.judge_block(due, verdict, i * BLOCK, j * BLOCK)
 
     def judge_block(
         self,
-        ground: Array,
-        changed: NDArray[np.uint8],
         due: NDArray[np.uint8],
         verdict: NDArray[np.int8],
         row: cython.Py_ssize_t,
@@ -184,56 +195,44 @@ class Lander:
         """``judge`` for the grid points of the block that begins at one."""
         r: cython.Py_ssize_t
         c: cython.Py_ssize_t
-        north: cython.Py_ssize_t = min(row + BLOCK, due.shape[0])
-        east: cython.Py_ssize_t = min(column + BLOCK, due.shape[1])
-        forget: cython.bint = self.touched(changed, row, column)
+        forget: cython.bint = self.touched(row, column)
         loaded: cython.bint = False
-        for r in range(row, north):
-            for c in range(column, east):
+        for r in range(row, min(row + BLOCK, due.shape[0])):
+            for c in range(column, min(column + BLOCK, due.shape[1])):
                 if forget:
                     verdict[r, c] = UNKNOWN
                 if not due[r, c] or verdict[r, c] != UNKNOWN:
                     continue
                 if not loaded:
-                    self.load(ground, row - self.reach, column - self.reach)
+                    self.load(row, column)
                     self.set_down()
                     self.cover()
                     loaded = True
                 verdict[r, c] = self.fails(r - row, c - column)
 
-    def touched(
-        self, changed: NDArray[np.uint8], row: cython.Py_ssize_t, column: cython.Py_ssize_t
-    ) -> cython.bint:
+    def touched(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.bint:
         """Whether a cell that a lander in the block can meet changed."""
         r: cython.Py_ssize_t
         c: cython.Py_ssize_t
-        n: cython.Py_ssize_t = changed.shape[0]
-        first: cython.Py_ssize_t = max(column - self.reach, 0)
-        last: cython.Py_ssize_t = min(column - self.reach + self.width, n)
-        for r in range(max(row - self.reach, 0), min(row - self.reach + self.width, n)):
-            for c in range(first, last):
-                if changed[r, c]:
+        for r in range(row, row + self.width):
+            for c in range(column, column + self.width):
+                if self.changed[r, c]:
                     return True
         return False
 
-    def load(self, ground: Array, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
-        """Take the ground of the window that begins at a cell; its border is repeated outside.
+    def load(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
+        """Take the ground of the window that begins at a cell.
 
         The plane is one of least squares, through every other cell; any would do.
         """
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
-        r: cython.Py_ssize_t
-        c: cython.Py_ssize_t
-        n: cython.Py_ssize_t = ground.shape[1]
         w: cython.Py_ssize_t = self.width
         middle = 0.5 * (w - 1)
         count, level, along_x, along_y, square = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(0, w, 2):
-            r = min(max(row + i, 0), n - 1)
             for j in range(0, w, 2):
-                c = min(max(column + j, 0), n - 1)
-                z = ground[0, r, c]
+                z = self.ground[0, row + i, column + j]
                 count += 1.0
                 level += z
                 along_x += (j - middle) * z
@@ -241,16 +240,15 @@ class Lander:
                 square += (j - middle) * (j - middle)
         level /= count
         step_x, step_y = along_x / square, along_y / square
-        self.plane_x, self.plane_y = step_x / self.side, step_y / self.side
+        slope_x, slope_y = step_x / self.side, step_y / self.side
         for i in range(w):
-            r = min(max(row + i, 0), n - 1)
             for j in range(w):
-                c = min(max(column + j, 0), n - 1)
                 z = level + (j - middle) * step_x + (i - middle) * step_y
-                self.pad[i * w + j] = ground[0, r, c] - z
-                self.slope_x[i * w + j] = ground[1, r, c] - self.plane_x
-                self.slope_y[i * w + j] = ground[2, r, c] - self.plane_y
-                self.top[i * w + j] = ground[3, r, c] - z
+                self.pad[i * w + j] = self.ground[0, row + i, column + j] - z
+                self.slope_x[i * w + j] = self.ground[1, row + i, column + j] - slope_x
+                self.slope_y[i * w + j] = self.ground[2, row + i, column + j] - slope_y
+                self.top[i * w + j] = self.ground[3, row + i, column + j] - z
+        self.plane_x, self.plane_y = slope_x, slope_y
 
     def set_down(self) -> None:
         """Heights of the pads about every grid point of the block, and their bounds."""
@@ -333,8 +331,10 @@ class Lander:
 
     def fails_somewhere(self, place: cython.Py_ssize_t) -> cython.bint:
         """Whether some heading fails by its slope or by one of the cells that are listed."""
+        i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        for k in range(self.yaws):
+        for i in range(self.yaws):
+            k = (self.heading + i) % self.yaws
             east, north = self.stand[4 * k, place], self.stand[4 * k + 1, place]
             west, south = self.stand[4 * k + 2, place], self.stand[4 * k + 3, place]
             if east + west >= north + south:
@@ -346,6 +346,7 @@ class Lander:
                 bad = self.rests_badly(k, centre, east - centre, own)
                 bad = bad or self.rests_badly(k, centre, centre - west, own)
             if bad:
+                self.heading = k
                 return True
         return False
 
