@@ -9,8 +9,7 @@ from core.builders import configured, mapped, slope
 
 from quadtree_lss.core.landing.lattice import disc, disc_means, ground_planes
 from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.score import assess_points
-from quadtree_lss.core.landing.touchdown import TouchdownCheck
+from quadtree_lss.core.landing.sites import LandingSiteSelector
 
 
 def test_beyond_the_edge_the_ground_goes_on():
@@ -25,18 +24,19 @@ def test_beyond_the_edge_the_ground_goes_on():
 
 
 def test_slope_is_that_of_three_quarters_of_the_landers_radius():
-    lander = {"vehicle_diameter": 1.9}
+    lander = {"vehicle_diameter": 1.9, "grid_spacing": 0.5}
     config = configured(lidar={"range_noise": 0.03}, domain={"max_level": 5}, lss=lander)
 
     def waves(x, y):
         return 0.3 * np.sin(1.5 * x) + 0.2 * np.sin(2.0 * y)
 
     cells = mapped(config, waves, density=60.0).snapshot()
-    raster, lss = rasterise(cells, config.lss.max_gap), config.lss
-    points = assess_points(cells, raster, lss, TouchdownCheck(lss))
-    expected = ground_planes(raster.elevation, cells.domain.finest_size, 0.75 * 0.5 * 1.9)
-    np.testing.assert_array_equal(points.planes.slope_x, expected.slope_x)
-    np.testing.assert_array_equal(points.planes.slope_y, expected.slope_y)
+    found = LandingSiteSelector(config).assess(cells)
+    side = cells.domain.finest_size
+    planes = ground_planes(rasterise(cells, config.lss.max_gap).elevation, side, 0.75 * 0.5 * 1.9)
+    slope = np.degrees(np.arctan(np.hypot(planes.slope_x, planes.slope_y)))
+    np.testing.assert_allclose(found.slope_deg, slope, rtol=1e-12)
+    np.testing.assert_array_equal(found.plane_elevation, planes.elevation)
 
 
 @pytest.mark.parametrize("radius", [0.1, 0.5, 1.3, 2.0])

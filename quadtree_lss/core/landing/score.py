@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hazards, safety and score of every grid point of the finest lattice (paper V.B to V.D)."""
+"""Safety and score of every grid point of the finest lattice (paper V.D)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from quadtree_lss.core.landing.lattice import (
     touching,
 )
 from quadtree_lss.core.landing.raster import TerrainRaster
-from quadtree_lss.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.core.tree.quadtree import CellMap, Domain
 
 Array = NDArray[np.float64]
@@ -64,37 +63,47 @@ class PointAssessment:
 
 
 def assess_points(
-    cells: CellMap, raster: TerrainRaster, lss: LssConfig, touchdown: TouchdownCheck
+    cells: CellMap,
+    raster: TerrainRaster,
+    features: Bits,
+    inside: Array,
+    fails: Mask,
+    lss: LssConfig,
 ) -> PointAssessment:
-    """Hazards, safety and score on the finest lattice."""
+    """Safety and score on the finest lattice.
+
+    Args:
+        cells, raster: The map.
+        features: (M,) of ``hazards.avoided_features``.
+        inside: (n + 1, n + 1) of ``seen_about``.
+        fails: (n + 1, n + 1) of the touchdown check.
+        lss: Limits and weights.
+    """
     side = cells.domain.finest_size
     radius = 0.5 * lss.vehicle_diameter
     zone = radius + lss.margin
-    bits = np.where(
-        raster.seen, hazards.avoided_features(cells, lss).take(raster.leaf), np.uint8(0)
-    )
+    bits = np.where(raster.seen, features.take(raster.leaf), np.uint8(0))
     planes = ground_planes(raster.elevation, side, 0.75 * radius)
     slope = np.arctan(np.sqrt(planes.slope_x**2 + planes.slope_y**2))
     hazard = touching(bits)
-    inside = _seen_about(raster)
     if lss.assessment == "touchdown":
         landable = inside >= radius - 1e-9
-        spoiled = touchdown.unsafe(raster, landable)
         excepted = touching(bits & np.uint8(hazards.EXCEPTION)) > 0
-        spoiled |= landable & grown(excepted, radius, side)
+        spoiled = fails | (landable & grown(excepted, radius, side))
         # Rounded outwards: a map that may be off at all is off by a grid point.
         steps = np.ceil(lss.hazard_growth / side - 1e-9)
         spoiled |= landable & grown(spoiled, steps * side, side)
         hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
-        safe = ~grown(spoiled, lss.margin, side) & (inside >= zone - 1e-9)
+        safe = ~grown(spoiled, lss.margin, side)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.
         near, reach = distance_from(spoiled, side) + radius, lss.margin
         of_points, of_leaves = lss.weight_slope * slope, np.zeros(len(cells.level))
     else:
         spoiled = bits > 0
-        safe = ~grown(hazard > 0, zone, side) & (inside >= zone - 1e-9)
+        safe = ~grown(hazard > 0, zone, side)
         near, reach = distance_from(hazard > 0, side), zone
         of_points, of_leaves = 0.0 * slope, lss.weight_slope * hazards.slope(cells.normal)
+    safe &= inside >= zone - 1e-9
     near = np.minimum(np.minimum(near, inside), lss.hazard_distance_cap)
     hazard |= (touching((~raster.seen).view(np.uint8)) > 0) * np.uint8(hazards.UNSEEN)
     over = disc(zone, side)
@@ -120,7 +129,7 @@ def assess_points(
     )
 
 
-def _seen_about(raster: TerrainRaster) -> Array:
+def seen_about(raster: TerrainRaster) -> Array:
     """Distance of grid points to ground that is unseen or outside, m."""
     n, side = raster.domain.finest_count, raster.domain.finest_size
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side

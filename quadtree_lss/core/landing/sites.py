@@ -18,6 +18,7 @@ from quadtree_lss.core.landing.score import (
     assess_points,
     greatest_in_zones,
     room_about,
+    seen_about,
 )
 from quadtree_lss.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.core.tree.quadtree import CellMap, Domain
@@ -132,7 +133,10 @@ class LandingSiteSelector:
         raster = rasterise(cells, lss.max_gap)
         if not raster.seen.any():
             return _nothing(cells.stamp_ns, x, y, "nothing is mapped yet")
-        points = assess_points(cells, raster, lss, self._touchdown)
+        features = hazards.avoided_features(cells, lss)
+        inside = seen_about(raster)
+        fails = self._fails_at_touchdown(raster, inside)
+        points = assess_points(cells, raster, features, inside, fails, lss)
         at = GridSampler(domain, x, y)
         safe = at.everywhere(points.safe)
         score = np.where(safe, at.nearest(points.score), np.nan)
@@ -166,6 +170,13 @@ class LandingSiteSelector:
             score=score,
             explanation=explanation,
         )
+
+    def _fails_at_touchdown(self, raster: TerrainRaster, inside: Array) -> Mask:
+        """Where the lander fails, (n + 1, n + 1), of where all ground under it is seen."""
+        lss = self.config.lss
+        if lss.assessment != "touchdown":
+            return np.zeros(inside.shape, dtype=np.bool_)
+        return self._touchdown.unsafe(raster, inside >= 0.5 * lss.vehicle_diameter - 1e-9)
 
     def _rank(
         self,
