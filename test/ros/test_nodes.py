@@ -13,6 +13,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, pose, write_bag
 from sensor_msgs.msg import PointCloud2
 
+from quadtree_lss import build
 from quadtree_lss.messages.maps import SITE_FIELDS
 from quadtree_lss.replay.results import write_cells
 from quadtree_lss.ros.demo import cell_differences, read_csv, run_live, site_difference
@@ -58,6 +59,8 @@ def test_scans_and_poses_become_ranked_sites(ros):
         newest = dict(listener.newest)
         counts = functools.partial(status_values, listener, "mapping_node")
         assert listener.wait_for(lambda: counts().get("scans") == str(SCANS)), counts()
+        for name in ("mapping_node", "lss_node"):
+            assert status_values(listener, name)["build"] == build.name()
 
     cells = map_from_messages(newest["map/cells"], newest["map/observed"])
     assert cells.stamp_ns == last
