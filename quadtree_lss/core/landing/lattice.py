@@ -49,7 +49,7 @@ def disc(radius: float, side: float) -> Disc:
 
 def disc_means(values: Array, over: Disc) -> Array:
     """Means over the disc of each grid point: (n, n) cells, 0 outside, to (n + 1, n + 1)."""
-    out = _sums(np.pad(values, over.reach), over, np.ones(2 * over.reach))
+    out = _sums(_from_west(np.pad(values, over.reach)), over, np.ones(2 * over.reach))
     out /= len(over.x)
     return out
 
@@ -82,10 +82,10 @@ def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
     x = np.arange(len(z)) + 0.5
     y: Array = np.arange(-over.reach, over.reach, dtype=np.float64) + 0.5
     at = np.arange(len(elevation) + 1.0) + over.reach
-    total = _sums(z, over, np.ones_like(y))
-    slope_x = _sums(x * z, over, np.ones_like(y))
+    west = _from_west(z)
+    total, slope_y = _sums(west, over, np.ones_like(y)), _sums(west, over, y)
+    slope_x = _sums(_from_west(x * z), over, np.ones_like(y))
     slope_x -= at * total
-    slope_y = _sums(z, over, y)
     for slope in (slope_x, slope_y):
         slope *= side / np.sum(over.x**2)
     total /= len(over.x)
@@ -93,11 +93,16 @@ def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
     return GroundPlanes(total, slope_x, slope_y)
 
 
-def _sums(padded: Array, over: Disc, weight: Array) -> Array:
+def _from_west(padded: Array) -> Array:
+    """Sums of the cells west of each border between two: (rows, columns) to (rows, columns + 1)."""
+    out = np.zeros((len(padded), len(padded) + 1))
+    np.cumsum(padded, axis=1, out=out[:, 1:])
+    return out
+
+
+def _sums(west: Array, over: Disc, weight: Array) -> Array:
     """Sums over the disc of each grid point of cells and ``reach`` around, rows weighted."""
-    west = np.zeros((len(padded), len(padded) + 1))
-    np.cumsum(padded, axis=1, out=west[:, 1:])
-    out = np.empty((len(padded) - 2 * over.reach + 1,) * 2)
+    out = np.empty((len(west) - 2 * over.reach + 1,) * 2)
     disc_sums(west, over.half, weight, out)
     return out
 

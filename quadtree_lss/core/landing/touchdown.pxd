@@ -19,7 +19,7 @@ cdef class Lander:
     cdef readonly bint bounded
     cdef double[:, :, ::1] ground
     cdef unsigned char[:, ::1] changed
-    cdef double[::1] cos, sin
+    cdef double[::1] cos, sin, offset
     cdef Py_ssize_t[::1] pad_place, half, which
     cdef Py_ssize_t[:, ::1] high
     cdef float[::1] pad_x, pad_y, top, pad, slope_x, slope_y, run, floor, spread, roof

@@ -89,6 +89,7 @@ class Lander:
         changed: (N, N) cells whose ground is not that of the map before.
         reach: Cells from a grid point to the farthest that the lander at it can meet.
         width: Cells along the window of a block.
+        offset: (width,) of their centres from the window's, m.
         pad_place: (4 yaws,) place in the window of the cell that a pad stands on, from that of the
             cell north-east of the grid point; four pads around the circle, heading by heading.
         pad_x, pad_y: (4 yaws,) of the pad from that cell's centre, m.
@@ -115,6 +116,7 @@ class Lander:
         self.yaws = config.touchdown_yaws
         self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
         self.width = BLOCK - 1 + 2 * self.reach
+        self.offset = (np.arange(self.width) - 0.5 * (self.width - 1)) * side
         self.blocks = domain.finest_count // BLOCK + 1
         around = self.blocks * BLOCK - 1 + 2 * self.reach
         self.ground = np.full((4, around, around), np.nan)
@@ -228,26 +230,26 @@ class Lander:
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         w: cython.Py_ssize_t = self.width
-        middle = 0.5 * (w - 1)
         count, level, along_x, along_y, square = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(0, w, 2):
             for j in range(0, w, 2):
                 z = self.ground[0, row + i, column + j]
                 count += 1.0
                 level += z
-                along_x += (j - middle) * z
-                along_y += (i - middle) * z
-                square += (j - middle) * (j - middle)
+                along_x += self.offset[j] * z
+                along_y += self.offset[i] * z
+                square += self.offset[j] * self.offset[j]
         level /= count
-        step_x, step_y = along_x / square, along_y / square
-        slope_x, slope_y = step_x / self.side, step_y / self.side
+        slope_x, slope_y = along_x / square, along_y / square
         for i in range(w):
+            base = level + self.offset[i] * slope_y
             for j in range(w):
-                z = level + (j - middle) * step_x + (i - middle) * step_y
+                z = base + self.offset[j] * slope_x
                 self.pad[i * w + j] = self.ground[0, row + i, column + j] - z
+                self.top[i * w + j] = self.ground[3, row + i, column + j] - z
+            for j in range(w):
                 self.slope_x[i * w + j] = self.ground[1, row + i, column + j] - slope_x
                 self.slope_y[i * w + j] = self.ground[2, row + i, column + j] - slope_y
-                self.top[i * w + j] = self.ground[3, row + i, column + j] - z
         self.plane_x, self.plane_y = slope_x, slope_y
 
     def set_down(self) -> None:
