@@ -16,7 +16,7 @@ from common import Recording, configuration, machine, recording, table
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.sites import LandingSiteSelector
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.maps import decode_cells, encode_cells, round_trip
 
 

@@ -8,7 +8,7 @@ from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config, ConfigError
 from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector, Sites
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.intake import ReadyScan
 from quadtree_lss.replay.bags import Bag, BagError

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import binned_statistic_2d
 
 from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.tree.quadtree import Domain
+from quadtree_lss.core.tree.domain import Domain
 
 Array = NDArray[np.float64]
 Heights = Callable[[Array, Pose], Array]

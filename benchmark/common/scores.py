@@ -16,7 +16,7 @@ from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelect
 from quadtree_lss.core.mapping.consistency import Counts, prefit_statistics
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.register import register
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.evaluation.metrics import (
     Detection,
     ElevationError,

@@ -26,6 +26,16 @@ class LidarConfig:
     range_noise: float = _p(
         0.06, "standard deviation of a range (Eq. 13)", unit="m", low=1e-4, high=10.0
     )
+    range_noise_per_metre: float = _p(
+        0.0, "what each metre of range adds to this deviation", unit="", low=0.0, high=1.0
+    )
+    beam_divergence: float = _p(
+        0.0,
+        "standard deviation of the beam across its axis: on inclined ground its footprint is deep",
+        unit="rad",
+        low=0.0,
+        high=0.1,
+    )
     min_range: float = _p(0.5, "shorter ranges are no returns", unit="m", low=0.0, high=1e5)
     max_range: float = _p(5000.0, "longer ranges are no returns", unit="m", low=0.1, high=1e6)
     outlier_gate: float = _p(
@@ -60,6 +70,13 @@ class PoseConfig:
         1.5, "no interpolation between poses farther apart", unit="s", low=0.001, high=60.0
     )
     queue: int = _p(20, "scans that may wait for their pose or their turn", low=1, high=1000)
+    correlation_time: float = _p(
+        300.0,
+        "time over which the pose's error is forgotten; 0 if it is another one in each scan",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
     unknown_position_sigma: float = _p(
         0.1,
         "position standard deviation where the message says unknown",
@@ -168,12 +185,6 @@ class MappingConfig:
         5.0, "weight of the parent's slope in a first height fit, in points", low=0.0, high=1000.0
     )
     max_cells: int = _p(200000, "leaves the map may hold", low=1, high=20000000)
-    max_stored_per_cell: int = _p(
-        32, "points one cell keeps until they suffice for a fit", low=3, high=10000
-    )
-    max_stored_points: int = _p(
-        200000, "points all cells together keep until they suffice", low=0, high=50000000
-    )
     residual_clip: float = _p(
         1.0, "residuals count at most this much in running statistics", unit="m", low=0.01, high=1e3
     )

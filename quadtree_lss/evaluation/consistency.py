@@ -79,7 +79,7 @@ def consistency(
         if scan.stamp_ns not in wanted:
             continue
         registered, _ = register(*scan[1:3], config.lidar, mapper.domain, scan.sweep)
-        statistics = prefit_statistics(mapper.leaves, registered, config.lidar.range_noise)
+        statistics = prefit_statistics(mapper.snapshot(), registered, config.lidar)
         counts += statistics.counts()
         wanted.check(mapper.update(scan.points_lidar, scan.pose, scan.sweep), bag)
         number += 1

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadtree_lss.core.tree.quadtree import Domain
+from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.simulation.terrain import bilinear
 

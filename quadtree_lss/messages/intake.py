@@ -18,7 +18,7 @@ from quadtree_lss.core.sensing.mount import MountedPoses, fixed_mount
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, PoseBuffer, seconds
 from quadtree_lss.core.sensing.scan_queue import Drop, ScanQueue
 from quadtree_lss.core.sensing.sweep import Sweep, poses_during, sweep
-from quadtree_lss.core.tree.quadtree import Domain
+from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.messages.clouds import MessageError, Points, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import (
     has_unknown_covariance,
@@ -232,7 +232,6 @@ REASONS = {
     "range": "out of range (lidar.min_range, lidar.max_range)",
     "isolated": "isolated (lidar.outlier_gate)",
     "outside": "outside the domain",
-    "refused": "without room to be stored (mapping.max_stored_points, mapping.max_stored_per_cell)",
 }
 """What became of points that did not enter the map, by the keys of ``ScanReport.dropped``."""
 
@@ -246,7 +245,7 @@ def unused_points_text(report: ScanReport, domain: Domain) -> str | None:
     if report.points_used:
         return None
     text = f"no point of scan {seconds(report.stamp_ns)} entered the map: "
-    text += lost_points_text({**report.dropped, "refused": report.refused_points})
+    text += lost_points_text(report.dropped)
     if report.dropped["outside"]:
         text += f"; {domain_text(domain)}"
         if report.centre is not None:

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.tree.quadtree import CellMap, Domain, fill_blocks
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.tree.domain import Domain
+from quadtree_lss.core.tree.leaves import leaf_raster
 from quadtree_lss.errors import QuadtreeLssError
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
@@ -166,9 +168,8 @@ def _check(cells: CellMap) -> None:
     Raises:
         MapMessageError: reason ``tiling`` or ``values``.
     """
-    rows = np.arange(len(cells.level))
-    raster = np.full(cells.domain.finest_count**2, -1, dtype=np.int32)
-    fill_blocks(raster, cells.domain, cells.level, cells.ix, cells.iy, rows)
+    raster = np.full((cells.domain.finest_count,) * 2, -1, dtype=np.int32)
+    leaf_raster(cells.level, cells.ix, cells.iy, raster)
     if (raster < 0).any():
         msg = "map/cells has leaves that overlap"
         raise MapMessageError("tiling", msg)

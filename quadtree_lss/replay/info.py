@@ -13,7 +13,7 @@ import numpy as np
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.sensing.register import register
-from quadtree_lss.core.tree.quadtree import Domain
+from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.replay.bags import POSE_TYPE, SCAN_TYPE, Bag, BagError
 from quadtree_lss.replay.map_messages import MapPairs

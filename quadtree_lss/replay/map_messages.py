@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.messages.outputs import (

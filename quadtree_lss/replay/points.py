@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from quadtree_lss.core.tree.quadtree import Domain
+from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.messages.intake import REASONS, domain_text, lost_points_text
 
 

@@ -22,7 +22,7 @@ from rosbags.rosbag2.errors import WriterError
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.messages.outputs import TOPIC_TYPES, MessageMaker
 from quadtree_lss.replay.stream import ReplayError

@@ -13,7 +13,7 @@ from pathlib import Path
 from quadtree_lss.config.loading import dump_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import Bag

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from quadtree_lss.core.landing.sites import LandingAssessment
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.replay.results import ScanTiming, plain
 
 

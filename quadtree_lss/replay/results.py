@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core.landing.sites import LandingAssessment
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 SITE_COLUMNS = (
     "rank",

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.quadtree import CellMap, Domain
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.replay.bags import Bag
@@ -22,9 +23,6 @@ from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
 
 if TYPE_CHECKING:
     from quadtree_lss.replay.record import Recorder
-
-REFUSED_SHARE = 0.01
-"""Of the points; so many may find no room to be stored before it is told: a few always do."""
 
 Progress = Callable[[float, float], None]
 """Called with the seconds of the bag that are done and the seconds there are."""
@@ -44,8 +42,7 @@ class Run:
         interrupted: True if ``stop`` ended it.
         done_ns: Time of reception up to which the bag was processed.
         timings: A row per mapped scan.
-        points_dropped: Points of mapped scans that are not in the map, by reason; those that
-            found no room to be stored are ``refused``.
+        points_dropped: Points of mapped scans that are not in the map, by reason.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
         maps: Maps that were read, for a bag of maps.
     """
@@ -148,12 +145,6 @@ class Run:
         lines += [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
         if self.refused_divisions:
             lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
-        refused = self.points_dropped["refused"]
-        if refused > REFUSED_SHARE * self.points:
-            lines.append(
-                f"{refused} points found no room to be stored (mapping.max_stored_points,"
-                " mapping.max_stored_per_cell)"
-            )
         noise = noise_notice(self.noise_ratio, self.config)
         if noise is not None:
             lines.append(noise.text)
@@ -183,7 +174,6 @@ class Run:
         if len(self._decode_ms) > 2 * self.config.pose.queue:
             self._decode_ms.clear()  # those of dropped scans
         self.points_dropped.update(report.dropped)
-        self.points_dropped["refused"] += report.refused_points
         if not report.points_used and report.dropped["outside"] and self._missed_at is None:
             self._missed_at = report.centre
         self.refused_divisions += report.refused_divisions

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.sites import LandingAssessment
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 if TYPE_CHECKING:
     from quadtree_lss.replay.results import ScanTiming

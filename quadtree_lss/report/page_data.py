@@ -13,7 +13,7 @@ from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.feature import peak
 from quadtree_lss.core.landing.hazards import slope
 from quadtree_lss.core.landing.sites import LandingAssessment
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.report.figures import (
     CLEAR_COLOUR,
     EXCLUDED_COLOUR,

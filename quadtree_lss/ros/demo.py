@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.loading import find_config
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.maps import SITE_FIELDS
 from quadtree_lss.replay.results import write_cells

@@ -14,7 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.config.settings import Config
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.messages.poses import check_frame

@@ -13,9 +13,7 @@ from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.tree.checkpoint import (
     CheckpointError,
     State,
-    export_checkpoint,
     from_bytes,
-    restore,
     to_bytes,
 )
 from quadtree_lss.errors import QuadtreeLssError
@@ -98,7 +96,7 @@ def save(path: Path, mapper: Mapper) -> None:
     Raises:
         MapFileError: see `write_atomically`.
     """
-    write_atomically(path, to_bytes(export_checkpoint(mapper)))
+    write_atomically(path, to_bytes(mapper.export_state()))
 
 
 def load(path: Path, mapper: Mapper) -> None:
@@ -113,7 +111,7 @@ def load(path: Path, mapper: Mapper) -> None:
     except OSError as error:
         raise MapFileError(_text(path, "read", error)) from None
     try:
-        restore(mapper, from_bytes(content))
+        mapper.import_state(from_bytes(content))
     except CheckpointError as error:
         msg = f"{path}: {error}"
         raise WrongContentError(msg) from None
@@ -183,7 +181,7 @@ class Checkpoints:
         if self._thread is None and self._changed and now >= self._due:
             self._due = now + interval
             self._changed = False
-            state = export_checkpoint(mapper)
+            state = mapper.export_state()
             self._thread = threading.Thread(target=self._write, args=(state,), daemon=True)
             self._thread.start()
         error, self._error = self._error, None
@@ -215,7 +213,7 @@ class Checkpoints:
             )
         if self._changed:
             self._changed, self._error = False, None
-            self._write(export_checkpoint(mapper))
+            self._write(mapper.export_state())
         return self._error
 
     def _join(self) -> bool:

@@ -95,7 +95,7 @@ class MappingNode(Node):
         if config.mount.gimbal:
             self._arrived["gimbal"] = Arrivals()
         self._scans = 0
-        self._divisions_refused = self._points_refused = 0
+        self._divisions_refused = 0
         self._points_dropped: Counter[str] = Counter()
         self._report: ScanReport | None = None
         self._map_ms, self._publish_ms, self._latency_ms = Durations(), Durations(), Durations()
@@ -223,12 +223,11 @@ class MappingNode(Node):
         self._scans += 1
         self._report = report
         self._divisions_refused += report.refused_divisions
-        self._points_refused += report.refused_points
         self._points_dropped.update(report.dropped)
         unused = unused_points_text(report, self._mapper.domain)
         if unused is not None:
             self._problems.report(NO_POINTS_USED, unused)
-        self._map_changed(report.points_used + report.refused_points > 0)
+        self._map_changed(report.points_used > 0)
 
     def _map_changed(self, content: bool = True) -> None:
         self._stamps.content_changed |= content
@@ -276,7 +275,6 @@ class MappingNode(Node):
                 "scans": self._scans,
                 "scans.waiting": len(self._intake.queue),
                 **{f"scans.dropped.{key}": n for key, n in self._intake.dropped.items()},
-                "points.refused": self._points_refused,
                 **{f"points.dropped.{key}": n for key, n in self._points_dropped.items()},
                 "map.stamp_ns": self._mapper.stamp_ns,
                 "map.leaves": self._mapper.leaves.count,
@@ -298,13 +296,13 @@ class MappingNode(Node):
                 "scan.points": report.points,
                 "scan.points_used": report.points_used,
                 "scan.noise_ratio": report.noise_ratio,
-                **{f"scan.offset_{axis}": b for axis, b in zip("xyz", report.offset, strict=True)},
+                "scan.offset_z": report.offset,
             }
         )
         if report.points_used == 0:
             status.note(WARN, "no point of the last scan could be used")
-        if report.refused_divisions or report.refused_points:
-            status.note(WARN, "the map is full (mapping.max_cells, mapping.max_stored_points)")
+        if report.refused_divisions:
+            status.note(WARN, "the map is full (mapping.max_cells)")
         noise = noise_notice(report.noise_ratio, config)
         if noise is not None:
             status.note(WARN, noise.text)

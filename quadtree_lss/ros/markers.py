@@ -16,7 +16,7 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.maps import site_orientations
 from quadtree_lss.ros.cdr import CdrWriter
 from quadtree_lss.ros.messages import header_message

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.outputs import MessageMaker, cloud_records, map_from_messages
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none

@@ -17,8 +17,9 @@ from quadtree_lss.core.geometry import fusion, rotations
 from quadtree_lss.core.geometry.planes import Moments
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import Leaves
-from quadtree_lss.core.tree.quadtree import CellMap, Domain
 
 Array = np.ndarray
 Surface = Callable[[Array, Array], Array]

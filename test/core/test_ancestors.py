@@ -12,7 +12,7 @@ from core.builders import configured, make_pose, mapped, pose_covariance, scan, 
 from quadtree_lss.core.geometry import sphere
 from quadtree_lss.core.landing.ancestors import fuse_to_level
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 GROUND = slope(0.12, -0.07, 30.0)
 

@@ -22,7 +22,7 @@ from quadtree_lss.core.mapping.consistency import prefit_statistics
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.register import register
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 METHODS = list(
     itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))

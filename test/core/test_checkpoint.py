@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.checkpoint import (
     CheckpointError,
     export_checkpoint,
@@ -19,7 +20,6 @@ from quadtree_lss.core.tree.checkpoint import (
     restore,
     to_bytes,
 )
-from quadtree_lss.core.tree.quadtree import CellMap
 
 CONFIG = configured()
 

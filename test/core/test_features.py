@@ -10,7 +10,7 @@ from core.builders import configured, lattice, make_pose, mapped, scan, slope
 from quadtree_lss.core.geometry import feature as bump
 from quadtree_lss.core.mapping import features
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 CELLS_2M = {"min_level": 3, "max_level": 3}
 A, K, MU_X, MU_Y, SIGMA = range(5)

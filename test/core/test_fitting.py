@@ -10,11 +10,6 @@ import pytest
 from core.builders import make_pose, moments_of, pose_covariance, scan, slope, unit_vectors
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize
-
-from quadtree_lss.config.settings import MappingConfig
-from quadtree_lss.core.geometry import planes, rotations, sphere
-from quadtree_lss.core.geometry.planes import Moments
 from quadtree_lss.core.mapping.fitting import (
     Fit,
     SlopePrior,
@@ -23,6 +18,11 @@ from quadtree_lss.core.mapping.fitting import (
     fittable,
     pool_scans,
 )
+from scipy.optimize import minimize
+
+from quadtree_lss.config.settings import MappingConfig
+from quadtree_lss.core.geometry import planes, rotations, sphere
+from quadtree_lss.core.geometry.planes import Moments
 
 HEIGHT = MappingConfig(fit="height")
 ML = MappingConfig(fit="ml")

@@ -13,7 +13,7 @@ from quadtree_lss.core.geometry.feature import height
 from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.ancestors import fuse_to_level
 from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 
 def terrain(x, y):

@@ -8,10 +8,11 @@ import pytest
 from core.builders import configured, domain_of, flat, leaf_by_descent, make_pose, mapped, scan
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from quadtree_lss.core.tree.quadtree import Quadtree, morton_order
 
 from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import Leaves
-from quadtree_lss.core.tree.quadtree import Domain, Quadtree, morton_order
 
 DOMAIN = Domain(-3.0, 5.0, 16.0, 1, 5)
 

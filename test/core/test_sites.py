@@ -16,7 +16,7 @@ from quadtree_lss.core.landing.lattice import distance_from, touching
 from quadtree_lss.core.landing.raster import rasterise
 from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
 #: Such that no zone of these tests touches a lattice of half metres exactly.

@@ -18,7 +18,7 @@ from core.builders import (
 )
 
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 
 def fixed(level: int, noise: float, **mapping: object):

@@ -16,7 +16,7 @@ from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.core.landing.sites import LandingSiteSelector
 from quadtree_lss.core.landing.touchdown import TouchdownCheck
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 SMALL = {"size": 8.0, "min_level": 1, "max_level": 4}
 #: A feature's bell peaks a quarter above the boulder whose height is published (Eq. 49).

@@ -12,7 +12,7 @@ from core.builders import configured, mapped, upward_normals
 from quadtree_lss.core.geometry import rotations
 from quadtree_lss.core.landing.sites import LandingSiteSelector
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages import maps
 from quadtree_lss.messages.maps import MapMessageError
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing.ancestors import fuse_to_level
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]

@@ -6,14 +6,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cython
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from quadtree_lss.core.geometry import planes, sphere
-from quadtree_lss.core.sensing.lidar import point_covariances
-from quadtree_lss.core.sensing.register import RegisteredScan, finest_of
-from quadtree_lss.core.tree.leaves import Leaves
+from quadtree_lss.config.settings import LidarConfig
+from quadtree_lss.core.sensing.register import RegisteredScan
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.tree.morton import squeezed
+
+if not cython.compiled:
+    from math import fabs, sqrt
+
+    from quadtree_lss.core.geometry.plane import basis_at
+    from quadtree_lss.core.mapping.division import mahalanobis_factor
+    from quadtree_lss.core.mapping.measure import pose_variance, range_variance
+
+    fmax = max
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -21,9 +31,9 @@ Index = NDArray[np.intp]
 #: Share of residuals outside the acceptance interval (alpha), half of them on either side.
 OUTSIDE = 0.05
 #: Least variance, m^2.
-_FLOOR = 1e-12
-#: What is added to a pose part's axes, over their sum: some poses are certain in some direction.
-_ROUND = 1e-6
+FLOOR = cython.declare(cython.double, 1e-12)
+#: |n.u| is taken to be at least this (grazing incidence).
+MIN_COSINE = cython.declare(cython.double, 0.05)
 
 
 def acceptance_interval(degrees: int) -> tuple[float, float]:
@@ -117,8 +127,8 @@ class PrefitStatistics:
         )
 
 
-def prefit_statistics(leaves: Leaves, scan: RegisteredScan, range_noise: float) -> PrefitStatistics:
-    """Residuals of a scan about the leaves as they are; call it before the scan is mapped.
+def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) -> PrefitStatistics:
+    """Residuals of a scan about the map as it was published before the scan was mapped.
 
     The residual e = n.(r - c) - d has the variance n^T Sigma_r n + a^T Sigma_P a with Sigma_r of
     Eq. 17 (range and pose) and a = (B^T (r - c), -1). Measured and predicted point lie on one ray
@@ -126,45 +136,86 @@ def prefit_statistics(leaves: Leaves, scan: RegisteredScan, range_noise: float) 
     multiple of |e|.
 
     Args:
-        leaves: Not changed.
-        scan: Points with the finest cells under them.
-        range_noise: Standard deviation of a range, m.
+        cells: The map.
+        scan: Points (N, 3) about the lidar with their finest cells.
+        lidar: Of which the range noise matters.
     """
-    of_point = leaves.leaf_of_finest[finest_of(scan, leaves.domain)].astype(np.intp)
-    point = np.flatnonzero(leaves.measured[of_point])
-    row = of_point[point]
-    points = scan.points[point] + scan.origin
-    normal = leaves.normal[row]
-    arm = points - np.column_stack([leaves.x[row], leaves.y[row], leaves.z[row]])
-    residual = np.einsum("ni,ni->n", normal, arm)
-    a = np.full((len(row), 3), -1.0)
-    a[:, :2] = np.einsum("nij,ni->nj", sphere.tangent_basis(normal), arm)
-    total = leaves.range_part[row] + leaves.pose_part[row]
-    plane = np.einsum("ni,nij,nj->n", a, total, a)
-    pose = point_covariances(points, scan.pose, 0.0)
-    ray = planes.unit(points - scan.pose.position)
-    cosine = np.einsum("ni,ni->n", normal, ray)
-    variance = np.einsum("ni,nij,nj->n", normal, pose, normal) + plane
-    variance += (range_noise * cosine) ** 2
-    cosine = np.maximum(np.abs(cosine), planes.MIN_COSINE)
-    along = _variance_along(ray, pose) + range_noise**2 + plane / cosine**2
-    return PrefitStatistics(
-        point,
-        row,
-        residual,
-        np.sqrt(np.maximum(variance, _FLOOR)),
-        np.abs(residual) / (cosine * np.sqrt(along)),
+    column, row = squeezed(scan.key)
+    of_point = cells.leaf_raster()[row, column]
+    point = np.flatnonzero(cells.measured[of_point])
+    leaf = of_point[point].astype(np.intp)
+    centre = np.column_stack([cells.x, cells.y, cells.z]) - scan.origin
+    total = cells.covariance.reshape(-1, 9)
+    out = np.empty((3, len(point)))
+    noise = (lidar.range_noise, lidar.range_noise_per_metre, lidar.beam_divergence)
+    residuals(
+        scan.points[point],
+        leaf,
+        centre,
+        cells.normal,
+        total,
+        scan.pose.covariance,
+        *noise,
+        out,
     )
+    return PrefitStatistics(point, leaf, *out)
 
 
-def _variance_along(ray: Array, covariance: Array) -> Array:
-    """1 / (u^T C^-1 u), m^2: (N,) of unit ``ray`` (N, 3) and ``covariance`` (N, 3, 3).
+@cython.boundscheck(False)
+def residuals(
+    points: Array,
+    leaf: Index,
+    centre: Array,
+    normal: Array,
+    covariance: Array,
+    sigma: Array,
+    range_noise: float,
+    per_metre: float,
+    divergence: float,
+    out: Array,
+) -> None:
+    """Residual, its deviation, m, and the paper's d_M of each point: rows of ``out`` (3, N).
 
-    What a covariance along the ray itself, C + s u u^T, makes larger by just s: so that range and
-    plane can be added afterwards, however much they and the pose differ in size.
+    Args:
+        points: (N, 3) about the lidar, m, of leaves (N,).
+        leaf: Which of the M leaves each lies in.
+        centre: (M, 3) of the planes about the lidar, m; normal: (M, 3).
+        covariance: (M, 9) of (dphi, dd).
+        sigma: (6, 6) pose covariance.
+        range_noise, per_metre, divergence: See `lidar.range_variance`.
+        out: Written.
     """
-    trace = np.einsum("nii->n", covariance)
-    regular = covariance + (_ROUND * np.abs(trace) + _FLOOR)[:, None, None] * np.eye(3)
-    weight = np.einsum("ni,nij,nj->n", ray, planes.inverse_symmetric(regular), ray)
-    out: Array = 1.0 / np.maximum(weight, 1e-300)
-    return out
+    basis = cython.declare(cython.double[6])
+    n = cython.declare(cython.double[3])
+    r = cython.declare(cython.double[3])
+    a = cython.declare(cython.double[3])
+    i: cython.Py_ssize_t
+    at: cython.Py_ssize_t
+    j: cython.int
+    k: cython.int
+    with cython.nogil:
+        for i in range(points.shape[0]):
+            at = leaf[i]
+            e = 0.0
+            for j in range(3):
+                n[j] = normal[at, j]
+                r[j] = points[i, j]
+                e += n[j] * (r[j] - centre[at, j])
+            basis_at(n, basis)
+            a[0] = a[1] = 0.0
+            a[2] = -1.0
+            for j in range(3):
+                a[0] += basis[j] * (r[j] - centre[at, j])
+                a[1] += basis[3 + j] * (r[j] - centre[at, j])
+            plane = 0.0
+            for j in range(3):
+                for k in range(3):
+                    plane += a[j] * covariance[at, 3 * j + k] * a[k]
+            distance = sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
+            cosine = fabs(n[0] * r[0] + n[1] * r[1] + n[2] * r[2]) / distance
+            cosine = fmax(cosine, MIN_COSINE)
+            along = range_variance(range_noise, per_metre, divergence, distance, cosine)
+            variance = plane + along * cosine * cosine + pose_variance(n, r, sigma)
+            out[0, i] = e
+            out[1, i] = sqrt(fmax(variance, FLOOR))
+            out[2, i] = fabs(e) * mahalanobis_factor(n, r, cosine, sigma, along, plane)

@@ -1,175 +1,412 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscale features: one bell-shaped bump in a leaf, smaller than the leaf (paper V.C).
+"""Subscale features: one bell in a leaf, smaller than the leaf (paper V.C).
 
-Heights are above the cell's plane, so that a slope is no bump; shape and state: see `core.bump`.
+Heights are above the cell's plane, so that a slope is no feature. The state is Eq. 51's
+(A, k, mu_x, mu_y, sigma), the centre relative to the cell's; the height over the plane is
+A + p exp(-r^2 / 2 sigma^2) with p = k^2 / (2 pi sigma^2) (`geometry.feature`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import cython
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.config.settings import FeaturesConfig
-from quadtree_lss.core.geometry import planes
-from quadtree_lss.core.geometry.feature import boulder_height
-from quadtree_lss.core.mapping.bump_fit import (
-    Samples,
-    estimate,
-    first_states,
-    flat_cost,
-    gather_raised,
-    lay_out,
-    promise,
-)
-from quadtree_lss.core.mapping.statistics import Residuals
-from quadtree_lss.core.tree.leaves import Leaves
+from quadtree_lss.core.geometry.plane import Vector
+from quadtree_lss.core.mapping.measure import Rules
+
+if not cython.compiled:
+    from math import exp, fabs, isfinite, sqrt
+
+    fmax, fmin, INFINITY, NAN = max, min, float("inf"), float("nan")
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
+Rows = NDArray[np.void]
 
+PI = cython.declare(cython.double, 3.141592653589793)
+#: Peak of the bell that fits a hemisphere (Eq. 53) best over the hemisphere's height.
+SHAPE = cython.declare(cython.double, 1.25)
 #: Points this many standard deviations above the plane make a cell a candidate.
-HIGH = 3.0
+HIGH = cython.declare(cython.double, 3.0)
 #: Fraction of points that noise alone raises so high, P(N(0, 1) > 3).
-CHANCE = 0.00135
-#: Half side of the square around a bump whose points are used, in sigma.
-WINDOW = 5.0
+CHANCE = cython.declare(cython.double, 0.00135)
+#: Half side of the square around a feature whose points are used, in sigma.
+WINDOW = cython.declare(cython.double, 5.0)
 #: A first estimate must lower the cost (a chi-square) by this much against flat ground.
-SIGNIFICANCE = 25.0
-#: Candidates treated in one scan; the rest wait for the next, the strongest go first.
-MAX_CANDIDATES = 256
+SIGNIFICANCE = cython.declare(cython.double, 25.0)
+#: Updates of a first estimate at most.
+ITERATIONS = cython.declare(cython.int, 5)
+#: Relative change of the cost at which an estimate has converged.
+SETTLED = cython.declare(cython.double, 5e-2)
+#: Points of one scan that a feature is estimated from, at most, and that start its estimate.
+MAX_SAMPLES = cython.declare(cython.Py_ssize_t, 512)
+MAX_RAISED = cython.declare(cython.Py_ssize_t, 24)
 
 
-@dataclass(frozen=True)
-class Candidates:
-    """C leaves in which a scan shows a feature or may, and the N points in them.
+class Heights:
+    """Heights of one scan over one cell, those that may tell of a feature; room for a scan's."""
 
-    Attributes:
-        rows: (C,) leaves.
-        size: (C,) their sides, m.
-        count: (C,) their points.
-        variance: (C,) of a point's height above the plane, m^2.
-        cell: (N,) leaf of each point, 0 .. C - 1.
-        x, y: (N,) relative to the cell's centre, m.
-        z: (N,) height above the cell's plane, m.
-        high: (N,) True where the point stands out.
+    def __init__(self, most: int) -> None:
+        self.x = np.empty(most)
+        self.y = np.empty(most)
+        self.z = np.empty(most)
+        self.count = 0
+        self.weight = 0.0
+
+    def clear(self, weight: float) -> None:
+        """Forget them; ``weight`` is one over the variance of the next ones, m^-2."""
+        self.count = 0
+        self.weight = weight
+
+    @cython.boundscheck(False)
+    def add(self, x: float, y: float, z: float) -> None:
+        """A height above the plane, at a place relative to the cell's centre, m."""
+        self.x[self.count] = x
+        self.y[self.count] = y
+        self.z[self.count] = z
+        self.count += 1
+
+
+def feature_height(state: Vector) -> cython.double:
+    """Height of the rock that a fitted bell (5) stands for, m.
+
+    A bell fitted to a hemisphere by least squares peaks a quarter above it.
     """
-
-    rows: Index
-    size: Array
-    count: Array
-    variance: Array
-    cell: Index
-    x: Array
-    y: Array
-    z: Array
-    high: Mask
-
-    def start(self, fresh: Mask) -> Array:
-        """Where first estimates begin, (F, 5), of the leaves marked ``fresh`` (C,), each of which
-        has a point that stands out."""
-        chosen = fresh.nonzero()[0]
-        place = np.full(len(fresh), -1, dtype=np.intp)
-        place[chosen] = np.arange(len(chosen))
-        high = self.high.nonzero()[0]
-        high = high[fresh[self.cell[high]]]
-        cell = place[self.cell[high]]
-        raised = gather_raised(cell, len(chosen), self.x[high], self.y[high], self.z[high])
-        return first_states(raised, self.count[chosen], self.size[chosen] ** 2)
-
-    def window(self, mean: Array) -> Samples:
-        """Samples around each mean (C, 5): beyond a few sigma they say nothing of the bump."""
-        cell = self.cell
-        reach = np.minimum(np.maximum(WINDOW * mean[:, 4], 0.5), self.size)
-        away = np.maximum(np.abs(self.x - mean[cell, 2]), np.abs(self.y - mean[cell, 3]))
-        inside = (away <= reach[cell]).nonzero()[0]
-        return lay_out(cell[inside], self.variance, self.x[inside], self.y[inside], self.z[inside])
+    return state[1] * state[1] / (2.0 * PI * state[4] * state[4] * SHAPE)
 
 
-class FeatureEstimator:
-    """Keeps the feature columns of the leaves up to date, scan by scan."""
-
-    def __init__(self, config: FeaturesConfig) -> None:
-        self.config = config
-
-    def update(self, leaves: Leaves, residuals: Residuals, range_noise: float) -> None:
-        """Update the features of the leaves that a scan shows one in, or that had one.
-
-        A leaf is a candidate if clearly more points stand out than noise raises on flat ground; a
-        feature that later scans do not show fades away.
-        """
-        rows = residuals.rows
-        if not self.config.enabled or not len(rows):
-            return
-        normal = leaves.normal[rows]
-        variance = planes.orthogonal_noise_variance(normal, residuals.moment.ray, range_noise)
-        gate = np.maximum(HIGH * np.sqrt(variance), 0.5 * self.config.min_height * normal[:, 2])
-        high = residuals.distance > gate[residuals.group]
-        count = residuals.moment.count
-        raised = np.bincount(residuals.group[high], minlength=len(rows))
-        chance = CHANCE * count
-        known = np.isfinite(leaves.feature[rows, 1])
-        candidate = raised >= np.maximum(2.0, chance + 2.0 * np.sqrt(chance))
-        candidate |= known
-        chosen = (candidate & (count >= self.config.min_points)).nonzero()[0]
-        if not len(chosen):
-            return
-        if len(chosen) > MAX_CANDIDATES:
-            strongest = np.argsort(-raised[chosen], kind="stable")[:MAX_CANDIDATES]
-            chosen = np.sort(chosen[strongest])
-        up = normal[chosen, 2]
-        candidates = _candidates(leaves, residuals, chosen, high, up, variance[chosen])
-        self._estimate(leaves, candidates, known[chosen])
-
-    def _estimate(self, leaves: Leaves, candidates: Candidates, known: Mask) -> None:
-        rows, size = candidates.rows, candidates.size
-        mean = leaves.feature[rows]
-        if not known.all():
-            mean[~known] = candidates.start(~known)
-        samples = candidates.window(mean)
-        worth = (known | (promise(samples, mean) >= 0.5 * SIGNIFICANCE)).nonzero()[0]
-        if not len(worth):
-            return
-        if len(worth) < len(rows):
-            samples, mean = samples.take(worth), mean[worth]
-            rows, size, known = rows[worth], size[worth], known[worth]
-        # Eq. 52's unit covariance for a new feature, the last one for a known.
-        information = np.broadcast_to(np.eye(5), (len(rows), 5, 5)).copy()
-        information[known] = np.linalg.inv(leaves.feature_covariance[rows[known]])
-        finest = 0.4 * size / np.sqrt(candidates.count[worth])
-        state, covariance, cost = estimate(samples, mean, information, known, 0.5 * size, finest)
-        config = self.config
-        keep = (
-            (state[:, 1] ** 2 >= config.min_volume)
-            & (boulder_height(state) >= config.min_height)
-            & (state[:, 4] <= config.max_sigma_fraction * size)
-            & (known | (flat_cost(samples) - cost >= SIGNIFICANCE))
-            & np.isfinite(covariance).all(axis=(1, 2))
-        )
-        leaves.feature[rows] = np.where(keep[:, None], state, np.nan)
-        leaves.feature_covariance[rows] = np.where(keep[:, None, None], covariance, np.nan)
+def insert_high(
+    high: Vector, held: cython.Py_ssize_t, x: float, y: float, z: float
+) -> cython.Py_ssize_t:
+    """Keep a raised sample among the ``MAX_RAISED`` highest (x, y, z each); how many are held."""
+    i: cython.Py_ssize_t = held
+    if held == MAX_RAISED:
+        if z <= high[3 * held - 1]:
+            return held
+        i = held - 1
+    while i > 0 and high[3 * i - 1] < z:
+        high[3 * i] = high[3 * i - 3]
+        high[3 * i + 1] = high[3 * i - 2]
+        high[3 * i + 2] = high[3 * i - 1]
+        i -= 1
+    high[3 * i] = x
+    high[3 * i + 1] = y
+    high[3 * i + 2] = z
+    return held if held == MAX_RAISED else held + 1
 
 
-def _candidates(
-    leaves: Leaves, residuals: Residuals, chosen: Index, high: Mask, up: Array, variance: Array
-) -> Candidates:
-    """The ``chosen`` (C,) of the residuals' leaves, with n_z and variance of n.r - d of each."""
-    rows = residuals.rows[chosen]
-    place = np.full(len(residuals.rows), -1, dtype=np.intp)
-    place[chosen] = np.arange(len(chosen))
-    cell = place[residuals.group]
-    mine = (cell >= 0).nonzero()[0]
-    cell = cell[mine]
-    return Candidates(
-        rows,
-        leaves.domain.cell_size(leaves.level[rows]),
-        residuals.moment.count[chosen],
-        variance / up**2,
-        cell,
-        residuals.points[0, mine] + (residuals.origin[0] - leaves.x[rows])[cell],
-        residuals.points[1, mine] + (residuals.origin[1] - leaves.y[rows])[cell],
-        residuals.distance[mine] / up[cell],
-        high[mine],
+def first_state(
+    raised: cython.Py_ssize_t,
+    high: Vector,
+    count: float,
+    area: float,
+    out: Vector,
+) -> None:
+    """First state (5) from the data instead of Eq. 52's constants.
+
+    Every raised sample collects the heights of the raised samples near it; the richest one is the
+    centre, which a single outlier is not. Those near it stand for the feature: their share of the
+    cell's area gives sigma, their mean height over the rest its volume.
+
+    Args:
+        raised: Samples that stand out, one at least.
+        high: (3 raised) x, y, z of each.
+        count: Samples in the cell; their heights sum to zero.
+        area: Of the cell, m^2.
+        out: Written.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    best: cython.Py_ssize_t = 0
+    width = fmax(1.5 * sqrt(area / count), 0.1)
+    most = -1.0
+    for i in range(raised):
+        collected = 0.0
+        for j in range(raised):
+            dx = high[3 * i] - high[3 * j]
+            dy = high[3 * i + 1] - high[3 * j + 1]
+            collected += high[3 * j + 2] * exp(-0.5 * (dx * dx + dy * dy) / (width * width))
+        if collected > most:
+            most = collected
+            best = i
+    many = total = 0.0
+    for j in range(raised):
+        dx = high[3 * best] - high[3 * j]
+        dy = high[3 * best + 1] - high[3 * j + 1]
+        if dx * dx + dy * dy < 9.0 * width * width:
+            many += 1.0
+            total += high[3 * j + 2]
+    level = -total / fmax(count - many, 1.0)
+    footprint = area * many / count
+    out[0] = level
+    out[1] = sqrt(fmax(total / many - level, 1e-3) * footprint)
+    out[2] = high[3 * best]
+    out[3] = high[3 * best + 1]
+    out[4] = sqrt(footprint / (2.0 * PI))
+
+
+@cython.boundscheck(False)
+def promise(heights: Heights, state: Vector) -> cython.double:
+    """How much a feature of the state's place and width can lower the flat cost at best.
+
+    Linear in height, so in closed form: w (sum g z)^2 / sum g^2 with the bell g freed of its mean;
+    0 where the best height is negative.
+    """
+    i: cython.Py_ssize_t
+    total = square = product = high = 0.0
+    for i in range(heights.count):
+        dx = heights.x[i] - state[2]
+        dy = heights.y[i] - state[3]
+        bell = exp(-0.5 * (dx * dx + dy * dy) / (state[4] * state[4]))
+        total += bell
+        square += bell * bell
+        product += bell * heights.z[i]
+        high += heights.z[i]
+    share = total / fmax(heights.count, 1.0)
+    rise = fmax(product - share * high, 0.0)
+    return heights.weight * rise * rise / fmax(square - share * total, 1e-9 * square + 1e-300)
+
+
+@cython.boundscheck(False)
+def _linearise(
+    heights: Heights, state: Vector, mean: Vector, information: Vector, system: Vector
+) -> cython.double:
+    """The MAP cost about ``state``: Gauss-Newton matrix and descent direction, (5, 6) in system.
+
+    cost = sum (z - h(X))^2 / variance + (X - mean)^T information (X - mean), returned; the
+    measurements' part of it is system[30], all of it system[31].
+    """
+    row = cython.declare(cython.double[5])
+    i: cython.Py_ssize_t
+    j: cython.int
+    k: cython.int
+    for j in range(32):
+        system[j] = 0.0
+    inverse = 1.0 / (state[4] * state[4])
+    twice = state[1] * inverse / PI
+    row[0] = 1.0
+    cost = 0.0
+    for i in range(heights.count):
+        dx = heights.x[i] - state[2]
+        dy = heights.y[i] - state[3]
+        square = (dx * dx + dy * dy) * inverse
+        row[1] = twice * exp(-0.5 * square) if square < 80.0 else 0.0
+        bump = 0.5 * state[1] * row[1]
+        row[2] = dx * bump * inverse
+        row[3] = dy * bump * inverse
+        row[4] = (square - 2.0) * bump / state[4]
+        left = heights.z[i] - bump - state[0]
+        for j in range(5):
+            for k in range(j, 5):
+                system[6 * j + k] += row[j] * row[k]
+            system[6 * j + 5] += row[j] * left
+        cost += left * left
+    cost *= heights.weight
+    system[30] = cost
+    for j in range(5):
+        pull = 0.0
+        for k in range(5):
+            pull += information[5 * j + k] * (state[k] - mean[k])
+        cost += (state[j] - mean[j]) * pull
+        system[6 * j + 5] = heights.weight * system[6 * j + 5] - pull
+        for k in range(j, 5):
+            system[6 * j + k] = heights.weight * system[6 * j + k] + information[5 * j + k]
+            if k > j:
+                system[6 * k + j] = system[6 * j + k]
+    system[31] = cost
+    return cost
+
+
+def _solve(system: Vector, damping: float, step: Vector) -> cython.bint:
+    """Step (5) of the damped normal equations by Cholesky; False if they are not definite."""
+    lower = cython.declare(cython.double[25])
+    i: cython.int
+    j: cython.int
+    k: cython.int
+    for i in range(5):
+        for j in range(i + 1):
+            total = system[6 * i + j]
+            if i == j:
+                total *= 1.0 + damping
+            for k in range(j):
+                total -= lower[5 * i + k] * lower[5 * j + k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                lower[6 * i] = sqrt(total)
+            else:
+                lower[5 * i + j] = total / lower[6 * j]
+    for i in range(5):
+        total = system[6 * i + 5]
+        for k in range(i):
+            total -= lower[5 * i + k] * step[k]
+        step[i] = total / lower[6 * i]
+    for i in range(4, -1, -1):
+        total = step[i]
+        for k in range(i + 1, 5):
+            total -= lower[5 * k + i] * step[k]
+        step[i] = total / lower[6 * i]
+    return True
+
+
+def estimate(
+    heights: Heights,
+    state: Vector,
+    information: Vector,
+    known: cython.bint,
+    half: float,
+    finest: float,
+) -> cython.double:
+    """Damped, iterated batch EKF update of a state (Levenberg-Marquardt on the MAP cost).
+
+    A state that earlier scans estimated takes one full step, if that lowers its cost: scan by scan
+    it goes on from there.
+
+    Args:
+        heights: One scan's.
+        state: (5) prior and start; replaced by the estimate.
+        information: (25) inverse prior covariance; replaced by the posterior one.
+        known: Whether earlier scans estimated the state.
+        half: Half the cell's side: the centre stays inside, m.
+        finest: Least sigma that the sampling resolves, m.
+
+    Returns:
+        The measurements' part of the cost.
+    """
+    mean = cython.declare(cython.double[5])
+    trial = cython.declare(cython.double[5])
+    step = cython.declare(cython.double[5])
+    system = cython.declare(cython.double[32])
+    found = cython.declare(cython.double[32])
+    i: cython.int
+    j: cython.int
+    for i in range(5):
+        mean[i] = state[i]
+    state[4] = fmin(fmax(fabs(state[4]), finest), 4.0 * half)
+    for i in range(2, 4):
+        state[i] = fmin(fmax(state[i], -half), half)
+    _linearise(heights, state, mean, information, system)
+    damping = 0.0 if known else 1e-2
+    for _ in range(ITERATIONS):
+        if not _solve(system, damping, step):
+            break
+        for i in range(5):
+            trial[i] = state[i] + step[i]
+        trial[4] = fmin(fmax(fabs(trial[4]), finest), 4.0 * half)
+        for i in range(2, 4):
+            trial[i] = fmin(fmax(trial[i], -half), half)
+        gain = system[31] - _linearise(heights, trial, mean, information, found)
+        if gain > 0.0:
+            damping *= 0.2
+            for i in range(5):
+                state[i] = trial[i]
+            for i in range(32):
+                system[i] = found[i]
+        else:
+            damping *= 6.0
+        if known or fabs(gain) < SETTLED * (1.0 + found[31]) or damping > 1e6:
+            break
+    for i in range(5):
+        for j in range(5):
+            information[5 * i + j] = system[6 * i + j]
+    return system[30]
+
+
+@cython.boundscheck(False)
+def update_feature(
+    rules: Rules,
+    leaf: Rows,
+    row: cython.Py_ssize_t,
+    points: Array,
+    residual: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    x: float,
+    y: float,
+    side: float,
+    variance: float,
+    heights: Heights,
+) -> None:
+    """Update the feature of a leaf that a scan shows one in, or that had one.
+
+    A leaf is a candidate if clearly more points stand out than noise raises on flat ground; a
+    feature that later scans do not show fades away.
+
+    Args:
+        rules: Limits.
+        leaf, row: The leaf; its feature is replaced.
+        points: (N, 3) about the lidar, m; the leaf's are ``begin`` to ``end``.
+        residual: (N,) n.(r - mean) of each, m.
+        x, y: Cell's centre about the lidar, m.
+        side: Of the cell, m.
+        variance: Of a residual from range noise, m^2.
+        heights: Working memory, for a scan's points.
+    """
+    high = cython.declare(cython.double[72])
+    state = cython.declare(cython.double[5])
+    information = cython.declare(cython.double[25])
+    i: cython.Py_ssize_t
+    k: cython.int
+    stride: cython.Py_ssize_t
+    inside: cython.Py_ssize_t = 0
+    held: cython.Py_ssize_t = 0
+    raised: cython.Py_ssize_t = 0
+    count: cython.double = end - begin
+    up = leaf[row].normal[2]
+    known: cython.bint = isfinite(leaf[row].feature[1])
+    if count < rules.feature_points:
+        return
+    gate = fmax(HIGH * sqrt(variance), 0.5 * rules.feature_height * up)
+    for i in range(begin, end):
+        if residual[i] > gate:
+            raised += 1
+    chance = CHANCE * count
+    if not known and raised < fmax(2.0, chance + 2.0 * sqrt(chance)):
+        return
+    heights.clear(up * up / variance)
+    if known:
+        for k in range(5):
+            state[k] = leaf[row].feature[k]
+        for k in range(25):
+            information[k] = leaf[row].feature_information[k]
+    else:
+        for i in range(begin, end):
+            if residual[i] > gate:
+                held = insert_high(high, held, points[i, 0] - x, points[i, 1] - y, residual[i] / up)
+        first_state(held, high, count, side * side, state)
+        # Eq. 52's unit covariance.
+        for k in range(25):
+            information[k] = 1.0 if k % 6 == 0 else 0.0
+    reach = fmin(fmax(WINDOW * state[4], 0.5), side)
+    for i in range(begin, end):
+        dx = points[i, 0] - x - state[2]
+        dy = points[i, 1] - y - state[3]
+        if fabs(dx) <= reach and fabs(dy) <= reach:
+            inside += 1
+    stride = max((inside + MAX_SAMPLES - 1) // MAX_SAMPLES, 1)
+    inside = 0
+    for i in range(begin, end):
+        dx = points[i, 0] - x
+        dy = points[i, 1] - y
+        if fabs(dx - state[2]) <= reach and fabs(dy - state[3]) <= reach:
+            if inside % stride == 0:
+                heights.add(dx, dy, residual[i] / up)
+            inside += 1
+    if not known and promise(heights, state) < 0.5 * SIGNIFICANCE:
+        return
+    total = square = 0.0
+    for i in range(heights.count):
+        total += heights.z[i]
+        square += heights.z[i] * heights.z[i]
+    flat = heights.weight * (square - total * total / fmax(heights.count, 1.0))
+    cost = estimate(heights, state, information, known, 0.5 * side, 0.4 * side / sqrt(count))
+    keep: cython.bint = (
+        state[1] * state[1] >= rules.feature_volume
+        and feature_height(state) >= rules.feature_height
+        and state[4] <= rules.feature_width * side
+        and (known or flat - cost >= SIGNIFICANCE)
     )
+    for k in range(5):
+        leaf[row].feature[k] = state[k] if keep else NAN
+    for k in range(25):
+        leaf[row].feature_information[k] = information[k]

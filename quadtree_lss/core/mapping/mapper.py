@@ -3,32 +3,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.feature import as_boulder
-from quadtree_lss.core.mapping import division, statistics
-from quadtree_lss.core.mapping.alignment import ScanAlignment
-from quadtree_lss.core.mapping.features import FeatureEstimator
-from quadtree_lss.core.mapping.stored import StoredPoints
+from quadtree_lss.core.mapping.alignment import Offset, lift, offset_of
+from quadtree_lss.core.mapping.measure import Rules
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS
-from quadtree_lss.core.sensing.register import Points, finest_of, register
+from quadtree_lss.core.sensing.register import Points, register
 from quadtree_lss.core.sensing.sweep import Sweep
-from quadtree_lss.core.tree.leaves import Leaves
-from quadtree_lss.core.tree.quadtree import CellMap, Domain, morton_order
+from quadtree_lss.core.tree import checkpoint
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.tree.checkpoint import State
+from quadtree_lss.core.tree.domain import Domain
+from quadtree_lss.core.tree.leaves import LeafTable, unfold
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
 JUMP_NS = SECOND_NS
+#: What is known of a leaf (`LEAF`), at least and exactly.
+INHERITED, MEASURED = 2, 3
+#: Cells that a scan must have to tell the range noise.
+NOISE_CELLS = 3
+#: Share of a new scan in the running mean of the observed range noise.
+NOISE_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,18 +42,16 @@ class ScanReport:
     Attributes:
         stamp_ns: The scan's stamp.
         points: Points in the message.
-        points_used: Points that entered the map, fitted or stored.
-        dropped: Points that were unsound or outside, by reason (``scan.register``).
+        points_used: Points that entered the map; with ``dropped`` they are all points.
+        dropped: Points that were unsound or outside, by reason (``sensing.register``).
         leaves: Leaves after the scan.
         divisions: Cells divided by it.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
-        refused_points: Points that found no room to be stored; with ``points_used`` and
-            ``dropped`` they are all points.
         noise_ratio: Observed over configured range noise (running mean of the scans' medians), NaN
             if unknown.
         centre: x and y of the middle of the sound returns, map frame, m; None if there was none.
-        offset: By how much the scan's ground lay off the map's by its pose (x, y, z), m; 0 without
-            ``mapping.align``.
+        offset: By how much the scan's ground lay over the map's by its pose, m; 0 where that was
+            not compared.
     """
 
     stamp_ns: int
@@ -59,10 +61,9 @@ class ScanReport:
     leaves: int
     divisions: int
     refused_divisions: int
-    refused_points: int
     noise_ratio: float
     centre: tuple[float, float] | None
-    offset: tuple[float, float, float]
+    offset: float
 
 
 class Mapper:
@@ -72,53 +73,24 @@ class Mapper:
     nothing.
 
     Attributes:
+        leaves: The table of leaves.
         stamp_ns: Stamp of the newest scan since time last jumped back (a looping bag, a clock set
             right); leaves may be of scans with later stamps then. 0 if nothing is mapped.
     """
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        d = config.domain
-        self.domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
-        self.leaves = Leaves(self.domain, config.mapping.max_cells)
-        self._stored = StoredPoints(
-            config.mapping.max_stored_points, config.mapping.max_stored_per_cell
-        )
-        self._features = FeatureEstimator(config.features)
-        self._noise = statistics.NoiseCheck()
-        self._alignment = ScanAlignment(config.mapping)
-        self.observed = np.zeros(self.domain.finest_count**2, dtype=np.bool_)
-        self.stamp_ns = 0
+        self.domain = Domain.of(config.domain)
+        self.leaves = LeafTable(self.domain, config.mapping.max_cells)
+        self._rules = Rules(config)
+        self.reset()
 
     def reset(self) -> None:
         """Forget everything that was mapped."""
         self.leaves.plant()
-        self._stored.clear()
-        self._noise = statistics.NoiseCheck()
-        self._alignment.reset()
-        self.observed[:] = False
         self.stamp_ns = 0
-
-    def export_state(self) -> dict[str, NDArray[Any]]:
-        """All that a mapper must know to go on, by name; copies (see ``core.checkpoint``)."""
-        parts = {name: part.export_state() for name, part in self._parts().items()}
-        return {
-            **{f"{name}.{key}": value for name, of in parts.items() for key, value in of.items()},
-            "observed": self.observed.copy(),
-            "stamp_ns": np.array(self.stamp_ns),
-        }
-
-    def import_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from `export_state` of a mapper of the same domain (not checked here)."""
-        self.reset()
-        for name, part in self._parts().items():
-            start = f"{name}."
-            part.import_state({k[len(start) :]: v for k, v in state.items() if k.startswith(start)})
-        self.observed[:] = state["observed"]
-        self.stamp_ns = int(state["stamp_ns"])
-
-    def _parts(self) -> dict[str, Leaves | StoredPoints | ScanAlignment]:
-        return {"leaves": self.leaves, "stored": self._stored, "alignment": self._alignment}
+        self._start_ns = 0
+        self._noise_ratio = float("nan")
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan.
@@ -129,81 +101,117 @@ class Mapper:
             pose: Lidar pose at the scan's stamp.
             sweep: How the lidar moved while it took the scan; None if at once.
         """
-        pose = self._alignment.predicted(pose)
         scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain, sweep)
-        refused_before = self._stored.refused
         divisions = refused = 0
+        offset = None
         if len(scan.key):
-            self.observed[finest_of(scan, self.domain)] = True
             if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
                 self.stamp_ns = pose.stamp_ns
-            change = ScanUpdate(self.leaves, self._stored, self._alignment, self.config, scan)
-            residuals = self._accumulate(change.run())
-            while len(rocky := self._rocky(residuals.rows)):
-                below = change.divide(rocky)
-                if below is None:
-                    break
-                residuals = self._accumulate(below)
-            self._stored.close_scan()
+            self._start_ns = self._start_ns or pose.stamp_ns
+            now = 1e-9 * (pose.stamp_ns - self._start_ns)
+            change = ScanUpdate(self.leaves, self._rules, scan, now)
+            change.fit()
+            if self.config.mapping.align:
+                offset = self._align(change, now)
+            change.settle()
+            self._check_noise(change.ratio)
             divisions, refused = change.divisions, change.refused
-        refused_points = self._stored.refused - refused_before
         return ScanReport(
             stamp_ns=pose.stamp_ns,
             points=points_lidar.size // 3,
-            points_used=len(scan.key) - refused_points,
+            points_used=len(scan.key),
             dropped=dropped,
             leaves=self.leaves.count,
             divisions=divisions,
             refused_divisions=refused,
-            refused_points=refused_points,
-            noise_ratio=self._noise.ratio,
+            noise_ratio=self._noise_ratio,
             centre=scan.centre,
-            offset=self._alignment.offset,
+            offset=0.0 if offset is None else offset.height,
         )
 
-    def _rocky(self, rows: Index) -> Index:
-        config = self.config
-        noise = config.lidar.range_noise
-        return rows[division.hides_rock(self.leaves, rows, config.mapping, config.features, noise)]
+    def _align(self, change: ScanUpdate, now: float) -> Offset | None:
+        """Let the scan and the map meet at one height."""
+        offset = offset_of(change.compare(), now, self.config.pose.correlation_time)
+        if offset is not None:
+            lift(self.leaves, offset.map, offset.since)
+            change.align(offset.scan)
+        return offset
 
-    def _accumulate(self, residuals: statistics.Residuals) -> statistics.Residuals:
-        """Roughness, exceptions, noise check and subscale features of the leaves of a scan."""
-        config, noise = self.config, self.config.lidar.range_noise
-        height = division.rock_height(config.features, noise)
-        statistics.accumulate(self.leaves, residuals, config.mapping, noise, height)
-        self._noise.add(self.leaves, residuals, noise)
-        self._features.update(self.leaves, residuals, noise)
-        return residuals
+    def _check_noise(self, ratio: Array) -> None:
+        """Running mean of observed over configured range noise.
 
-    def _pose_covariance(self, rows: Index) -> Array:
-        """Covariance (M, 3, 3) from pose error. The leaves take the errors of their scans for
-        independent; of the height that all have in common they cannot know more than the map."""
-        out = self.leaves.pose_part[rows]
-        common = self._alignment.height_variance * self.leaves.normal[rows, 2] ** 2
-        out[:, 2, 2] = np.maximum(out[:, 2, 2], common)
-        return out
+        Each scan gives the median over its points of the residual's standard deviation about the
+        own fit of the cell they came to rest in, over what the configured range noise makes of it.
+        On planar ground that is one; rough ground raises some cells, not the median while most of
+        the ground is smooth at the size of a leaf.
+        """
+        if ratio.shape[1] < NOISE_CELLS:
+            return
+        order = np.argsort(ratio[0])
+        total = np.cumsum(ratio[1][order])
+        median = float(ratio[0][order[np.searchsorted(total, 0.5 * total[-1])]])
+        share = 1.0 if np.isnan(self._noise_ratio) else NOISE_SHARE
+        last = 0.0 if np.isnan(self._noise_ratio) else self._noise_ratio
+        self._noise_ratio = last + share * (median - last)
 
     def snapshot(self) -> CellMap:
         """The map as it stands; copies, so that later scans do not change it."""
-        leaves, count, n = self.leaves, self.leaves.count, self.domain.finest_count
-        order = morton_order(
-            self.domain, leaves.level[:count], leaves.ix[:count], leaves.iy[:count]
-        )
-        roughness, exceptions = statistics.densities(leaves, order)
+        leaves = self.leaves.rows[self.leaves.in_order()]
+        known = leaves["known"] >= INHERITED
+        measured = leaves["known"] == MEASURED
+        n = self.domain.finest_count
+        observed = np.empty((n, n), dtype=np.uint8)
+        unfold(self.leaves.observed, observed)
+        unknown = np.where(known, 0.0, np.nan)
+        counted = np.maximum(leaves["residuals"], 1.0)
+        # On flat ground noise is all there is, and times a large cell's area it would look rough.
+        mean = np.maximum(leaves["distance_sum"] - leaves["noise_sum"], 0.0) / counted
+        area = self.domain.cell_size(leaves["level"]) ** 2
         return CellMap(
             stamp_ns=self.stamp_ns,
             domain=self.domain,
-            level=leaves.level[order],
-            ix=leaves.ix[order].astype(np.uint32),
-            iy=leaves.iy[order].astype(np.uint32),
-            z=leaves.z[order],
-            normal=leaves.normal[order],
-            covariance_range=leaves.range_part[order],
-            covariance_pose=self._pose_covariance(order),
-            count=leaves.points_fitted[order].astype(np.uint32),
-            measured=leaves.measured[order],
-            roughness=roughness,
-            exception_fraction=exceptions,
-            feature=as_boulder(leaves.feature[order]),
-            observed=self.observed.reshape(n, n).copy(),
+            level=leaves["level"].astype(np.uint8),
+            ix=leaves["ix"].astype(np.uint32),
+            iy=leaves["iy"].astype(np.uint32),
+            z=leaves["z"] + unknown,
+            normal=leaves["normal"] + unknown[:, None],
+            covariance_range=_matrices(leaves["range_part"] + unknown[:, None]),
+            covariance_pose=_matrices(leaves["pose_part"] + unknown[:, None]),
+            count=leaves["points"].astype(np.uint32),
+            measured=measured,
+            roughness=np.where(measured, area * mean, np.nan),
+            exception_fraction=np.where(measured, leaves["exception_sum"] / counted, np.nan),
+            feature=as_boulder(leaves["feature"]),
+            observed=observed.view(np.bool_),
         )
+
+    def export_state(self) -> State:
+        """All that a mapper must know to go on, by name; copies (see ``tree.checkpoint``)."""
+        state = {
+            "leaves": np.array(self.leaves.rows[: self.leaves.count]),
+            "observed": self.leaves.observed.copy(),
+            "stamp_ns": np.array(self.stamp_ns),
+            "start_ns": np.array(self._start_ns),
+            "noise_ratio": np.array(self._noise_ratio),
+        }
+        return checkpoint.identified(state, self.domain)
+
+    def import_state(self, state: State) -> None:
+        """Go on from `export_state` of a mapper of the same domain.
+
+        Raises:
+            CheckpointError: it is none; the mapper is then unchanged.
+        """
+        like = self.export_state()
+        checkpoint.check(state, like, self.domain, self.config.mapping.max_cells)
+        leaves = state["leaves"]
+        self.leaves.take_up({name: leaves[name] for name in leaves.dtype.names or ()})
+        self.leaves.observed[:] = state["observed"]
+        self.stamp_ns = int(state["stamp_ns"])
+        self._start_ns = int(state["start_ns"])
+        self._noise_ratio = float(state["noise_ratio"])
+
+
+def _matrices(flat: Array) -> Array:
+    """(M, 9) to (M, 3, 3)."""
+    return flat.reshape(-1, 3, 3)

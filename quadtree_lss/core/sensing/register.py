@@ -16,8 +16,8 @@ from quadtree_lss.core.sensing.isolated_points import isolated_in_space
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.points import arrange, bin_runs, turn
 from quadtree_lss.core.sensing.sweep import Sweep, still
+from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.morton import SPREAD, sort_packed
-from quadtree_lss.core.tree.quadtree import Domain
 
 Array = NDArray[np.float64]
 Points = NDArray[np.float32] | NDArray[np.float64]

@@ -1,182 +1,227 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leaves with their plane estimates and running statistics."""
+"""The quadtree (paper III.A) as a table: a row for each leaf, and the row over each finest cell.
+
+Finest cells are numbered in Morton order, so that every cell of every level is one run of numbers,
+and a point finds its leaf without descending the tree. Division turns one row into four.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
+import cython
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.geometry import fusion
-from quadtree_lss.core.geometry.fusion import Planes
-from quadtree_lss.core.tree.quadtree import CHILD_X, CHILD_Y, Domain, Quadtree
+from quadtree_lss.core.tree.domain import Domain
 
-Array = NDArray[np.float64]
+if not cython.compiled:
+    from quadtree_lss.core.geometry.plane import basis_at, shift_origin
+    from quadtree_lss.core.tree.morton import encode, squeeze
+
+    NAN = float("nan")
+    NOTHING, HINTS, INHERITED, MEASURED = range(4)
+
 Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
+
+#: A leaf:
+#:
+#: - level, ix, iy: its place; x, y: its centre, m;
+#: - known: 0 nothing, 1 points that do not tell a plane yet, 2 inherited, 3 measured;
+#: - first_time, last_time: of the first and last scan in its plane, s since the first in the map;
+#: - z, normal: the plane's elevation at the centre, m, and its upward unit normal;
+#: - range_part, pose_part: covariance (9) of (dphi_1, dphi_2, dd), d about (x, y, z), from range
+#:   noise and from pose error;
+#: - points: measurements in the plane;
+#: - distance_sum, exception_sum, raised_sum: of |orthogonal distance| (Eq. 55), m, of exception
+#:   masses (Eq. 48), of measurements that stand out above; noise_sum, exception_noise,
+#:   raised_noise: what range noise alone adds to each; residuals: measurements in these sums;
+#: - division_sum, square_sum, division_weight: sums of the division statistic and of the mean
+#:   square residual about the scans' own fits, m^2, and of their weights;
+#: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
+#:   covariance (25), feature_information.
+LEAF = np.dtype(
+    [(name, "i4") for name in ("level", "ix", "iy", "known")]
+    + [(name, "f8") for name in ("x", "y", "z", "first_time", "last_time")]
+    + [("normal", "f8", 3), ("range_part", "f8", 9), ("pose_part", "f8", 9), ("points", "f8")]
+    + [(f"{name}_sum", "f8") for name in ("distance",)]
+    + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
+    + [("raised_sum", "f8"), ("raised_noise", "f8"), ("residuals", "f8")]
+    + [("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
+    + [("feature", "f8", 5), ("feature_information", "f8", 25)]
+)
 
 
-class Leaves(Quadtree):
-    """The quadtree's leaves, each with a plane through (x, y, z) and what is counted on it.
+class LeafTable:
+    """The leaves of a map, divided to the minimum level at the start.
 
     Attributes:
-        z: Plane's elevation at the cell's centre, m; NaN without an estimate.
-        normal: (., 3) upward unit normal.
-        parts: (., 2, 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z): of range noise
-            and of pose error.
-        measured: True where own points were fitted, False if empty or inherited.
-        points_fitted: Measurements in the estimate.
-        misfit: Mean square orthogonal residual of the last scan about its own fit, m^2.
-        distance_sum: Sum of |orthogonal distance| (Eq. 55), m.
-        noise_sum: What range noise alone adds to ``distance_sum``, m.
-        exception_sum: Sum of exception masses (Eq. 48).
-        exception_noise: What range noise alone adds to ``exception_sum``.
-        raised_sum: Measurements that stand out above the plane (`statistics.raised`).
-        raised_noise: What range noise alone adds to ``raised_sum``.
-        residuals: Measurements in these six sums.
-        division_sum, division_weight: Sum of the division statistic and of its weights.
-        feature: (., 5) A, k, mu_x, mu_y about the centre, sigma (Eq. 51); NaN for none.
-        feature_covariance: (., 5, 5).
+        domain: Extent and levels.
+        rows: Records of type `LEAF`, of which the first ``count`` are leaves; a division may
+            replace the array by a longer one.
+        leaf_of: (4^max_level,) row of the leaf over each finest cell, by its Morton code.
+        observed: (4^max_level,) 1 for finest cells in which a point fell, else 0.
+        count, capacity, max_cells: Leaves, rows, and how many leaves there may be.
     """
 
-    z: Array
-    normal: Array
-    parts: Array
-    measured: Mask
-    points_fitted: Array
-    misfit: Array
-    distance_sum: Array
-    noise_sum: Array
-    exception_sum: Array
-    exception_noise: Array
-    raised_sum: Array
-    raised_noise: Array
-    residuals: Array
-    division_sum: Array
-    division_weight: Array
-    feature: Array
-    feature_covariance: Array
-
     def __init__(self, domain: Domain, max_cells: int) -> None:
-        super().__init__(domain, max_cells)
-        self._written: list[Index] = []
-        self.declare("z", np.nan)
-        self.declare("normal", np.nan, (3,))
-        self.declare("parts", np.nan, (2, 3, 3))
-        self.declare("measured", False, (), np.bool_)
-        for name in _SUMS:
-            self.declare(name, 0.0)
-        self.declare("feature", np.nan, (5,))
-        self.declare("feature_covariance", np.nan, (5, 5))
+        self.domain = domain
+        self.max_cells = max_cells
+        self.max_level = domain.max_level
+        self.xmin, self.ymin, self.size = domain.xmin, domain.ymin, domain.size
+        self.leaf_of = np.zeros(4**domain.max_level, dtype=np.int32)
+        self.over = self.leaf_of
+        self.observed = np.zeros(4**domain.max_level, dtype=np.uint8)
+        self.seen = self.observed
+        self.count = self.capacity = 0
+        self.rows = np.zeros(0, dtype=LEAF).view(np.recarray)
         self.plant()
 
-    @property
-    def estimated(self) -> Mask:
-        """True for rows with a plane, measured or inherited."""
-        return np.isfinite(self.z)
+    def plant(self) -> None:
+        """Forget all leaves and divide to the minimum level."""
+        self.observed[:] = 0
+        side = 1 << self.domain.min_level
+        iy, ix = np.divmod(np.arange(side * side), side)
+        level = np.full(side * side, self.domain.min_level)
+        self.take_up({"level": level, "ix": ix, "iy": iy})
 
-    def export_state(self) -> dict[str, NDArray[Any]]:
-        """Every column of the leaves, in the order of their rows; copies."""
-        return {name: getattr(self, name)[: self.count].copy() for name in self._empty}
-
-    def import_state(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Take up the leaves of `export_state`, which tile this domain (not checked here)."""
-        self.plant()
+    def take_up(self, columns: dict[str, NDArray[np.generic]]) -> None:
+        """Have the leaves of these columns, which tile the domain (not checked here)."""
+        row: cython.Py_ssize_t
         count = len(columns["level"])
-        self._reserve(count)
+        self._allocate(count)
+        self.rows["feature"] = np.nan
+        for name, column in columns.items():
+            self.rows[name][:count] = column
         self.count = count
-        for name in self._empty:
-            getattr(self, name)[:count] = columns[name]
-        rows = np.arange(count)
-        self._place(rows, *(columns[name].astype(np.intp) for name in ("level", "ix", "iy")))
+        for row in range(count):
+            self._place(row, self.leaf[row].level, self.leaf[row].ix, self.leaf[row].iy)
 
-    @property
-    def range_part(self) -> Array:
-        """(., 3, 3) covariance from range noise."""
-        return self.parts[:, 0]
+    def _allocate(self, rows: int) -> None:
+        self.capacity = rows
+        self.rows = np.zeros(rows, dtype=LEAF).view(np.recarray)
+        self.leaf = self.rows
 
-    @property
-    def pose_part(self) -> Array:
-        """(., 3, 3) covariance from pose error."""
-        return self.parts[:, 1]
+    def reserve(self, more: cython.Py_ssize_t) -> None:
+        """Have room for so many further leaves, as far as ``max_cells`` allows."""
+        wanted = min(self.count + more, self.max_cells)
+        if wanted > self.capacity:
+            grown = np.zeros(max(wanted, min(2 * self.capacity, self.max_cells)), dtype=LEAF)
+            grown[: self.count] = self.rows[: self.count]
+            self.rows = grown.view(np.recarray)
+            self.leaf = self.rows
+            self.capacity = len(grown)
 
-    def planes(self, rows: Index) -> Planes:
-        """Planes of leaves ``rows`` about (x, y, z), so that d is zero."""
-        return Planes(self.normal[rows], np.zeros(len(rows)), self.parts[rows])
+    def side(self, level: cython.int) -> cython.double:
+        """Side of a cell of a level, m."""
+        return self.size / (1 << level)
 
-    def set_planes(self, rows: Index, normal: Array, z: Array, parts: Array) -> None:
-        """Write planes through (x, y, z); `mend` before covariances are read by others."""
-        self.normal[rows], self.z[rows], self.parts[rows] = normal, z, parts
-        self._written.append(rows)
+    @cython.boundscheck(False)
+    def _place(
+        self, row: cython.Py_ssize_t, level: cython.int, ix: cython.int, iy: cython.int
+    ) -> None:
+        code: cython.Py_ssize_t
+        first: cython.Py_ssize_t
+        side = self.side(level)
+        self.leaf[row].level = level
+        self.leaf[row].ix = ix
+        self.leaf[row].iy = iy
+        self.leaf[row].x = self.xmin + (ix + 0.5) * side
+        self.leaf[row].y = self.ymin + (iy + 0.5) * side
+        first = encode(ix, iy) << (2 * (self.max_level - level))
+        for code in range(first, first + (1 << (2 * (self.max_level - level)))):
+            self.over[code] = row
 
-    def set_fused(self, rows: Index, fused: Planes) -> None:
-        """Write planes whose d is about the present (x, y, z): the origin moves to the plane."""
-        rise = fused.d / fused.normal[:, 2]
-        parts = fusion.move_up(fused.normal, fused.parts, rise)
-        self.set_planes(rows, fused.normal, self.z[rows] + rise, parts)
+    @cython.boundscheck(False)
+    def divide(
+        self,
+        row: cython.Py_ssize_t,
+        square: float,
+        tilt: float,
+    ) -> cython.bint:
+        """Divide a leaf above the maximum level; its children inherit what it knows.
 
-    def mend(self) -> None:
-        """Free the covariances written since the last time of round-off (``fusion.sound``)."""
-        if self._written:
-            rows = np.concatenate(self._written)
-            self._written.clear()
-            self.parts[rows] = fusion.sound(self.parts[rows].reshape(-1, 3, 3)).reshape(-1, 2, 3, 3)
-
-    def divide(self, rows: Index) -> Index:
-        """Divide leaves ``rows`` as far as ``max_cells`` allows; children inherit the plane.
-
-        An inherited plane is the parent's moved to the child's centre, its covariance inflated by
-        the parent's misfit m^2: m^2 on d, and m^2 / (size / 4)^2 on the tilt, a radian at most.
+        An inherited plane is the parent's moved to the child's centre, and less certain: by
+        ``square`` m^2 in height and ``tilt`` rad^2 in either slope. The first child (of the order of
+        Morton) has the parent's row, the others follow the last leaf.
 
         Returns:
-            The rows that were divided.
+            False, and nothing is done, where ``max_cells`` leaves no room. The caller has made room
+            in the table (`reserve`).
         """
-        if not len(rows):
-            return rows
-        level = self.level[rows]
-        normal, z, parts, misfit = (
-            self.normal[rows],
-            self.z[rows],
-            self.parts[rows],
-            self.misfit[rows],
-        )
-        children = self.split(rows)
-        done = len(children)
-        quarter = np.repeat(0.25 * self.domain.cell_size(level[:done]), 4)
-        normal = np.repeat(normal[:done], 4, axis=0)
-        delta = np.empty((4 * done, 3))
-        delta[:, 0] = np.tile(2 * CHILD_X - 1, done) * quarter
-        delta[:, 1] = np.tile(2 * CHILD_Y - 1, done) * quarter
-        delta[:, 2] = -(normal[:, 0] * delta[:, 0] + normal[:, 1] * delta[:, 1]) / normal[:, 2]
-        _, change = fusion.shift_origin(normal, np.zeros(4 * done), delta)
-        parts = fusion.congruent(change[:, None], np.repeat(parts[:done], 4, axis=0))
-        square = np.repeat(misfit[:done], 4)
-        tilt = np.minimum(square / quarter**2, 1.0)
-        parts[:, 0, 0, 0] += tilt
-        parts[:, 0, 1, 1] += tilt
-        parts[:, 0, 2, 2] += square
-        self.set_planes(children.ravel(), normal, np.repeat(z[:done], 4) + delta[:, 2], parts)
-        first = children[:, 0]
-        self.measured[first] = False
-        for name in _SUMS:
-            getattr(self, name)[first] = 0.0
-        self.feature[first] = np.nan
-        self.feature_covariance[first] = np.nan
-        return rows[:done]
+        basis = cython.declare(cython.double[6])
+        child: cython.Py_ssize_t
+        at: cython.Py_ssize_t
+        i: cython.int
+        level: cython.int = self.leaf[row].level
+        ix: cython.int = 2 * self.leaf[row].ix
+        iy: cython.int = 2 * self.leaf[row].iy
+        if self.count + 3 > self.max_cells:
+            return False
+        leaf = self.leaf
+        quarter = 0.25 * self.side(level)
+        for child in range(3, -1, -1):
+            at = row if child == 0 else self.count + child - 1
+            leaf[at] = leaf[row]
+            if leaf[row].known >= INHERITED:
+                leaf[at].known = INHERITED
+                x = quarter if child & 1 else -quarter
+                y = quarter if child & 2 else -quarter
+                z = -(leaf[row].normal[0] * x + leaf[row].normal[1] * y) / leaf[row].normal[2]
+                basis_at(leaf[row].normal, basis)
+                first = basis[0] * x + basis[1] * y + basis[2] * z
+                second = basis[3] * x + basis[4] * y + basis[5] * z
+                leaf[at].z = leaf[row].z + z
+                shift_origin(leaf[at].range_part, first, second)
+                shift_origin(leaf[at].pose_part, first, second)
+                leaf[at].range_part[0] += tilt
+                leaf[at].range_part[4] += tilt
+                leaf[at].range_part[8] += square
+            else:
+                leaf[at].known = NOTHING
+            leaf[at].points = 0.0
+            leaf[at].distance_sum = leaf[at].noise_sum = 0.0
+            leaf[at].exception_sum = leaf[at].exception_noise = 0.0
+            leaf[at].raised_sum = leaf[at].raised_noise = leaf[at].residuals = 0.0
+            leaf[at].division_sum = leaf[at].division_weight = leaf[at].square_sum = 0.0
+            for i in range(5):
+                leaf[at].feature[i] = NAN
+            self._place(at, level + 1, ix + (child & 1), iy + (child >> 1))
+        self.count += 3
+        return True
+
+    def in_order(self) -> Index:
+        """Rows of the leaves in Morton order: neighbours in space are near in the table."""
+        code: cython.Py_ssize_t = 0
+        at: cython.Py_ssize_t = 0
+        out = np.empty(self.count, dtype=np.intp)
+        while code < len(self.leaf_of):
+            out[at] = self.over[code]
+            code += 1 << (2 * (self.max_level - self.leaf[self.over[code]].level))
+            at += 1
+        return out
 
 
-_SUMS = (
-    "points_fitted",
-    "misfit",
-    "distance_sum",
-    "noise_sum",
-    "exception_sum",
-    "exception_noise",
-    "raised_sum",
-    "raised_noise",
-    "residuals",
-    "division_sum",
-    "division_weight",
-)
+@cython.boundscheck(False)
+def unfold(values: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
+    """Values (n^2,) of finest cells in Morton order, laid out by row and column (n, n)."""
+    code: cython.Py_ssize_t
+    for code in range(len(values)):
+        out[squeeze(code >> 1), squeeze(code)] = values[code]
+
+
+@cython.boundscheck(False)
+def leaf_raster(
+    level: NDArray[np.uint8],
+    ix: NDArray[np.uint32],
+    iy: NDArray[np.uint32],
+    out: NDArray[np.int32],
+) -> None:
+    """Which of the cells (level, ix, iy), each (M,), covers each finest cell (n, n) [iy, ix]."""
+    i: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    column: cython.Py_ssize_t
+    side: cython.Py_ssize_t
+    for i in range(len(level)):
+        side = len(out) >> level[i]
+        for row in range(iy[i] * side, (iy[i] + 1) * side):
+            for column in range(ix[i] * side, (ix[i] + 1) * side):
+                out[row, column] = i

@@ -43,6 +43,17 @@ def squeeze(code: cython.longlong) -> cython.longlong:
     return (code | (code >> 8)) & 0x0000FFFF
 
 
+def squeezed(codes: Keys) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """ix and iy, each (N,), of Morton codes (N,)."""
+    found = []
+    for value in (codes, codes >> 1):
+        value = value & 0x55555555
+        for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
+            value = (value | (value >> shift)) & mask
+        found.append(value.astype(np.intp))
+    return found[0], found[1]
+
+
 #: `spread` of 0 … 4095, for loops over points.
 SPREAD = np.array([spread(value) for value in range(4096)], dtype=np.int64)
 

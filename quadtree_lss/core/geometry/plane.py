@@ -1,0 +1,458 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One plane: its fit to points, its error, and two estimates of it made one (paper IV.A to IV.C).
+
+A plane is n.(r - c) = d about an origin c near the ground (Eq. 18) with its normal up. Its error is
+e = (dphi_1, dphi_2, dd): dphi in the tangent at n, axes of Eq. 2, rad; dd in m. Here d is zero: c
+is the cell's centre at the plane's height. Small matrices are flat and row by row: covariances
+nine numbers, bases of the tangent six (the first axis, then the second), scatters the six numbers
+xx, xy, xz, yy, yz, zz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence
+from typing import TypeAlias
+
+import cython
+import numpy as np
+from numpy.typing import NDArray
+
+if not cython.compiled:
+    from math import atan2, cos, hypot, sin, sqrt
+
+    fmax, fmin = max, min
+
+Array = NDArray[np.float64]
+#: A C array of doubles that a kernel reads or writes in place.
+Vector: TypeAlias = MutableSequence[float]
+
+#: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
+MIN_UP = cython.declare(cython.double, 0.05)
+
+
+def basis_at(normal: Vector, out: Vector) -> None:
+    """First two columns of Eq. 2, the axes of dphi in space: n (3) to (6)."""
+    share = 1.0 / (1.0 + normal[2])
+    out[0] = 1.0 - share * normal[0] * normal[0]
+    out[1] = -share * normal[0] * normal[1]
+    out[2] = -normal[0]
+    out[3] = out[1]
+    out[4] = 1.0 - share * normal[1] * normal[1]
+    out[5] = -normal[1]
+
+
+def plus_at(normal: Vector, tangent: Vector, out: Vector) -> None:
+    """Eq. 8, n [+] phi = R_n exp(phi): n (3), phi (2) to (3)."""
+    basis = cython.declare(cython.double[6])
+    i: cython.int
+    basis_at(normal, basis)
+    angle = hypot(tangent[0], tangent[1])
+    along = sin(angle) / angle if angle > 1e-9 else 1.0
+    up = cos(angle)
+    for i in range(3):
+        out[i] = along * (tangent[0] * basis[i] + tangent[1] * basis[3 + i]) + up * normal[i]
+
+
+def _seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
+    """R_m^T n: n (3) in the axes in which m (3) is the pole."""
+    basis = cython.declare(cython.double[6])
+    basis_at(reference, basis)
+    out[0] = basis[0] * normal[0] + basis[1] * normal[1] + basis[2] * normal[2]
+    out[1] = basis[3] * normal[0] + basis[4] * normal[1] + basis[5] * normal[2]
+    out[2] = reference[0] * normal[0] + reference[1] * normal[1] + reference[2] * normal[2]
+
+
+def minus_at(normal: Vector, reference: Vector, out: Vector) -> None:
+    """Eq. 9, n [-] m in the tangent at m, both up: n (3), m (3) to (2)."""
+    seen = cython.declare(cython.double[3])
+    _seen_from(normal, reference, seen)
+    sine = hypot(seen[0], seen[1])
+    share = atan2(sine, seen[2]) / sine if sine > 1e-12 else 1.0
+    out[0] = share * seen[0]
+    out[1] = share * seen[1]
+
+
+def change_of_tangent(of: Vector, to: Vector, out: Vector) -> None:
+    """Linear map (4) of errors in the tangent at n to the tangent at m, n (3), m (3).
+
+    With w = R_m^T n, the error of (n [-] m) is dlog(w) R_m^T B_n dphi.
+    """
+    seen = cython.declare(cython.double[3])
+    basis = cython.declare(cython.double[6])
+    axis = cython.declare(cython.double[3])
+    moved = cython.declare(cython.double[3])
+    i: cython.int
+    k: cython.int
+    _seen_from(of, to, seen)
+    basis_at(of, basis)
+    sine = hypot(seen[0], seen[1])
+    x = seen[0] / sine if sine > 1e-9 else 1.0
+    y = seen[1] / sine if sine > 1e-9 else 0.0
+    across = atan2(sine, seen[2]) / sine if sine > 1e-9 else 1.0
+    for i in range(2):
+        for k in range(3):
+            axis[k] = basis[3 * i + k]
+        _seen_from(axis, to, moved)
+        along = seen[2] * (x * moved[0] + y * moved[1]) - sine * moved[2]
+        aside = across * (x * moved[1] - y * moved[0])
+        out[i] = x * along - y * aside
+        out[2 + i] = y * along + x * aside
+
+
+def multiply(a: Vector, b: Vector, out: Vector) -> None:
+    """Product of two 3x3 matrices."""
+    i: cython.int
+    j: cython.int
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
+
+
+def congruent(a: Vector, c: Vector, out: Vector) -> None:
+    """A C A^T of a symmetric C, symmetric to the last bit."""
+    half = cython.declare(cython.double[9])
+    i: cython.int
+    j: cython.int
+    multiply(a, c, half)
+    for i in range(3):
+        for j in range(i, 3):
+            out[3 * i + j] = (
+                half[3 * i] * a[3 * j]
+                + half[3 * i + 1] * a[3 * j + 1]
+                + half[3 * i + 2] * a[3 * j + 2]
+            )
+            out[3 * j + i] = out[3 * i + j]
+
+
+def inverse_symmetric(c: Vector, out: Vector) -> None:
+    """Inverse of a symmetric positive definite matrix by cofactors of the scaled matrix.
+
+    Scaled to a unit diagonal, a determinant below 1e-14 is round-off and taken as that: metres and
+    radians of very different size do not spoil the inverse, and a singular matrix gives a large
+    finite one.
+    """
+    x = 1.0 / sqrt(fmax(c[0], 1e-24))
+    y = 1.0 / sqrt(fmax(c[4], 1e-24))
+    z = 1.0 / sqrt(fmax(c[8], 1e-24))
+    xy = fmin(fmax(c[1] * x * y, -1.0), 1.0)
+    xz = fmin(fmax(c[2] * x * z, -1.0), 1.0)
+    yz = fmin(fmax(c[5] * y * z, -1.0), 1.0)
+    first = 1.0 - yz * yz
+    second = xz * yz - xy
+    third = xy * yz - xz
+    share = 1.0 / fmax(first + xy * second + xz * third, 1e-14)
+    out[0] = share * x * x * first
+    out[1] = out[3] = share * x * y * second
+    out[2] = out[6] = share * x * z * third
+    out[4] = share * y * y * (1.0 - xz * xz)
+    out[5] = out[7] = share * y * z * (xy * xz - yz)
+    out[8] = share * z * z * (1.0 - xy * xy)
+
+
+def turn_tangent(c: Vector, change: Vector) -> None:
+    """Covariance (9) in place, its dphi mapped by `change_of_tangent` (4)."""
+    whole = cython.declare(cython.double[9])
+    moved = cython.declare(cython.double[9])
+    i: cython.int
+    whole[0], whole[1], whole[2] = change[0], change[1], 0.0
+    whole[3], whole[4], whole[5] = change[2], change[3], 0.0
+    whole[6], whole[7], whole[8] = 0.0, 0.0, 1.0
+    congruent(whole, c, moved)
+    for i in range(9):
+        c[i] = moved[i]
+
+
+def shift_origin(c: Vector, first: float, second: float) -> None:
+    """Covariance (9) in place after the origin moved by delta, B^T delta = (first, second), m.
+
+    d' = d - n.delta, and as dn = B dphi, dd' = dd - (B^T delta).dphi. For a move straight up by h,
+    B^T delta = -h (n_x, n_y).
+    """
+    x = first * c[0] + second * c[1]
+    y = first * c[3] + second * c[4]
+    c[8] += first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
+    c[2] = c[6] = c[2] - x
+    c[5] = c[7] = c[5] - y
+
+
+@cython.boundscheck(False)
+def moments(
+    points: Array, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, mean: Vector, scatter: Vector
+) -> None:
+    """Centroid (3), m, and scatter (6), m^2, of the points ``begin`` to ``end`` of (N, 3).
+
+    Sums are about the first point, so that squares stay small.
+    """
+    i: cython.Py_ssize_t
+    x0, y0, z0 = points[begin, 0], points[begin, 1], points[begin, 2]
+    sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
+    for i in range(begin, end):
+        x = points[i, 0] - x0
+        y = points[i, 1] - y0
+        z = points[i, 2] - z0
+        sx += x
+        sy += y
+        sz += z
+        sxx += x * x
+        sxy += x * y
+        sxz += x * z
+        syy += y * y
+        syz += y * z
+        szz += z * z
+    share = 1.0 / (end - begin)
+    mean[0], mean[1], mean[2] = x0 + share * sx, y0 + share * sy, z0 + share * sz
+    scatter[0] = fmax(sxx - share * sx * sx, 0.0)
+    scatter[1] = sxy - share * sx * sy
+    scatter[2] = sxz - share * sx * sz
+    scatter[3] = fmax(syy - share * sy * sy, 0.0)
+    scatter[4] = syz - share * sy * sz
+    scatter[5] = fmax(szz - share * sz * sz, 0.0)
+
+
+def height_normal(
+    scatter: Vector, slope_x: float, slope_y: float, spread: float, normal: Vector
+) -> None:
+    """Normal (3) of the regression of height on (x, y) with a weak prior on the slope.
+
+    z = z0 + a x + b y minimises sum (z - z0 - a x - b y)^2 + s |(a, b) - (a, b)_prior|^2, which is
+    (S_xy + s I)(a, b) = S_xz + s (a, b)_prior with S the within-scan scatter.
+    """
+    xx = scatter[0] + spread
+    yy = scatter[3] + spread
+    xz = scatter[2] + spread * slope_x
+    yz = scatter[4] + spread * slope_y
+    share = 1.0 / (xx * yy - scatter[1] * scatter[1])
+    a = share * (yy * xz - scatter[1] * yz)
+    b = share * (xx * yz - scatter[1] * xz)
+    up = 1.0 / sqrt(a * a + b * b + 1.0)
+    normal[0], normal[1], normal[2] = -a * up, -b * up, up
+    keep_up(normal)
+
+
+def keep_up(normal: Vector) -> None:
+    """A unit normal (3) in place, turned up (Eq. 9: (n, d) and (-n, -d) are one plane) and off the
+    horizon to n_z of ``MIN_UP`` at least."""
+    if normal[2] < 0.0:
+        normal[0], normal[1], normal[2] = -normal[0], -normal[1], -normal[2]
+    if normal[2] < MIN_UP:
+        level = sqrt(1.0 - MIN_UP * MIN_UP) / fmax(hypot(normal[0], normal[1]), 1e-300)
+        normal[0] *= level
+        normal[1] *= level
+        normal[2] = MIN_UP
+
+
+def _quadratic(scatter: Vector, a: Vector, b: Vector) -> float:
+    """a^T S b of a scatter (6)."""
+    return (
+        a[0] * (scatter[0] * b[0] + scatter[1] * b[1] + scatter[2] * b[2])
+        + a[1] * (scatter[1] * b[0] + scatter[3] * b[1] + scatter[4] * b[2])
+        + a[2] * (scatter[2] * b[0] + scatter[4] * b[1] + scatter[5] * b[2])
+    )
+
+
+def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
+    """The paper's ML fit by Newton's method on the sphere, from a first normal (3), in place.
+
+    Eq. 23, Eq. 24 and Eq. 25 are the cost, Eq. 26, Eq. 27, Eq. 28, Eq. 29, Eq. 30 and Eq. 31 its
+    linearisation, Eq. 32, Eq. 33, Eq. 34 and Eq. 35 the normal equations, Eq. 36 the step. With
+    one free offset gamma_j per scan (Eq. 20, Eq. 21) and weights constant in a (cell, scan), the
+    cost of Eq. 25 is n^T S n / 2 with S the within-scan scatter times 1 / (n^T Sigma n). With B the
+    tangent basis at n: gradient B^T S n, Hessian B^T S B - (n^T S n) I. Where that is not positive
+    definite the Gauss-Newton Hessian B^T S B of Eq. 33 serves. Convergence is cubic.
+    """
+    basis = cython.declare(cython.double[6])
+    first = cython.declare(cython.double[3])
+    second = cython.declare(cython.double[3])
+    step = cython.declare(cython.double[2])
+    turned = cython.declare(cython.double[3])
+    i: cython.int
+    k: cython.int
+    for _ in range(4):
+        basis_at(normal, basis)
+        for k in range(3):
+            first[k] = basis[k]
+            second[k] = basis[3 + k]
+        cost = _quadratic(scatter, normal, normal)
+        g0 = _quadratic(scatter, first, normal)
+        g1 = _quadratic(scatter, second, normal)
+        h00 = _quadratic(scatter, first, first) - cost
+        h11 = _quadratic(scatter, second, second) - cost
+        h01 = _quadratic(scatter, first, second)
+        if h00 <= 0.0 or h00 * h11 - h01 * h01 <= 0.0:
+            h00 += cost
+            h11 += cost
+        determinant = fmax(h00 * h11 - h01 * h01, 1e-300)
+        step[0] = -(h11 * g0 - h01 * g1) / determinant
+        step[1] = -(h00 * g1 - h01 * g0) / determinant
+        short = fmin(1.0, 0.5 / fmax(hypot(step[0], step[1]), 1e-300))
+        step[0] *= short
+        step[1] *= short
+        plus_at(normal, step, turned)
+        for i in range(3):
+            normal[i] = turned[i]
+        keep_up(normal)
+
+
+def slope_covariance(
+    scatter: Vector, normal: Vector, variance: float, tilt: float, out: Vector
+) -> None:
+    """Covariance (4) of dphi: the phi block of H^-1 (Eq. 35), and ``tilt`` rad^2 on either axis.
+
+    H = M S_xy M^T / variance with M = I + kappa kappa^T / (lambda (1 + lambda)), which takes steps
+    in x and y to steps along the plane in its tangent basis. A direction that the points do not
+    tell has a variance of one rad^2.
+    """
+    share = 1.0 / (normal[2] * (1.0 + normal[2]))
+    m00 = 1.0 + share * normal[0] * normal[0]
+    m11 = 1.0 + share * normal[1] * normal[1]
+    m01 = share * normal[0] * normal[1]
+    x0 = m00 * scatter[0] + m01 * scatter[1]
+    x1 = m00 * scatter[1] + m01 * scatter[3]
+    y0 = m01 * scatter[0] + m11 * scatter[1]
+    y1 = m01 * scatter[1] + m11 * scatter[3]
+    h00 = (x0 * m00 + x1 * m01) / variance + 1.0
+    h01 = (x0 * m01 + x1 * m11) / variance
+    h11 = (y0 * m01 + y1 * m11) / variance + 1.0
+    share = 1.0 / (h00 * h11 - h01 * h01)
+    out[0] = share * h11 + tilt
+    out[1] = out[2] = -share * h01
+    out[3] = share * h00 + tilt
+
+
+def covariance_about(
+    slope: Vector, offset_variance: float, first: float, second: float, out: Vector
+) -> None:
+    """Covariance (9) of (dphi, dd) about an origin away from the points' centroid.
+
+    The plane passes through the centroid: d = n.(centroid - origin), so with dphi of covariance
+    ``slope`` (4) and the centroid's offset dd_0 independent, dd = dd_0 + lever.dphi, with the lever
+    B^T (centroid - origin) = (first, second), m.
+    """
+    x = slope[0] * first + slope[1] * second
+    y = slope[2] * first + slope[3] * second
+    out[0], out[1], out[2] = slope[0], slope[1], x
+    out[3], out[4], out[5] = slope[2], slope[3], y
+    out[6], out[7], out[8] = x, y, offset_variance + first * x + second * y
+
+
+@cython.boundscheck(False)
+def pose_part(normal: Vector, arm: Vector, sigma: Array, out: Vector) -> None:
+    """J Sigma_pose J^T (9): how a scan's pose error moves one of its planes.
+
+    A rigid motion (dm, dw) about map axes turns n by dw x n and carries the plane's point at the
+    origin along by dm + dw x arm, so dphi = B^T (dw x n) and dd = n.dm + (arm x n).dw.
+
+    Args:
+        normal: (3) of the plane.
+        arm: (3) plane's origin minus the lidar's position, m.
+        sigma: (6, 6) covariance of (dm, dw), m and rad.
+        out: Written.
+    """
+    basis = cython.declare(cython.double[6])
+    row = cython.declare(cython.double[18])
+    image = cython.declare(cython.double[6])
+    i: cython.int
+    j: cython.int
+    k: cython.int
+    basis_at(normal, basis)
+    for k in range(3):
+        row[k] = row[6 + k] = 0.0
+        # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
+        row[3 + k] = basis[3 + k]
+        row[9 + k] = -basis[k]
+        row[12 + k] = normal[k]
+    row[15] = arm[1] * normal[2] - arm[2] * normal[1]
+    row[16] = arm[2] * normal[0] - arm[0] * normal[2]
+    row[17] = arm[0] * normal[1] - arm[1] * normal[0]
+    for i in range(3):
+        for k in range(6):
+            total = 0.0
+            for j in range(0 if i == 2 else 3, 6):
+                total += row[6 * i + j] * sigma[j, k]
+            image[k] = total
+        for j in range(i, 3):
+            total = 0.0
+            for k in range(0 if j == 2 else 3, 6):
+                total += image[k] * row[6 * j + k]
+            out[3 * i + j] = out[3 * j + i] = total
+
+
+def fuse(
+    prior_normal: Vector,
+    prior_rise: float,
+    prior_range: Vector,
+    prior_pose: Vector,
+    normal: Vector,
+    range_part: Vector,
+    pose_part: Vector,
+    common: float,
+    out_rise: Vector,
+) -> None:
+    """Two estimates of a plane made one (Eq. 37 to Eq. 45).
+
+    Eq. 39 is the error of the prior about the measured plane, e = (n_prior [-] n, d_prior), its
+    covariances (Eq. 38) carried to the measured plane's tangent and origin. With A and R the
+    covariances of prior and measurement (Eq. 40): K = A (A + R)^-1 (Eq. 41), fused = measured [+]
+    (I - K) e (Eq. 43, Eq. 44), and each part of the covariance becomes
+    (I - K) P (I - K)^T + K R K^T (Eq. 42, Eq. 45).
+
+    Pose error that both have in common decides nothing between them and does not average out: of
+    either pose part only the share 1 - common counts in A and R, and the pose part becomes
+    common ((1 - k) P + k Q) + (1 - common) ((I - K) P (I - K)^T + K Q K^T), k = K_dd.
+
+    Args:
+        prior_normal: (3).
+        prior_rise: Height of the prior's origin above the measured plane's, m.
+        prior_range, prior_pose: (9) parts of its covariance; replaced by the fused plane's, about
+            its own height.
+        normal: (3) measured; replaced by the fused one.
+        range_part, pose_part: (9) parts of its covariance.
+        common: Correlation of the two pose errors, 0 .. 1.
+        out_rise: (1) height of the fused plane above the measured one, m.
+    """
+    change = cython.declare(cython.double[4])
+    error = cython.declare(cython.double[3])
+    spread = cython.declare(cython.double[9])
+    inverse = cython.declare(cython.double[9])
+    gain = cython.declare(cython.double[9])
+    rest = cython.declare(cython.double[9])
+    one = cython.declare(cython.double[9])
+    two = cython.declare(cython.double[9])
+    fused = cython.declare(cython.double[3])
+    i: cython.int
+    shift_origin(prior_range, prior_rise * prior_normal[0], prior_rise * prior_normal[1])
+    shift_origin(prior_pose, prior_rise * prior_normal[0], prior_rise * prior_normal[1])
+    change_of_tangent(prior_normal, normal, change)
+    turn_tangent(prior_range, change)
+    turn_tangent(prior_pose, change)
+    minus_at(prior_normal, normal, error)
+    error[2] = prior_normal[2] * prior_rise
+    for i in range(9):
+        one[i] = prior_range[i] + (1.0 - common) * prior_pose[i]
+        two[i] = range_part[i] + (1.0 - common) * pose_part[i]
+        spread[i] = one[i] + two[i]
+    inverse_symmetric(spread, inverse)
+    multiply(one, inverse, gain)
+    for i in range(9):
+        rest[i] = (1.0 if i % 4 == 0 else 0.0) - gain[i]
+    congruent(rest, prior_range, one)
+    congruent(gain, range_part, two)
+    for i in range(9):
+        prior_range[i] = one[i] + two[i]
+    share = fmin(fmax(gain[8], 0.0), 1.0)
+    congruent(rest, prior_pose, one)
+    congruent(gain, pose_part, two)
+    for i in range(9):
+        prior_pose[i] = (1.0 - common) * (one[i] + two[i]) + common * (
+            (1.0 - share) * prior_pose[i] + share * pose_part[i]
+        )
+    for i in range(3):
+        spread[i] = rest[3 * i] * error[0] + rest[3 * i + 1] * error[1] + rest[3 * i + 2] * error[2]
+    plus_at(normal, spread, fused)
+    keep_up(fused)
+    for i in range(3):
+        normal[i] = fused[i]
+    rise = spread[2] / fused[2]
+    shift_origin(prior_range, -rise * fused[0], -rise * fused[1])
+    shift_origin(prior_pose, -rise * fused[0], -rise * fused[1])
+    out_rise[0] = rise

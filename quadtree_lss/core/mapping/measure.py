@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the points of one scan in one cell say of its plane (paper IV.A)."""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.geometry.plane import Vector
+
+if not cython.compiled:
+    from math import fabs, hypot, sqrt
+
+    from quadtree_lss.core.geometry.plane import (
+        basis_at,
+        covariance_about,
+        height_normal,
+        moments,
+        orthogonal_normal,
+        pose_part,
+        slope_covariance,
+    )
+
+    fmax, fmin = max, min
+
+Array = NDArray[np.float64]
+
+#: |n.u| is taken to be at least this (grazing incidence).
+MIN_COSINE = cython.declare(cython.double, 0.05)
+#: Pose variances above this (m^2) say no more than this: nothing is known.
+MAX_VARIANCE = cython.declare(cython.double, 1e6)
+#: Variance of a scan's height of a cell that more points do not make smaller, m^2: ground is no
+#: plane, and scans see it from elsewhere.
+UNEVEN = cython.declare(cython.double, 2.25e-4)
+#: By how much a cell's slope may differ from that of the part of it which was seen, rad.
+UNSEEN_TILT = cython.declare(cython.double, 0.1)
+
+#: The points of a scan in a cell, about the lidar:
+#:
+#: - points: how many; mean, m, and scatter, m^2: `geometry.plane.moments`;
+#: - normal, z: the fitted plane's upward unit normal and height at the cell's centre, m;
+#: - cosine: |n.u|, u the ray to the mean; variance: of a residual from range noise, m^2;
+#: - square: mean square residual about the fit, m^2; statistic: of division;
+#: - unseen: share of the cell's width that the points leave out, 0 .. 1;
+#: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z).
+RUN = np.dtype(
+    [("points", "f8"), ("mean", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
+    + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
+    + [("range_part", "f8", 9), ("pose_part", "f8", 9)]
+)
+
+
+class Rules:
+    """The numbers of a configuration that the kernels of mapping go by."""
+
+    def __init__(self, config: Config) -> None:
+        lidar, mapping, features = config.lidar, config.mapping, config.features
+        self.range_noise = lidar.range_noise
+        self.noise_per_metre = lidar.range_noise_per_metre
+        self.divergence = lidar.beam_divergence
+        self.ml = mapping.fit == "ml"
+        self.independent = mapping.covariance == "independent"
+        self.mahalanobis = mapping.division == "mahalanobis"
+        self.division_factor = mapping.division_factor
+        self.division_confidence = mapping.division_confidence
+        self.min_residuals = mapping.division_min_residuals
+        self.divide_exceptions = mapping.divide_exceptions
+        self.divide_area = mapping.divide_area
+        self.min_points = mapping.min_points
+        self.slope_points = max(mapping.slope_prior_points, 1e-3)
+        self.correlation_time = config.pose.correlation_time
+        self.clip = mapping.residual_clip
+        self.tolerance = mapping.roughness_tolerance
+        self.features = features.enabled
+        self.feature_height = features.min_height
+        self.feature_volume = features.min_volume
+        self.feature_width = features.max_sigma_fraction
+        self.feature_points = features.min_points
+        self.rock_height = max(features.divide_height, 3.0 * lidar.range_noise)
+        self.rock_sigma = features.divide_sigma
+
+
+def range_variance(
+    noise: float, per_metre: float, divergence: float, distance: float, cosine: float
+) -> cython.double:
+    """Variance of a range, m^2 (Eq. 13): (sigma_0 + sigma_1 r)^2 + (beta r tan i)^2.
+
+    The last is the depth of the beam's footprint on ground inclined by i, cos i = |n.u|.
+    """
+    along = noise + per_metre * distance
+    depth = divergence * distance
+    return along * along + depth * depth * (1.0 / (cosine * cosine) - 1.0)
+
+
+def pose_variance(normal: Vector, arm: Vector, sigma: Array) -> cython.double:
+    """Variance that pose error gives n.r at a point ``arm`` (3) from the lidar, m^2."""
+    row = cython.declare(cython.double[6])
+    i: cython.int
+    j: cython.int
+    for i in range(3):
+        row[i] = normal[i]
+    row[3] = arm[1] * normal[2] - arm[2] * normal[1]
+    row[4] = arm[2] * normal[0] - arm[0] * normal[2]
+    row[5] = arm[0] * normal[1] - arm[1] * normal[0]
+    total = 0.0
+    for i in range(6):
+        for j in range(6):
+            total += row[i] * sigma[i, j] * row[j]
+    return fmin(fmax(total, 0.0), MAX_VARIANCE)
+
+
+def _unseen(
+    offset: float, square: float, correlation: float, side: float, points: float
+) -> cython.double:
+    """Width of a cell, along one of its axes, that points leave out, m.
+
+    Points of mean ``offset`` from the centre and variance ``square`` fill sqrt(3 square) to either
+    side of their mean; correlated with the other axis, they fill a diagonal band only. What a full
+    cell leaves out by chance, side / sqrt(points), does not count.
+    """
+    half = sqrt(fmax(3.0 * square * (1.0 - correlation), 0.0))
+    return 0.5 * side + fabs(offset) - half - side / sqrt(points)
+
+
+def measure(
+    rules: Rules,
+    points: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    x: float,
+    y: float,
+    side: float,
+    prior: Vector,
+    sigma: Array,
+    runs: NDArray[np.void],
+    at: cython.Py_ssize_t,
+) -> None:
+    """Fit a plane to a run of points; it is written to ``runs[at]``, without the statistic.
+
+    The slope of the ground outside the part that was seen may differ by `UNSEEN_TILT`, and where
+    the points are a strip, their places are noise along the ray as their heights are, which turns
+    the fit towards the ray by N sigma^2 |u_h u_z| / S_uu. Either makes the slope less certain, by
+    as much of the cell as was not seen: what a corner says of the whole is worth little.
+
+    Args:
+        points: (N, 3) map axes about the lidar, m; the run is ``begin`` to ``end``.
+        x, y: Cell's centre about the lidar, m.
+        side: Of the cell, m.
+        prior: (3) normal to keep to where the points do not tell the slope.
+        sigma: (6, 6) pose covariance.
+        runs: Records of type `RUN`.
+    """
+    basis = cython.declare(cython.double[6])
+    slope = cython.declare(cython.double[4])
+    arm = cython.declare(cython.double[3])
+    zero: cython.int
+    moments(points, begin, end, runs[at].mean, runs[at].scatter)
+    count: cython.double = end - begin
+    runs[at].points = count
+    distance = sqrt(
+        runs[at].mean[0] * runs[at].mean[0]
+        + runs[at].mean[1] * runs[at].mean[1]
+        + runs[at].mean[2] * runs[at].mean[2]
+    )
+    ray_x = runs[at].mean[0] / distance
+    ray_y = runs[at].mean[1] / distance
+    ray_z = runs[at].mean[2] / distance
+    cosine = fmax(fabs(prior[0] * ray_x + prior[1] * ray_y + prior[2] * ray_z), MIN_COSINE)
+    variance = (
+        cosine
+        * cosine
+        * range_variance(
+            rules.range_noise, rules.noise_per_metre, rules.divergence, distance, cosine
+        )
+    )
+    height_normal(
+        runs[at].scatter, -prior[0] / prior[2], -prior[1] / prior[2], variance, runs[at].normal
+    )
+    if rules.ml and count > 3.0:
+        orthogonal_normal(runs[at].scatter, runs[at].normal)
+    up = runs[at].normal[2]
+    cosine = fabs(runs[at].normal[0] * ray_x + runs[at].normal[1] * ray_y + up * ray_z)
+    cosine = fmax(cosine, MIN_COSINE)
+    along = range_variance(
+        rules.range_noise, rules.noise_per_metre, rules.divergence, distance, cosine
+    )
+    runs[at].cosine = cosine
+    runs[at].variance = variance = along * cosine * cosine
+    if rules.independent:
+        variance += pose_variance(runs[at].normal, runs[at].mean, sigma)
+
+    off_x = runs[at].mean[0] - x
+    off_y = runs[at].mean[1] - y
+    rise = (runs[at].normal[0] * off_x + runs[at].normal[1] * off_y) / up
+    runs[at].z = runs[at].mean[2] + rise
+    xx = runs[at].scatter[0]
+    yy = runs[at].scatter[3]
+    xy = runs[at].scatter[1]
+    correlation = xy * xy / fmax(xx * yy, 1e-300)
+    wide = fmax(
+        _unseen(off_x, xx / count, correlation, side, count),
+        _unseen(off_y, yy / count, correlation, side, count),
+    )
+    runs[at].unseen = fmin(fmax(wide / side, 0.0), 1.0)
+    across = hypot(ray_x, ray_y)
+    spread = (ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy) / fmax(
+        across * across, 1e-12
+    )
+    towards = count * along * across * fabs(ray_z) / fmax(spread, 1e-12)
+    tilt = runs[at].unseen * (UNSEEN_TILT + fmin(towards, 1.0))
+    slope_covariance(runs[at].scatter, runs[at].normal, variance, tilt * tilt, slope)
+    basis_at(runs[at].normal, basis)
+    covariance_about(
+        slope,
+        variance / count + UNEVEN,
+        basis[0] * off_x + basis[1] * off_y - basis[2] * rise,
+        basis[3] * off_x + basis[4] * off_y - basis[5] * rise,
+        runs[at].range_part,
+    )
+    if rules.independent:
+        for zero in range(9):
+            runs[at].pose_part[zero] = 0.0
+    else:
+        arm[0], arm[1], arm[2] = x, y, runs[at].z
+        pose_part(runs[at].normal, arm, sigma, runs[at].pose_part)
+    quadratic = (
+        runs[at].normal[0] * (runs[at].normal[0] * xx + 2.0 * runs[at].normal[1] * xy)
+        + runs[at].normal[1] * runs[at].normal[1] * yy
+        + up * up * runs[at].scatter[5]
+        + 2.0 * up * runs[at].normal[0] * runs[at].scatter[2]
+        + 2.0 * up * runs[at].normal[1] * runs[at].scatter[4]
+    )
+    runs[at].square = fmax(quadratic, 0.0) / fmax(count - 3.0, 1.0)
+    runs[at].statistic = 0.0
