@@ -13,13 +13,12 @@ from collections.abc import Callable
 import numpy as np
 
 from quadtree_lss.config.settings import Config, config_from_values
-from quadtree_lss.core.geometry import fusion, rotations
-from quadtree_lss.core.geometry.planes import Moments
+from quadtree_lss.core.geometry import rotations, sphere
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
-from quadtree_lss.core.tree.leaves import Leaves
+from quadtree_lss.core.tree.leaves import LeafTable
 
 Array = np.ndarray
 Surface = Callable[[Array, Array], Array]
@@ -145,11 +144,19 @@ def domain_of(config: Config) -> Domain:
     return Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
 
 
-def four_leaves(points: float = 0.0) -> Leaves:
+def four_leaves(points: float = 0.0) -> LeafTable:
     """Leaves of 8 m, two levels above the finest, whose sums hold so many points of no residual."""
     leaves = Mapper(configured(domain={"min_level": 1, "max_level": 3})).leaves
-    leaves.residuals[:4] = points
+    leaves.rows.residuals[:4] = points
     return leaves
+
+
+def leaf_at(mapper: Mapper, x: float, y: float) -> np.record:
+    """The leaf over a place, as it is kept."""
+    leaves = mapper.leaves.rows[: mapper.leaves.count]
+    half = 0.5 * mapper.domain.cell_size(leaves.level)
+    under = (np.abs(leaves.x - x) <= half) & (np.abs(leaves.y - y) <= half)
+    return leaves[np.flatnonzero(under)[0]]
 
 
 def leaf_by_descent(cells: CellMap, column: int, row: int) -> int:
@@ -198,22 +205,10 @@ def random_covariances(rng: np.random.Generator, count: int, size: int, scale: f
     return root @ root.transpose(0, 2, 1)
 
 
-def transported(covariance: Array, of: Array, to: Array) -> Array:
-    """Covariance (M, 3, 3) of errors in the tangent at ``of``, seen in the tangent at ``to``."""
-    return fusion.congruent(fusion.tangent_change(of, to), covariance)
-
-
-def moments_of(group: Array, groups: int, points: Array, lidar: Array) -> Moments:
-    """Moments of points (N, 3) that one lidar saw, by their definition."""
-    count = np.bincount(group, minlength=groups).astype(np.float64)
-    mean = np.zeros((groups, 3))
-    np.add.at(mean, group, points)
-    mean /= count[:, None]
-    off = points - mean[group]
-    scatter = np.zeros((groups, 3, 3))
-    np.add.at(scatter, group, off[:, :, None] * off[:, None, :])
-    ray = mean - lidar
-    return Moments(count, mean, scatter, ray / np.linalg.norm(ray, axis=1, keepdims=True))
+def plane_errors(cells: CellMap, normal: Array, surface: Surface) -> Array:
+    """(M, 3) error of each cell's plane against planar ground, about (x, y, z) of the cell."""
+    high = normal[2] * (cells.z - surface(cells.x, cells.y))
+    return np.column_stack([[sphere.minus(n, normal) for n in cells.normal], high])
 
 
 def strip(columns: int) -> CellMap:

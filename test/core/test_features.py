@@ -8,7 +8,6 @@ import pytest
 from core.builders import configured, lattice, make_pose, mapped, scan, slope
 
 from quadtree_lss.core.geometry import feature as bump
-from quadtree_lss.core.mapping import features
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.tree.cell_map import CellMap
 
@@ -161,16 +160,6 @@ def test_limits_are_obeyed(limit):
     assert (without < least).any()
     assert len(limited) > 5
     assert (limited >= least - 1e-12).all()
-
-
-def test_of_too_many_candidates_the_strongest_go_first(monkeypatch):
-    monkeypatch.setattr(features, "MAX_CANDIDATES", 8)
-    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
-    radius, x0, y0 = hemispheres(5)
-    cells = mapped(config, rocky(radius, x0, y0), density=100.0, scans=1).snapshot()
-    found = np.isfinite(by_place(cells)[:, K])
-    assert 4 <= found.sum() <= 8
-    assert radius[found].min() > np.median(radius)
 
 
 def test_height_of_a_feature_on_a_slope_is_vertical():

@@ -17,8 +17,6 @@ from core.builders import (
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.core.geometry import rotations
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing import lidar
 from quadtree_lss.core.sensing.register import register
 from quadtree_lss.core.tree import morton
@@ -141,17 +139,6 @@ def test_point_covariance_against_monte_carlo(convention):
     pose = make_pose(tuple(position), covariance, rotation=rotation)
     mean = (rotation @ point + position)[None]
     assert_covariance(samples, lidar.point_covariances(mean, pose, noise)[0])
-
-
-def test_covariance_of_a_scans_ground_is_that_of_a_point_in_its_middle():
-    root = np.random.default_rng(6).normal(0.0, 1e-2, (6, 6))
-    pose = make_pose((80.0, -50.0, 300.0), root @ root.T)
-    mapper = Mapper(configured())
-    x, y = lattice(0.0, 0.0, 16.0, 20)
-    seen, _ = register(scan(flat(), x, y, pose, 0.0), pose, mapper.config.lidar, mapper.domain)
-    change = ScanUpdate(mapper.leaves, mapper._stored, mapper._alignment, mapper.config, seen)
-    expected = lidar.point_covariances(change.origin[None], seen.pose, 0.0)[0]
-    np.testing.assert_allclose(change._ground_covariance(), expected, rtol=1e-9)
 
 
 def test_body_and_fixed_covariance_are_inverse():

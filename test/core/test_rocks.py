@@ -9,34 +9,32 @@ import numpy as np
 import pytest
 from core.builders import configured, four_leaves, mapped
 
-from quadtree_lss.config.settings import FeaturesConfig, MappingConfig
 from quadtree_lss.core.geometry.feature import SHAPE, peak
 from quadtree_lss.core.mapping import division
-from quadtree_lss.core.tree.leaves import Leaves
+from quadtree_lss.core.mapping.measure import Rules
+from quadtree_lss.core.tree.leaves import LeafTable
 
 NOISE = 0.05
 LEAVES_4M = {"xmin": 0.0, "ymin": 0.0, "size": 16.0, "min_level": 2, "max_level": 6}
-ROWS = np.arange(4)
+ROWS = slice(0, 4)
 
 
-def hides(leaves: Leaves, noise: float = 0.02, **mapping: object) -> list[bool]:
+def hides(leaves: LeafTable, noise: float = 0.02, **mapping: object) -> list[bool]:
     """Which of `four_leaves` hold a rock, by the default limits but for those given."""
-    config = MappingConfig(**mapping)
-    return division.hides_rock(leaves, ROWS, config, FeaturesConfig(), noise).tolist()
+    rules = Rules(configured(mapping=mapping, lidar={"range_noise": noise}))
+    return [division.hides_rock(rules, leaves.rows, row, 8.0) for row in range(4)]
 
 
 def test_exceptions_beyond_their_noise_divide():
     """1.5 measurements, 3 deviations of what noise makes, 2 in 10,000 points: the greatest."""
     leaves = four_leaves(1000.0)
-    leaves.residuals[3] = 20_000.0
-    leaves.exception_noise[ROWS] = (0.0, 0.5, 9.0, 0.0)
+    leaves.rows.residuals[3] = 20_000.0
+    leaves.rows.exception_noise[ROWS] = (0.0, 0.5, 9.0, 0.0)
     least = np.array([1.5, 0.5 + 3.0 * np.sqrt(0.5), 9.0 + 9.0, 4.0])
     for factor, expected in ((0.99, False), (1.01, True)):
-        leaves.exception_sum[ROWS] = factor * least
+        leaves.rows.exception_sum[ROWS] = factor * least
         assert hides(leaves) == [expected] * 4
     assert hides(leaves, divide_exceptions=0.0) == [False] * 4
-    leaves.level[ROWS] = leaves.domain.max_level
-    assert hides(leaves) == [False] * 4
 
 
 def test_raised_points_over_an_area_divide():
@@ -45,19 +43,17 @@ def test_raised_points_over_an_area_divide():
     However small an area is asked for, it takes 2 in 10,000 points.
     """
     leaves = four_leaves(20_000.0)
-    leaves.residuals[1] = 1000.0
-    leaves.raised_noise[ROWS] = (0.0, 0.0, 4.0, 25.0)
+    leaves.rows.residuals[1] = 1000.0
+    leaves.rows.raised_noise[ROWS] = (0.0, 0.0, 4.0, 25.0)
     least = np.array([12.5, 1.0, 4.0 + 12.5, 25.0 + 15.0])
     for factor, expected in ((0.99, False), (1.01, True)):
-        leaves.raised_sum[ROWS] = factor * least
+        leaves.rows.raised_sum[ROWS] = factor * least
         assert hides(leaves) == [expected] * 4
         assert hides(leaves, divide_area=1e-6)[1] == expected
     for raised, expected in ((3.9, False), (4.1, True)):
-        leaves.raised_sum[0] = raised
+        leaves.rows.raised_sum[0] = raised
         assert hides(leaves, divide_area=1e-6)[0] == expected
     assert hides(leaves, divide_area=0.0) == [False] * 4
-    leaves.level[ROWS] = leaves.domain.max_level
-    assert hides(leaves) == [False] * 4
 
 
 def test_features_as_high_and_narrow_as_a_rock_divide():
@@ -68,7 +64,7 @@ def test_features_as_high_and_narrow_as_a_rock_divide():
 
     assert peak(boulder(0.2, 0.3)) == pytest.approx(SHAPE * 0.2)
     shapes = ((0.16, 0.2), (0.14, 0.2), (0.5, 0.51), (0.5, 0.49))
-    leaves.feature[ROWS] = [boulder(*shape) for shape in shapes]
+    leaves.rows.feature[ROWS] = [boulder(*shape) for shape in shapes]
     assert hides(leaves) == [True, False, False, True]
     # Three deviations of the range noise are 0.18 m.
     assert hides(leaves, noise=0.06) == [False, False, False, True]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.geometry import sphere
+from quadtree_lss.core.geometry import sphere_arrays as sphere
 from quadtree_lss.core.geometry.planes import inverse_symmetric, upward
 
 Array = NDArray[np.float64]

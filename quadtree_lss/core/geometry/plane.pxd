@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
-from libc.math cimport atan2, cos, fabs, fmax, fmin, hypot, sin, sqrt
+from libc.math cimport fmax, fmin, hypot, sqrt
+from quadtree_lss.core.geometry.sphere cimport basis_at, change_of_tangent, minus_at, plus_at
 
-cdef void basis_at(double* normal, double* out) noexcept nogil
-cdef void plus_at(double* normal, double* tangent, double* out) noexcept nogil
-cdef void minus_at(double* normal, double* reference, double* out) noexcept nogil
-cdef void change_of_tangent(double* of, double* to, double* out) noexcept nogil
 cdef void multiply(double* a, double* b, double* out) noexcept nogil
 cdef void congruent(double* a, double* c, double* out) noexcept nogil
 cdef void inverse_symmetric(double* c, double* out) noexcept nogil
@@ -19,5 +16,4 @@ cdef void slope_covariance(double* scatter, double* normal, double variance, dou
 cdef void covariance_about(double* slope, double offset_variance, double first, double second, double* out) noexcept nogil
 cdef void pose_part(double* normal, double* arm, double[:, ::1] sigma, double* out) noexcept nogil
 cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, double* out_rise) noexcept nogil
-cdef void _seen_from(double* normal, double* reference, double* out) noexcept nogil
 cdef double _quadratic(double* scatter, double* a, double* b) noexcept nogil

@@ -10,93 +10,23 @@ xx, xy, xz, yy, yz, zz.
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence
-from typing import TypeAlias
-
 import cython
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from quadtree_lss.core.geometry.sphere import Vector, tangent_basis
 
 if not cython.compiled:
-    from math import atan2, cos, hypot, sin, sqrt
+    from math import hypot, sqrt
+
+    from quadtree_lss.core.geometry.sphere import basis_at, change_of_tangent, minus_at, plus_at
 
     fmax, fmin = max, min
 
 Array = NDArray[np.float64]
-#: A C array of doubles that a kernel reads or writes in place.
-Vector: TypeAlias = MutableSequence[float]
 
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
 MIN_UP = cython.declare(cython.double, 0.05)
-
-
-def basis_at(normal: Vector, out: Vector) -> None:
-    """First two columns of Eq. 2, the axes of dphi in space: n (3) to (6)."""
-    share = 1.0 / (1.0 + normal[2])
-    out[0] = 1.0 - share * normal[0] * normal[0]
-    out[1] = -share * normal[0] * normal[1]
-    out[2] = -normal[0]
-    out[3] = out[1]
-    out[4] = 1.0 - share * normal[1] * normal[1]
-    out[5] = -normal[1]
-
-
-def plus_at(normal: Vector, tangent: Vector, out: Vector) -> None:
-    """Eq. 8, n [+] phi = R_n exp(phi): n (3), phi (2) to (3)."""
-    basis = cython.declare(cython.double[6])
-    i: cython.int
-    basis_at(normal, basis)
-    angle = hypot(tangent[0], tangent[1])
-    along = sin(angle) / angle if angle > 1e-9 else 1.0
-    up = cos(angle)
-    for i in range(3):
-        out[i] = along * (tangent[0] * basis[i] + tangent[1] * basis[3 + i]) + up * normal[i]
-
-
-def _seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
-    """R_m^T n: n (3) in the axes in which m (3) is the pole."""
-    basis = cython.declare(cython.double[6])
-    basis_at(reference, basis)
-    out[0] = basis[0] * normal[0] + basis[1] * normal[1] + basis[2] * normal[2]
-    out[1] = basis[3] * normal[0] + basis[4] * normal[1] + basis[5] * normal[2]
-    out[2] = reference[0] * normal[0] + reference[1] * normal[1] + reference[2] * normal[2]
-
-
-def minus_at(normal: Vector, reference: Vector, out: Vector) -> None:
-    """Eq. 9, n [-] m in the tangent at m, both up: n (3), m (3) to (2)."""
-    seen = cython.declare(cython.double[3])
-    _seen_from(normal, reference, seen)
-    sine = hypot(seen[0], seen[1])
-    share = atan2(sine, seen[2]) / sine if sine > 1e-12 else 1.0
-    out[0] = share * seen[0]
-    out[1] = share * seen[1]
-
-
-def change_of_tangent(of: Vector, to: Vector, out: Vector) -> None:
-    """Linear map (4) of errors in the tangent at n to the tangent at m, n (3), m (3).
-
-    With w = R_m^T n, the error of (n [-] m) is dlog(w) R_m^T B_n dphi.
-    """
-    seen = cython.declare(cython.double[3])
-    basis = cython.declare(cython.double[6])
-    axis = cython.declare(cython.double[3])
-    moved = cython.declare(cython.double[3])
-    i: cython.int
-    k: cython.int
-    _seen_from(of, to, seen)
-    basis_at(of, basis)
-    sine = hypot(seen[0], seen[1])
-    x = seen[0] / sine if sine > 1e-9 else 1.0
-    y = seen[1] / sine if sine > 1e-9 else 0.0
-    across = atan2(sine, seen[2]) / sine if sine > 1e-9 else 1.0
-    for i in range(2):
-        for k in range(3):
-            axis[k] = basis[3 * i + k]
-        _seen_from(axis, to, moved)
-        along = seen[2] * (x * moved[0] + y * moved[1]) - sine * moved[2]
-        aside = across * (x * moved[1] - y * moved[0])
-        out[i] = x * along - y * aside
-        out[2 + i] = y * along + x * aside
 
 
 def multiply(a: Vector, b: Vector, out: Vector) -> None:
@@ -456,3 +386,106 @@ def fuse(
     shift_origin(prior_range, -rise * fused[0], -rise * fused[1])
     shift_origin(prior_pose, -rise * fused[0], -rise * fused[1])
     out_rise[0] = rise
+
+
+def moments_of(points: Array) -> tuple[Array, Array]:
+    """Centroid (3,), m, and scatter (3, 3), m^2, of points (N, 3)."""
+    mean = cython.declare(cython.double[3])
+    scatter = cython.declare(cython.double[6])
+    moments(points, 0, len(points), mean, scatter)
+    return np.array(mean), _square(scatter)
+
+
+def height_fit(scatter: Array, prior: ArrayLike, spread: float) -> Array:
+    """`height_normal` of a scatter (3, 3) with the slope of a prior normal (3,): (3,)."""
+    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
+    n: cython.double[3] = prior  # type: ignore[valid-type]
+    height_normal(six, -n[0] / n[2], -n[1] / n[2], spread, n)
+    return np.array(n)
+
+
+def orthogonal_fit(scatter: Array, start: ArrayLike) -> Array:
+    """`orthogonal_normal` of a scatter (3, 3) from a first normal (3,): (3,)."""
+    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
+    n: cython.double[3] = start  # type: ignore[valid-type]
+    orthogonal_normal(six, n)
+    return np.array(n)
+
+
+def upward(normal: ArrayLike) -> Array:
+    """`keep_up` of a normal (3,)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    keep_up(n)
+    return np.array(n)
+
+
+def slope_part(scatter: Array, normal: ArrayLike, variance: float, tilt: float = 0.0) -> Array:
+    """`slope_covariance` of a fit to a scatter (3, 3): (2, 2), rad^2."""
+    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    out = cython.declare(cython.double[4])
+    slope_covariance(six, n, variance, tilt, out)
+    return np.array(out).reshape(2, 2)
+
+
+def range_part_about(slope: Array, offset_variance: float, lever: ArrayLike) -> Array:
+    """`covariance_about` of a slope's covariance (2, 2) with the lever (2,), m: (3, 3)."""
+    four: cython.double[4] = slope.ravel()  # type: ignore[valid-type]
+    arm: cython.double[2] = lever  # type: ignore[valid-type]
+    out = cython.declare(cython.double[9])
+    covariance_about(four, offset_variance, arm[0], arm[1], out)
+    return np.array(out).reshape(3, 3)
+
+
+def pose_part_of(normal: ArrayLike, arm: ArrayLike, sigma: Array) -> Array:
+    """`pose_part` of a plane (3,), its origin ``arm`` (3,) from the lidar: (3, 3)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    r: cython.double[3] = arm  # type: ignore[valid-type]
+    out = cython.declare(cython.double[9])
+    pose_part(n, r, sigma, out)
+    return np.array(out).reshape(3, 3)
+
+
+def inverse(matrix: Array) -> Array:
+    """`inverse_symmetric` of a matrix (3, 3)."""
+    c: cython.double[9] = matrix.ravel()  # type: ignore[valid-type]
+    out = cython.declare(cython.double[9])
+    inverse_symmetric(c, out)
+    return np.array(out).reshape(3, 3)
+
+
+def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
+    """`shift_origin` of a plane's covariance (3, 3) after its origin moved by delta (3,), m."""
+    c: cython.double[9] = covariance.ravel()  # type: ignore[valid-type]
+    first, second = np.asarray(delta) @ tangent_basis(normal)
+    shift_origin(c, first, second)
+    return np.array(c).reshape(3, 3)
+
+
+def fused(
+    prior: tuple[Array, float, Array, Array], other: tuple[Array, float, Array, Array], common: float
+) -> tuple[Array, float, Array, Array]:
+    """`fuse` of two planes over one place: normal (3,), height, m, range and pose part (3, 3)."""
+    prior_normal: cython.double[3] = prior[0]  # type: ignore[valid-type]
+    range_0: cython.double[9] = prior[2].ravel()  # type: ignore[valid-type]
+    pose_0: cython.double[9] = prior[3].ravel()  # type: ignore[valid-type]
+    normal: cython.double[3] = other[0]  # type: ignore[valid-type]
+    range_1: cython.double[9] = other[2].ravel()  # type: ignore[valid-type]
+    pose_1: cython.double[9] = other[3].ravel()  # type: ignore[valid-type]
+    rise = cython.declare(cython.double[1])
+    fuse(
+        prior_normal, prior[1] - other[1], range_0, pose_0, normal, range_1, pose_1, common, rise
+    )
+    parts = (np.array(range_0).reshape(3, 3), np.array(pose_0).reshape(3, 3))
+    return np.array(normal), other[1] + rise[0], *parts
+
+
+#: The six numbers of a scatter in the matrix.
+UPPER = np.triu_indices(3)
+
+
+def _square(six: Vector) -> Array:
+    """(3, 3) of the six numbers of a scatter."""
+    out = np.empty((3, 3))
+    out[UPPER] = out.T[UPPER] = six
+    return out

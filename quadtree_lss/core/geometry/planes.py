@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.geometry import sphere
+from quadtree_lss.core.geometry import sphere_arrays as sphere
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -1,125 +1,215 @@
 # SPDX-License-Identifier: Apache-2.0
 """Unit vectors without redundant parameters: the sphere S^2 (paper III.B, after Hertzberg).
 
-A unit vector is n = (kappa, lambda) with kappa in the x-y plane (Eq. 1); its tangent space has
-two dimensions. All functions take arrays of vectors, (..., 3), and of tangents, (..., 2), rad.
+A unit vector is n = (kappa, lambda) with kappa in the x-y plane (Eq. 1); its tangent space has two
+dimensions. Kernels work on flat numbers: a basis of the tangent is six, the first axis, then the
+second; matrices lie row by row. The functions on arrays are their doors, one vector each.
 """
 
 from __future__ import annotations
 
+from collections.abc import MutableSequence
+from typing import TypeAlias
+
+import cython
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+if not cython.compiled:
+    from math import atan2, cos, hypot, sin
+
 Array = NDArray[np.float64]
+#: A C array of doubles that a kernel reads or writes in place.
+Vector: TypeAlias = MutableSequence[float]
 
 
-def rotation_to(normals: ArrayLike) -> Array:
-    """Eq. 2: R_n with n = R_n (0, 0, 1): (..., 3) to (..., 3, 3). Singular at n = (0, 0, -1)."""
-    n = np.asarray(normals, dtype=np.float64)
-    x, y, z = n[..., 0], n[..., 1], n[..., 2]
-    f = 1.0 / (1.0 + z)
-    out = np.empty((*n.shape, 3))
-    out[..., 0, 0] = 1.0 - f * x * x
-    out[..., 1, 1] = 1.0 - f * y * y
-    out[..., 0, 1] = out[..., 1, 0] = -f * x * y
-    out[..., 0, 2], out[..., 2, 0] = x, -x
-    out[..., 1, 2], out[..., 2, 1] = y, -y
-    out[..., 2, 2] = z
-    return out
+def basis_at(normal: Vector, out: Vector) -> None:
+    """First two columns of Eq. 2, the axes of dphi in space: n (3) to (6). Not for n = -z."""
+    share = 1.0 / (1.0 + normal[2])
+    out[0] = 1.0 - share * normal[0] * normal[0]
+    out[1] = -share * normal[0] * normal[1]
+    out[2] = -normal[0]
+    out[3] = out[1]
+    out[4] = 1.0 - share * normal[1] * normal[1]
+    out[5] = -normal[1]
 
 
-def tangent_basis(normals: ArrayLike) -> Array:
-    """First two columns of Eq. 2, the axes of dphi in space: (..., 3) to (..., 3, 2)."""
-    n = np.asarray(normals, dtype=np.float64)
-    x, y, z = n[..., 0], n[..., 1], n[..., 2]
-    f = 1.0 / (1.0 + z)
-    out = np.empty((*n.shape, 2))
-    out[..., 0, 0] = 1.0 - f * x * x
-    out[..., 1, 1] = 1.0 - f * y * y
-    out[..., 0, 1] = out[..., 1, 0] = -f * x * y
-    out[..., 2, 0], out[..., 2, 1] = -x, -y
-    return out
+def exp_at(tangent: Vector, out: Vector) -> None:
+    """Eq. 3: (sinc(phi) phi, cos(phi)), phi (2) to (3)."""
+    angle = hypot(tangent[0], tangent[1])
+    along = sin(angle) / angle if angle > 1e-9 else 1.0
+    out[0] = along * tangent[0]
+    out[1] = along * tangent[1]
+    out[2] = cos(angle)
 
 
-def exp(tangents: ArrayLike) -> Array:
-    """Eq. 3: (sinc(phi) phi, cos(phi)), (..., 2) to (..., 3)."""
-    phi = np.asarray(tangents, dtype=np.float64)
-    angle = np.hypot(phi[..., 0], phi[..., 1])
-    out = np.empty((*phi.shape[:-1], 3))
-    out[..., :2] = np.sinc(angle / np.pi)[..., None] * phi
-    out[..., 2] = np.cos(angle)
-    return out
+def log_at(normal: Vector, out: Vector) -> None:
+    """Eq. 4: angle from the z axis along kappa, n (3) to (2)."""
+    sine = hypot(normal[0], normal[1])
+    share = atan2(sine, normal[2]) / sine if sine > 1e-12 else 1.0
+    out[0] = share * normal[0]
+    out[1] = share * normal[1]
 
 
-def log(normals: ArrayLike) -> Array:
-    """Eq. 4: angle from the z axis along kappa, (..., 3) to (..., 2)."""
-    n = np.asarray(normals, dtype=np.float64)
-    sine = np.hypot(n[..., 0], n[..., 1])
-    angle = np.arctan2(sine, n[..., 2])
-    small = sine < 1e-12
-    factor = np.where(small, 1.0, angle / np.where(small, 1.0, sine))
-    out: Array = factor[..., None] * n[..., :2]
-    return out
+def exp_jacobian_at(tangent: Vector, out: Vector) -> None:
+    """Eq. 5, Eq. 6, Eq. 7 (bottom row -sinc(phi) phi^T): d exp / d phi, phi (2) to (3, 2)."""
+    x, y = tangent[0], tangent[1]
+    angle = hypot(x, y)
+    sinc = sin(angle) / angle if angle > 1e-9 else 1.0
+    chi = (cos(angle) - sinc) / (angle * angle) if angle > 1e-4 else -1.0 / 3.0
+    out[0] = sinc + chi * x * x
+    out[1] = out[2] = chi * x * y
+    out[3] = sinc + chi * y * y
+    out[4] = -sinc * x
+    out[5] = -sinc * y
 
 
-def exp_jacobian(tangents: ArrayLike) -> Array:
-    """Eq. 5, Eq. 6, Eq. 7 (bottom row -sinc(phi) phi^T): d exp / d phi, (..., 2) to (..., 3, 2)."""
-    phi = np.asarray(tangents, dtype=np.float64)
-    angle = np.hypot(phi[..., 0], phi[..., 1])
-    sinc = np.sinc(angle / np.pi)
-    small = angle < 1e-4
-    square = np.where(small, 1.0, angle) ** 2
-    chi = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / square)
-    out = np.empty((*phi.shape[:-1], 3, 2))
-    out[..., :2, :] = chi[..., None, None] * phi[..., :, None] * phi[..., None, :]
-    out[..., 0, 0] += sinc
-    out[..., 1, 1] += sinc
-    out[..., 2, :] = -sinc[..., None] * phi
-    return out
-
-
-def log_jacobian(normals: ArrayLike) -> Array:
-    """d log / d n for changes of n along the sphere: (..., 3) to (..., 2, 3).
+def log_jacobian_at(normal: Vector, out: Vector) -> None:
+    """d log / d n for changes of n along the sphere: n (3) to (2, 3).
 
     With unit direction k = kappa / |kappa| and angle phi, a change dn turns the angle by
     lambda k.dkappa - |kappa| dlambda and moves across k by (phi / sin phi) of dkappa.
     """
-    n = np.asarray(normals, dtype=np.float64)
-    sine = np.hypot(n[..., 0], n[..., 1])
-    small = sine < 1e-9
-    safe = np.where(small, 1.0, sine)
-    kx = np.where(small, 1.0, n[..., 0] / safe)
-    ky = np.where(small, 0.0, n[..., 1] / safe)
-    cosine = n[..., 2]
-    across = np.where(small, 1.0, np.arctan2(sine, cosine) / safe)
-    out = np.empty((*n.shape[:-1], 2, 3))
-    out[..., 0, 0] = cosine * kx * kx + across * ky * ky
-    out[..., 1, 1] = cosine * ky * ky + across * kx * kx
-    out[..., 0, 1] = out[..., 1, 0] = (cosine - across) * kx * ky
-    out[..., 0, 2] = -sine * kx
-    out[..., 1, 2] = -sine * ky
-    return out
+    sine = hypot(normal[0], normal[1])
+    x = normal[0] / sine if sine > 1e-9 else 1.0
+    y = normal[1] / sine if sine > 1e-9 else 0.0
+    across = atan2(sine, normal[2]) / sine if sine > 1e-9 else 1.0
+    out[0] = normal[2] * x * x + across * y * y
+    out[1] = out[3] = (normal[2] - across) * x * y
+    out[2] = -sine * x
+    out[4] = normal[2] * y * y + across * x * x
+    out[5] = -sine * y
 
 
-def plus(normals: ArrayLike, tangents: ArrayLike) -> Array:
-    """Eq. 8: n [+] phi = R_n exp(phi).
+def seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
+    """R_m^T n: n (3) in the axes in which m (3) is the pole."""
+    basis = cython.declare(cython.double[6])
+    basis_at(reference, basis)
+    out[0] = basis[0] * normal[0] + basis[1] * normal[1] + basis[2] * normal[2]
+    out[1] = basis[3] * normal[0] + basis[4] * normal[1] + basis[5] * normal[2]
+    out[2] = reference[0] * normal[0] + reference[1] * normal[1] + reference[2] * normal[2]
+
+
+def plus_at(normal: Vector, tangent: Vector, out: Vector) -> None:
+    """Eq. 8, n [+] phi = R_n exp(phi): n (3), phi (2) to (3).
 
     An uncertain unit vector is its mean [+] a Gaussian tangent (Eq. 10, Eq. 11).
     """
-    out: Array = (rotation_to(normals) @ exp(tangents)[..., None])[..., 0]
-    return out
+    basis = cython.declare(cython.double[6])
+    step = cython.declare(cython.double[3])
+    i: cython.int
+    basis_at(normal, basis)
+    exp_at(tangent, step)
+    for i in range(3):
+        out[i] = step[0] * basis[i] + step[1] * basis[3 + i] + step[2] * normal[i]
 
 
-def minus(normals: ArrayLike, reference: ArrayLike) -> Array:
+def minus_at(normal: Vector, reference: Vector, out: Vector) -> None:
+    """Eq. 9 and Eq. 12, n [-] m in the tangent at m, both up: n (3), m (3) to (2)."""
+    seen = cython.declare(cython.double[3])
+    seen_from(normal, reference, seen)
+    log_at(seen, out)
+
+
+def change_of_tangent(of: Vector, to: Vector, out: Vector) -> None:
+    """Linear map (4) of errors in the tangent at n to the tangent at m, n (3), m (3).
+
+    With w = R_m^T n, the error of (n [-] m) is dlog(w) R_m^T B_n dphi.
+    """
+    seen = cython.declare(cython.double[3])
+    basis = cython.declare(cython.double[6])
+    axis = cython.declare(cython.double[3])
+    moved = cython.declare(cython.double[3])
+    slope = cython.declare(cython.double[6])
+    i: cython.int
+    k: cython.int
+    seen_from(of, to, seen)
+    log_jacobian_at(seen, slope)
+    basis_at(of, basis)
+    for i in range(2):
+        for k in range(3):
+            axis[k] = basis[3 * i + k]
+        seen_from(axis, to, moved)
+        for k in range(2):
+            out[2 * k + i] = (
+                slope[3 * k] * moved[0] + slope[3 * k + 1] * moved[1] + slope[3 * k + 2] * moved[2]
+            )
+
+
+def tangent_basis(normal: ArrayLike) -> Array:
+    """First two columns of Eq. 2: (3,) to (3, 2)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    out = cython.declare(cython.double[6])
+    basis_at(n, out)
+    return np.array(out).reshape(2, 3).T
+
+
+def rotation_to(normal: ArrayLike) -> Array:
+    """Eq. 2: R_n with n = R_n (0, 0, 1), (3,) to (3, 3)."""
+    return np.column_stack([tangent_basis(normal), normal])
+
+
+def exp(tangent: ArrayLike) -> Array:
+    """Eq. 3: (2,) to (3,)."""
+    phi: cython.double[2] = tangent  # type: ignore[valid-type]
+    out = cython.declare(cython.double[3])
+    exp_at(phi, out)
+    return np.array(out)
+
+
+def log(normal: ArrayLike) -> Array:
+    """Eq. 4: (3,) to (2,)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    out = cython.declare(cython.double[2])
+    log_at(n, out)
+    return np.array(out)
+
+
+def exp_jacobian(tangent: ArrayLike) -> Array:
+    """Eq. 5 to Eq. 7: (2,) to (3, 2)."""
+    phi: cython.double[2] = tangent  # type: ignore[valid-type]
+    out = cython.declare(cython.double[6])
+    exp_jacobian_at(phi, out)
+    return np.array(out).reshape(3, 2)
+
+
+def log_jacobian(normal: ArrayLike) -> Array:
+    """d log / d n: (3,) to (2, 3)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    out = cython.declare(cython.double[6])
+    log_jacobian_at(n, out)
+    return np.array(out).reshape(2, 3)
+
+
+def plus(normal: ArrayLike, tangent: ArrayLike) -> Array:
+    """Eq. 8: (3,), (2,) to (3,)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    phi: cython.double[2] = tangent  # type: ignore[valid-type]
+    out = cython.declare(cython.double[3])
+    plus_at(n, phi, out)
+    return np.array(out)
+
+
+def minus(normal: ArrayLike, reference: ArrayLike) -> Array:
     """Eq. 9 (cases corrected) and Eq. 12: n [-] m, the tangent at m to n, or to -n if nearer.
 
-    (n, d) and (-n, -d) are one plane, so both vectors are first turned to the upper half space
-    and then towards one another; R_m is never formed near lambda = -1.
+    (n, d) and (-n, -d) are one plane, so both vectors (3,) are first turned to the upper half
+    space and then towards one another; R_m is never formed near lambda = -1.
     """
-    n = np.asarray(normals, dtype=np.float64)
-    m = np.asarray(reference, dtype=np.float64)
-    m_up = np.where(m[..., 2:] < 0.0, -m, m)
-    same = np.sum(n * m_up, axis=-1, keepdims=True) >= 0.0
-    turned = np.where(same, n, -n)
-    back = np.swapaxes(rotation_to(m_up), -1, -2)
-    return log((back @ turned[..., None])[..., 0])
+    one, other = np.asarray(normal, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+    other = -other if other[2] < 0.0 else other
+    one = -one if one @ other < 0.0 else one
+    n: cython.double[3] = one  # type: ignore[valid-type]
+    m: cython.double[3] = other  # type: ignore[valid-type]
+    out = cython.declare(cython.double[2])
+    minus_at(n, m, out)
+    return np.array(out)
+
+
+def tangent_change(of: ArrayLike, to: ArrayLike) -> Array:
+    """Linear map of errors in the tangent at n to the tangent at m: (3,), (3,) to (2, 2)."""
+    n: cython.double[3] = of  # type: ignore[valid-type]
+    m: cython.double[3] = to  # type: ignore[valid-type]
+    out = cython.declare(cython.double[4])
+    change_of_tangent(n, m, out)
+    return np.array(out).reshape(2, 2)

@@ -19,7 +19,7 @@ from quadtree_lss.core.tree.morton import squeezed
 if not cython.compiled:
     from math import fabs, sqrt
 
-    from quadtree_lss.core.geometry.plane import basis_at
+    from quadtree_lss.core.geometry.sphere import basis_at
     from quadtree_lss.core.mapping.division import mahalanobis_factor
     from quadtree_lss.core.mapping.measure import pose_variance, range_variance
 

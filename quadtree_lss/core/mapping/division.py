@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from quadtree_lss.core.geometry.plane import Vector
+from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.mapping.measure import Rules
 
 if not cython.compiled:
@@ -155,3 +155,20 @@ def hides_rock(rules: Rules, leaf: Rows, row: cython.Py_ssize_t, side: float) ->
         leaf[row].feature[4] <= rules.rock_sigma
         and feature_height(leaf[row].feature) >= rules.rock_height
     )
+
+
+def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> float:
+    """`mean_distance` of points (N, 3) to the plane of a normal (3,) through a point (3,), m."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    p: cython.double[3] = through  # type: ignore[valid-type]
+    return mean_distance(points, 0, len(points), n, p)
+
+
+def factor_of(
+    normal: ArrayLike, mean: ArrayLike, sigma: Array, along: float, plane: float
+) -> float:
+    """`mahalanobis_factor` of a plane (3,) seen at ``mean`` (3,) from the lidar, 1/m."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    r: cython.double[3] = mean  # type: ignore[valid-type]
+    cosine = fabs(np.dot(normal, mean)) / sqrt(np.dot(mean, mean))
+    return mahalanobis_factor(n, r, cosine, sigma, along, plane)

@@ -17,4 +17,4 @@ cdef double _linearise(Heights heights, double* state, double* mean, double* inf
 cdef bint _solve(double* system, double damping, double* step) noexcept nogil
 cdef double estimate(Heights heights, double* state, double* information, bint known, double half, double finest) noexcept nogil
 cdef Py_ssize_t insert_high(double* high, Py_ssize_t held, double x, double y, double z) noexcept nogil
-cdef void update_feature(Rules rules, Leaf[::1] leaf, Py_ssize_t row, double[:, ::1] points, double[::1] residual, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double variance, Heights heights) noexcept nogil
+cpdef void update_feature(Rules rules, Leaf[::1] leaf, Py_ssize_t row, double[:, ::1] points, double[::1] residual, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double variance, Heights heights) noexcept nogil

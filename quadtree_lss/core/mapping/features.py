@@ -12,7 +12,7 @@ import cython
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.geometry.plane import Vector
+from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.mapping.measure import Rules
 
 if not cython.compiled:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport fabs, fmax, fmin, hypot, sqrt
 from quadtree_lss.core.geometry.plane cimport (
-    basis_at, covariance_about, height_normal, moments, orthogonal_normal, pose_part, slope_covariance
+    covariance_about, height_normal, moments, orthogonal_normal, pose_part, slope_covariance
 )
+from quadtree_lss.core.geometry.sphere cimport basis_at
 
 cdef struct Run:
     double points
@@ -30,7 +31,7 @@ cdef class Rules:
     cdef readonly double feature_height, feature_volume, feature_width, feature_points
     cdef readonly double rock_height, rock_sigma
 
-cdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
+cpdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double[:, ::1] sigma) noexcept nogil
 cdef double _unseen(double offset, double square, double correlation, double side, double points) noexcept nogil
 cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double* prior, double[:, ::1] sigma, Run[::1] runs, Py_ssize_t at) noexcept nogil

@@ -5,16 +5,15 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.config.settings import Config
-from quadtree_lss.core.geometry.plane import Vector
+from quadtree_lss.core.geometry.sphere import Vector
 
 if not cython.compiled:
     from math import fabs, hypot, sqrt
 
     from quadtree_lss.core.geometry.plane import (
-        basis_at,
         covariance_about,
         height_normal,
         moments,
@@ -22,6 +21,7 @@ if not cython.compiled:
         pose_part,
         slope_covariance,
     )
+    from quadtree_lss.core.geometry.sphere import basis_at
 
     fmax, fmin = max, min
 
@@ -234,3 +234,19 @@ def measure(
     )
     runs[at].square = fmax(quadratic, 0.0) / fmax(count - 3.0, 1.0)
     runs[at].statistic = 0.0
+
+
+def fit(
+    rules: Rules,
+    points: Array,
+    x: float,
+    y: float,
+    side: float,
+    prior: ArrayLike,
+    sigma: Array,
+) -> np.recarray[tuple[int], np.dtype[np.void]]:
+    """`measure` of all points (N, 3) and one cell: a record of type `RUN`."""
+    normal: cython.double[3] = prior  # type: ignore[valid-type]
+    runs = np.zeros(1, dtype=RUN).view(np.recarray)
+    measure(rules, points, 0, len(points), x, y, side, normal, sigma, runs, 0)
+    return runs

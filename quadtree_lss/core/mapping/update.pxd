@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport erfc, exp, fabs, fmax, fmin, sqrt
-from quadtree_lss.core.geometry.plane cimport basis_at, fuse
+from quadtree_lss.core.geometry.plane cimport fuse
+from quadtree_lss.core.geometry.sphere cimport basis_at
 from quadtree_lss.core.mapping.division cimport asks, hides_rock, mahalanobis_factor, mean_distance
 from quadtree_lss.core.mapping.features cimport Heights, update_feature
 from quadtree_lss.core.mapping.measure cimport Rules, Run, measure

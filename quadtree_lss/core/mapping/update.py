@@ -15,7 +15,8 @@ from quadtree_lss.core.tree.leaves import LeafTable
 if not cython.compiled:
     from math import erfc, exp, fabs, sqrt
 
-    from quadtree_lss.core.geometry.plane import basis_at, fuse
+    from quadtree_lss.core.geometry.plane import fuse
+    from quadtree_lss.core.geometry.sphere import basis_at
     from quadtree_lss.core.mapping.division import (
         asks,
         hides_rock,

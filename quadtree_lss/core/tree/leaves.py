@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from quadtree_lss.core.tree.domain import Domain
 
 if not cython.compiled:
-    from quadtree_lss.core.geometry.plane import basis_at, shift_origin
+    from quadtree_lss.core.geometry.plane import shift_origin
+    from quadtree_lss.core.geometry.sphere import basis_at
     from quadtree_lss.core.tree.morton import encode, squeeze
 
     NAN = float("nan")
@@ -187,6 +188,13 @@ class LeafTable:
             self._place(at, level + 1, ix + (child & 1), iy + (child >> 1))
         self.count += 3
         return True
+
+    def make_room_and_divide(
+        self, row: int, square: float, slope_points: float, height_points: float
+    ) -> bool:
+        """`divide` one leaf."""
+        self.reserve(3)
+        return self.divide(row, square, slope_points, height_points)
 
     def in_order(self) -> Index:
         """Rows of the leaves in Morton order: neighbours in space are near in the table."""

@@ -8,24 +8,43 @@ import pytest
 from core.builders import configured, domain_of, flat, leaf_by_descent, make_pose, mapped, scan
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from quadtree_lss.core.tree.quadtree import Quadtree, morton_order
 
+from quadtree_lss.core.geometry import plane
 from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.tree import morton
 from quadtree_lss.core.tree.domain import Domain
-from quadtree_lss.core.tree.leaves import Leaves
+from quadtree_lss.core.tree.leaves import LeafTable
 
 DOMAIN = Domain(-3.0, 5.0, 16.0, 1, 5)
 
 
-def grown(domain: Domain, seed: int, rounds: int = 6, max_cells: int = 100_000) -> Quadtree:
+def divide(tree: LeafTable, row: int) -> bool:
+    """Divide a leaf whose plane describes its ground."""
+    return tree.make_room_and_divide(row, 0.0, 5.0, 1.0)
+
+
+def places(tree: LeafTable) -> list[np.ndarray]:
+    """Level, ix and iy of the leaves."""
+    return [tree.rows[name][: tree.count] for name in ("level", "ix", "iy")]
+
+
+def raster_of(tree: LeafTable) -> np.ndarray:
+    """(n, n) [iy, ix] row of the leaf over each finest cell."""
+    n = tree.domain.finest_count
+    out = np.empty((n, n), dtype=int)
+    ix, iy = morton.squeezed(np.arange(n * n))
+    out[iy, ix] = tree.leaf_of
+    return out
+
+
+def grown(domain: Domain, seed: int, rounds: int = 6, max_cells: int = 100_000) -> LeafTable:
     """A tree divided at random leaves."""
     rng = np.random.default_rng(seed)
-    tree = Quadtree(domain, max_cells)
-    tree.plant()
+    tree = LeafTable(domain, max_cells)
     for _ in range(rounds):
-        open_ = np.flatnonzero(tree.level[: tree.count] < domain.max_level)
-        if len(open_):
-            tree.split(rng.permutation(open_)[: max(len(open_) // 3, 1)])
+        open_ = np.flatnonzero(places(tree)[0] < domain.max_level)
+        for row in rng.permutation(open_)[: max(len(open_) // 3, 1)].tolist():
+            divide(tree, row)
     return tree
 
 
@@ -44,11 +63,11 @@ def assert_tiles(domain: Domain, level: np.ndarray, ix: np.ndarray, iy: np.ndarr
 def test_leaves_tile_the_domain_and_lookup_agrees_with_descent(seed, low, more, rounds):
     domain = Domain(-3.0, 5.0, 16.0, low, low + more)
     tree = grown(domain, seed, rounds)
-    level, ix, iy = (v[: tree.count] for v in (tree.level, tree.ix, tree.iy))
+    level, ix, iy = places(tree)
     assert_tiles(domain, level, ix, iy)
     assert level.min() >= domain.min_level
     assert level.max() <= domain.max_level
-    found = tree.leaf_of_finest.reshape(domain.finest_count, -1)
+    found = raster_of(tree)
     row, column = np.indices(found.shape)
     down = domain.max_level - level[found].astype(int)
     np.testing.assert_array_equal(column >> down, ix[found])
@@ -57,19 +76,18 @@ def test_leaves_tile_the_domain_and_lookup_agrees_with_descent(seed, low, more, 
 
 def test_centres_are_in_the_middle_of_their_finest_cells():
     tree = grown(DOMAIN, 1)
-    leaf = tree.leaf_of_finest.reshape(DOMAIN.finest_count, -1)
+    leaf = raster_of(tree)
     middle = (np.arange(DOMAIN.finest_count) + 0.5) * DOMAIN.finest_size
     for k in range(tree.count):
         rows, columns = np.nonzero(leaf == k)
-        assert tree.x[k] == pytest.approx(DOMAIN.xmin + middle[columns].mean(), abs=1e-12)
-        assert tree.y[k] == pytest.approx(DOMAIN.ymin + middle[rows].mean(), abs=1e-12)
+        assert tree.rows.x[k] == pytest.approx(DOMAIN.xmin + middle[columns].mean(), abs=1e-12)
+        assert tree.rows.y[k] == pytest.approx(DOMAIN.ymin + middle[rows].mean(), abs=1e-12)
 
 
 def test_planting_divides_to_the_minimum_level():
-    tree = Quadtree(DOMAIN, 100)
-    tree.plant()
+    tree = LeafTable(DOMAIN, 100)
     assert tree.count == 4**DOMAIN.min_level
-    assert (tree.level[: tree.count] == DOMAIN.min_level).all()
+    assert (places(tree)[0] == DOMAIN.min_level).all()
 
 
 def test_planting_again_forgets_every_division():
@@ -77,33 +95,32 @@ def test_planting_again_forgets_every_division():
     assert tree.count > 4
     tree.plant()
     assert tree.count == 4
-    assert_tiles(DOMAIN, *(v[:4] for v in (tree.level, tree.ix, tree.iy)))
-    assert set(tree.leaf_of_finest.tolist()) == {0, 1, 2, 3}
+    assert_tiles(DOMAIN, *places(tree))
+    assert set(tree.leaf_of.tolist()) == {0, 1, 2, 3}
 
 
 def test_children_cover_their_parent_x_fastest():
-    tree = grown(DOMAIN, 3, rounds=0)
-    parent = np.array([2])
-    x, y = tree.x[2], tree.y[2]
-    children = tree.split(parent)[0]
+    tree = LeafTable(DOMAIN, 100)
+    x, y = tree.rows.x[2], tree.rows.y[2]
+    assert divide(tree, 2)
+    children = tree.rows[[2, 4, 5, 6]]
     quarter = DOMAIN.size / 2**DOMAIN.min_level / 4.0
     expected = [(x - quarter, y - quarter), (x + quarter, y - quarter)]
     expected += [(x - quarter, y + quarter), (x + quarter, y + quarter)]
-    np.testing.assert_allclose(np.column_stack([tree.x[children], tree.y[children]]), expected)
-    assert (tree.level[children] == DOMAIN.min_level + 1).all()
+    np.testing.assert_allclose(np.column_stack([children.x, children.y]), expected)
+    assert (children.level == DOMAIN.min_level + 1).all()
 
 
 @pytest.mark.parametrize("max_cells", [4, 6, 7, 12, 40])
 def test_the_number_of_cells_is_bounded(max_cells):
-    tree = Quadtree(DOMAIN, max_cells)
-    tree.plant()
+    tree = LeafTable(DOMAIN, max_cells)
     for _ in range(8):
-        rows = np.flatnonzero(tree.level[: tree.count] < DOMAIN.max_level)
-        room = (max_cells - tree.count) // 3
-        children = tree.split(rows)
-        assert len(children) == min(len(rows), room)
-        assert tree.count <= max_cells
-    assert_tiles(DOMAIN, *(v[: tree.count] for v in (tree.level, tree.ix, tree.iy)))
+        for row in np.flatnonzero(places(tree)[0] < DOMAIN.max_level).tolist():
+            before = tree.count
+            assert divide(tree, row) == (before + 3 <= max_cells)
+            assert tree.count - before in (0, 3)
+    assert max_cells - 3 < tree.count <= max_cells
+    assert_tiles(DOMAIN, *places(tree))
 
 
 def recursive_order(domain: Domain, leaves: set[tuple[int, int, int]]) -> list:
@@ -127,25 +144,9 @@ def recursive_order(domain: Domain, leaves: set[tuple[int, int, int]]) -> list:
 @given(st.integers(0, 10_000))
 def test_morton_order_is_the_walk_of_the_tree(seed):
     tree = grown(DOMAIN, seed)
-    place = [v[: tree.count] for v in (tree.level, tree.ix, tree.iy)]
-    order = morton_order(DOMAIN, *place)
-    rows = list(zip(*(v[order].tolist() for v in place), strict=True))
+    order = tree.in_order()
+    rows = list(zip(*(v[order].tolist() for v in places(tree)), strict=True))
     assert rows == recursive_order(DOMAIN, set(rows))
-
-
-def test_morton_order_at_the_deepest_level():
-    domain = Domain(0.0, 0.0, 1.0, 0, 12)
-    x, y = np.random.default_rng(4).integers(0, 4096, (2, 300))
-    order = morton_order(domain, np.full(300, 12), x, y)
-
-    def interleaved(k: int) -> int:
-        return sum(
-            ((int(x[k]) >> b & 1) << 2 * b) | ((int(y[k]) >> b & 1) << (2 * b + 1))
-            for b in range(12)
-        )
-
-    codes = [interleaved(k) for k in order]
-    assert codes == sorted(codes)
 
 
 def test_map_raster_agrees_with_descent():
@@ -159,27 +160,72 @@ def test_map_raster_agrees_with_descent():
         assert raster[row, column] == leaf_by_descent(cells, column, row)
 
 
+def known_leaf(domain: Domain) -> LeafTable:
+    """One leaf with a steep, well-known plane."""
+    tree = LeafTable(domain, 1000)
+    leaf = tree.rows[0]
+    leaf.known, leaf.z = 3, 2.0
+    leaf.normal[:] = np.array([0.3, -0.2, 1.0]) / np.sqrt(1.13)
+    leaf.range_part[:] = np.diag([1e-4, 2e-4, 1e-3]).ravel()
+    leaf.pose_part[:] = np.diag([2e-4, 1e-4, 4e-3]).ravel()
+    return tree
+
+
 def test_inherited_planes_are_the_parents():
-    """Children see the same plane, with a covariance larger by the misfit and never smaller."""
-    domain = Domain(0.0, 0.0, 8.0, 0, 4)
-    leaves = Leaves(domain, 1000)
-    normal = np.array([[0.3, -0.2, 1.0]]) / np.sqrt(1.13)
-    part = np.diag([1e-4, 2e-4, 1e-3])[None]
-    root = np.array([0])
-    leaves.set_planes(root, normal, np.array([2.0]), np.stack([part, 2.0 * part], axis=1))
-    leaves.measured[root], leaves.misfit[root] = True, 0.01
-    leaves.divide(root)
-    assert leaves.count == 4
-    assert not leaves.measured[:4].any()
-    for k in range(4):
-        expected = (
-            2.0
-            - (normal[0, 0] * (leaves.x[k] - 4) + normal[0, 1] * (leaves.y[k] - 4)) / (normal[0, 2])
+    """Children see the same plane about their own centre: by a change of origin, no more."""
+    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
+    parent = tree.rows[0].copy()
+    assert divide(tree, 0)
+    assert tree.count == 4
+    for child in tree.rows[:4]:
+        assert child.known == 2
+        off = np.array([child.x - parent.x, child.y - parent.y, child.z - parent.z])
+        assert parent.normal @ off == pytest.approx(0.0, abs=1e-12)
+        np.testing.assert_array_equal(child.normal, parent.normal)
+        for name in ("range_part", "pose_part"):
+            expected = plane.shifted(parent[name].reshape(3, 3), parent.normal, off)
+            np.testing.assert_allclose(child[name].reshape(3, 3), expected, atol=1e-15)
+
+
+def test_misfit_makes_what_is_inherited_less_certain():
+    """As many points of such residuals as are said, spread over the child, would make it so."""
+    square, slope_points, height_points = 0.01, 5.0, 2.0
+    plain, rough = (known_leaf(Domain(0.0, 0.0, 8.0, 0, 4)) for _ in range(2))
+    plain.make_room_and_divide(0, 0.0, slope_points, height_points)
+    rough.make_room_and_divide(0, square, slope_points, height_points)
+    tilt = square / (slope_points * 4.0**2 / 12.0)
+    for one, other in zip(plain.rows[:4], rough.rows[:4], strict=True):
+        added = (other.range_part - one.range_part).reshape(3, 3)
+        np.testing.assert_allclose(
+            added, np.diag([tilt, tilt, square / height_points]), rtol=1e-9, atol=1e-15
         )
-        assert leaves.z[k] == pytest.approx(expected, abs=1e-12)
-        np.testing.assert_array_equal(leaves.normal[k], normal[0])
-        assert leaves.range_part[k, 2, 2] >= part[0, 2, 2] + 0.01 - 1e-12
-        assert np.linalg.eigvalsh(leaves.range_part[k]).min() > 0.0
+        np.testing.assert_array_equal(other.pose_part, one.pose_part)
+
+
+def test_children_begin_their_statistics_anew_and_lean_by_a_radian_at_most():
+    """However badly the parent's plane fits."""
+    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
+    leaf = tree.rows[0]
+    tilt = leaf.range_part[0]
+    leaf.feature[:], leaf.points = 1.0, 500.0
+    for name in tree.rows.dtype.names:
+        if name.endswith(("_sum", "_weight", "_noise")) or name == "residuals":
+            leaf[name] = 7.0
+    tree.make_room_and_divide(0, 1e4, 5.0, 1.0)
+    children = tree.rows[:4]
+    assert np.isnan(children.feature).all()
+    assert not children.points.any()
+    for name in tree.rows.dtype.names:
+        if name.endswith(("_sum", "_weight", "_noise")) or name == "residuals":
+            assert not children[name].any(), name
+    np.testing.assert_allclose(children.range_part[:, 0], tilt + 1.0, rtol=1e-6)
+
+
+def test_hints_are_no_plane_to_inherit():
+    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
+    tree.rows[0].known = 1
+    divide(tree, 0)
+    assert tree.rows.known[:4].tolist() == [0, 0, 0, 0]
 
 
 def test_fixed_resolution_never_divides():

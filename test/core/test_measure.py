@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the points of one scan in a cell say: optimality, covariance by Monte Carlo, invariances."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from core.builders import configured, pose_covariance, unit_vectors
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from quadtree_lss.core.geometry import rotations, sphere
+from quadtree_lss.core.mapping.measure import Rules, fit, range_variance
+
+UP = np.array([0.0, 0.0, 1.0])
+LIDAR = np.array([30.0, -20.0, 80.0])
+NO_POSE = np.zeros((6, 6))
+GRADIENT = (0.15, -0.08)
+NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
+TRIALS = 2000
+FITS = pytest.mark.parametrize("method", ["height", "ml"])
+
+
+def rules(method: str = "height", noise: float = 0.02, **mapping: object) -> Rules:
+    values = {"fit": method, **mapping}
+    return Rules(configured(mapping=values, lidar={"range_noise": noise}))
+
+
+class Found(NamedTuple):
+    """A fit in map axes: `measure` works about the lidar."""
+
+    normal: np.ndarray
+    z: float
+    range_part: np.ndarray
+    pose_part: np.ndarray
+    unseen: float
+
+    @property
+    def total(self) -> np.ndarray:
+        return self.range_part + self.pose_part
+
+
+def fitted(
+    of: Rules,
+    points: np.ndarray,
+    centre: tuple[float, float] = (0.0, 0.0),
+    side: float = 2.0,
+    sigma: np.ndarray = NO_POSE,
+    lidar: np.ndarray = LIDAR,
+    prior: np.ndarray = UP,
+) -> Found:
+    run = fit(of, points - lidar, *(np.array(centre) - lidar[:2]), side, prior, sigma)[0]
+    parts = run.range_part.reshape(3, 3), run.pose_part.reshape(3, 3)
+    return Found(run.normal, run.z + lidar[2], *parts, run.unseen)
+
+
+def look(
+    rng: np.random.Generator, per_side: int, noise: float, size: float = 2.0, lidar=LIDAR
+) -> np.ndarray:
+    """Points of the tilted plane through the origin, (N, 3), one somewhere in each of ``per_side``^2
+    squares that fill a cell: nothing of it is left out."""
+    corner = np.stack(np.meshgrid(*[np.arange(per_side)] * 2), axis=-1).reshape(-1, 2)
+    x, y = ((corner + rng.random(corner.shape)) / per_side - 0.5).T * size
+    truth = np.stack([x, y, GRADIENT[0] * x + GRADIENT[1] * y], axis=1)
+    ray = truth - lidar
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    return truth + noise * rng.standard_normal((len(x), 1)) * ray
+
+
+def assert_consistent(error: np.ndarray, covariance: np.ndarray, slack: float = 0.0) -> None:
+    """Sample against predicted covariance, entry by entry, and the mean NEES against 3.
+
+    A sample covariance of T draws errs by sqrt(2 / T) relative, NEES by sqrt(2 * 3 / T).
+    """
+    expected = covariance.mean(axis=0)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    found = error.T @ error / len(error)
+    assert (np.abs(found - expected) <= (5.0 * np.sqrt(2.0 / len(error)) + slack) * scale).all()
+    nees = np.einsum("mi,mi->m", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    assert abs(nees.mean() - 3.0) < 5.0 * np.sqrt(6.0 / len(error)) + 3.0 * slack
+
+
+def error_of(found: Found, centre: tuple[float, float]) -> np.ndarray:
+    """(3,) against the plane through the origin, about the cell's centre."""
+    return np.append(sphere.minus(found.normal, NORMAL), np.array([*centre, found.z]) @ NORMAL)
+
+
+@FITS
+@pytest.mark.parametrize(("centre", "side"), [((0.0, 0.0), 2.0), ((0.2, -0.1), 2.0)])
+def test_range_noise_covariance_against_monte_carlo(method, centre, side):
+    """Also with the cell's centre away from the points' centroid."""
+    rng = np.random.default_rng(1)
+    by = rules(method)
+    found = [fitted(by, look(rng, 6, 0.02), centre, side) for _ in range(TRIALS)]
+    assert max(np.abs(one.pose_part).max() for one in found) == 0.0
+    assert max(one.unseen for one in found) == 0.0
+    error = np.array([error_of(one, centre) for one in found])
+    # The tilt's own scatter is a relative 1/36.
+    assert_consistent(error, np.array([one.range_part for one in found]), 0.03)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 0.03], ids=["pose only", "pose and range"])
+@FITS
+def test_common_pose_error_against_monte_carlo(method, noise):
+    """Each look has a pose error of its own, common to its points: it does not average out."""
+    rng = np.random.default_rng(2)
+    sigma = pose_covariance(0.05, 1e-3)
+    sigma[0, 4] = sigma[4, 0] = 0.7 * 0.05 * 1e-3
+    by, errors, told = rules(method, noise), [], []
+    for _ in range(TRIALS):
+        error = rng.multivariate_normal(np.zeros(6), sigma)
+        seen = (look(rng, 6, noise) - LIDAR) @ rotations.exp(error[3:]).T + LIDAR + error[:3]
+        found = fitted(by, seen, (0.05, -0.05), 2.0, sigma)
+        errors.append(error_of(found, (0.05, -0.05)))
+        told.append(found.total)
+    assert_consistent(np.array(errors), np.array(told), 0.03)
+
+
+def test_independent_treatment_averages_the_pose_out():
+    """The paper's: every point as uncertain as range and pose together make it, no pose part."""
+    rng = np.random.default_rng(3)
+    sigma, points = pose_covariance(0.3, 0.0), look(rng, 6, 0.02)
+    alone = fitted(rules(covariance="independent"), points)
+    both = fitted(rules(covariance="independent"), points, sigma=sigma)
+    np.testing.assert_array_equal(both.normal, alone.normal)
+    assert not both.pose_part.any()
+    added = both.range_part[2, 2] - alone.range_part[2, 2]
+    assert added == pytest.approx(0.3**2 / 36, rel=0.1)
+
+
+def test_the_ml_fit_minimises_the_weighted_cost():
+    """Eq. 25 of one scan with its free offset (Eq. 21)."""
+    points = look(np.random.default_rng(4), 5, 0.02)
+    found = fitted(rules("ml"), points)
+
+    def cost(state: np.ndarray) -> float:
+        return float(np.sum((points @ sphere.plus(found.normal, state[:2]) - state[2]) ** 2))
+
+    start = np.array([0.01, -0.01, 0.0])
+    best = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-16})
+    np.testing.assert_allclose(best.x[:2], 0.0, atol=1e-5)
+    # The plane's height over the centre is that of the plane with the best offset.
+    assert np.array([0.0, 0.0, found.z]) @ found.normal == pytest.approx(best.x[2], abs=1e-6)
+
+
+@FITS
+def test_order_of_points_and_place_of_the_origin_do_not_matter(method):
+    rng = np.random.default_rng(7)
+    cloud, sigma, by = look(rng, 5, 0.02), pose_covariance(0.1, 1e-3), rules(method)
+    base = fitted(by, cloud, sigma=sigma)
+    shuffled = fitted(by, cloud[rng.permutation(25)], sigma=sigma)
+    shift = np.array([70.0, -30.0, 20.0])
+    shifted = fitted(by, cloud + shift, tuple(shift[:2]), sigma=sigma, lidar=LIDAR + shift)
+    assert shifted.z - shift[2] == pytest.approx(base.z, abs=1e-9)
+    assert shuffled.z == pytest.approx(base.z, abs=1e-12)
+    for other in (shuffled, shifted):
+        np.testing.assert_allclose(other.normal, base.normal, atol=1e-9)
+        np.testing.assert_allclose(other.range_part, base.range_part, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(other.pose_part, base.pose_part, atol=1e-9)
+
+
+@FITS
+def test_a_turn_about_the_vertical_turns_the_fit(method):
+    """Eq. 2's basis turns along: R_(Qn) = Q R_n Q^T for Q about z."""
+    cloud, sigma = look(np.random.default_rng(8), 5, 0.02), pose_covariance(0.1, 1e-3)
+    turn = rotations.exp(np.array([0.0, 0.0, 0.5 * np.pi]))  # keeps the cell's sides
+    centre = np.array([0.3, -0.2, 0.0])
+    by = rules(method)
+    base = fitted(by, cloud, tuple(centre[:2]), sigma=sigma)
+    turned = fitted(
+        by, cloud @ turn.T, tuple((turn @ centre)[:2]), sigma=sigma, lidar=turn @ LIDAR
+    )
+    full = np.eye(3)
+    full[:2, :2] = turn[:2, :2]
+    np.testing.assert_allclose(turned.normal, turn @ base.normal, atol=1e-9)
+    assert turned.z == pytest.approx(base.z, abs=1e-9)
+    for name in ("range_part", "pose_part"):
+        before, after = getattr(base, name), getattr(turned, name)
+        np.testing.assert_allclose(after, full @ before @ full.T, atol=1e-9 * before.max())
+
+
+def test_three_spread_points_are_met_exactly():
+    cloud = np.array([[-0.9, -0.9, 0.0], [0.9, -0.9, 0.3], [-0.9, 0.9, -0.2]])
+    for method in ("height", "ml"):
+        found = fitted(rules(method, 1e-4), cloud)
+        offset = (cloud - (0.0, 0.0, found.z)) @ found.normal
+        np.testing.assert_allclose(offset, 0.0, atol=1e-6)
+
+
+def test_where_points_tell_no_slope_the_prior_is_kept_and_called_unknown():
+    prior = np.array([0.3, 0.2, 1.0]) / np.sqrt(1.13)
+    for cloud in (np.zeros((1, 3)), np.tile([[0.3, 0.2, 0.1]], (50, 1))):
+        found = fitted(rules(), cloud, prior=prior)
+        np.testing.assert_allclose(found.normal, prior, atol=1e-9)
+        assert found.range_part[0, 0] + found.range_part[1, 1] > 1.9
+    line = np.column_stack([np.linspace(-1.0, 1.0, 50), np.zeros((50, 2))])
+    found = fitted(rules(), line, prior=prior)
+    assert found.normal[0] == pytest.approx(0.0, abs=1e-3)
+    assert found.normal[1] / found.normal[2] == pytest.approx(0.2, abs=1e-3)
+    assert found.range_part[1, 1] > 0.9
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.5])
+def test_ground_beside_a_strip_is_covered_by_the_covariance(share):
+    """Ground that leans by up to 0.1 rad more outside the strip: within 4 deviations."""
+    rng = np.random.default_rng(9)
+    for kink in (-0.1, -0.05, 0.0, 0.1):
+        for _ in range(50):
+            x = rng.uniform(-1.0, -1.0 + 2.0 * share, 200)
+            y = rng.uniform(-1.0, 1.0, 200)
+            edge = -1.0 + 2.0 * share
+            cloud = np.column_stack([x, y, 0.02 * rng.standard_normal(200)])
+            found = fitted(rules(), cloud, lidar=np.array([0.0, 0.0, 200.0]))
+            truth = kink * (0.0 - edge)
+            assert abs(found.z - truth) < 4.0 * np.sqrt(found.total[2, 2])
+        assert found.unseen == pytest.approx(1.0 - share, abs=0.1)
+
+
+@pytest.mark.parametrize("count", [5, 20, 100, 1000])
+def test_points_all_over_a_cell_leave_little_out(count):
+    """By chance; hardly ever half of it."""
+    rng = np.random.default_rng(10)
+    clouds = (np.c_[rng.uniform(-1.0, 1.0, (count, 2)), np.zeros(count)] for _ in range(500))
+    unseen = np.array([fitted(rules(), cloud).unseen for cloud in clouds])
+    assert np.mean(unseen) < 0.06
+    assert np.mean(unseen >= 0.5) < 0.02
+
+
+def test_a_diagonal_band_leaves_out_both_sides():
+    t = np.linspace(-1.0, 1.0, 400)
+    assert fitted(rules(), np.column_stack([t, t, 0.0 * t])).unseen > 0.4
+
+
+def test_noise_turns_the_fit_of_a_strip_towards_the_ray_and_that_is_told():
+    """At 45 degrees noise moves points in x as it does in z, however many there are."""
+    rng, lidar, by = np.random.default_rng(11), np.array([-300.0, 0.0, 300.0]), rules(noise=0.05)
+    for middle in (0.0, 0.9):
+        off, told = [], []
+        for _ in range(300):
+            truth = rng.uniform(-1.0, 1.0, (60, 3)) * (0.1, 1.0, 0.0) + (middle, 0.0, 0.0)
+            ray = (truth - lidar) / np.linalg.norm(truth - lidar, axis=1, keepdims=True)
+            found = fitted(by, truth + 0.05 * rng.standard_normal((60, 1)) * ray, lidar=lidar)
+            off.append(abs(sphere.minus(found.normal, UP)[0]))
+            told.append(np.sqrt(found.range_part[0, 0]))
+        assert np.mean(off) > 0.15  # it does turn
+        assert np.mean(np.array(off) < 4.0 * np.array(told)) > 0.99
+
+
+def sets_of_points() -> st.SearchStrategy[np.ndarray]:
+    """Clouds of every kind: scattered, on a line, on a wall, one point many times, very few."""
+
+    def build(kind: str, count: int, seed: int, scale: float) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        cloud = scale * rng.standard_normal((count, 3))
+        if kind == "line":
+            cloud = np.outer(cloud[:, 0], unit_vectors(rng, 1)[0])
+        elif kind == "wall":
+            cloud[:, 0] = 1e-9 * cloud[:, 0]
+        elif kind == "one place":
+            cloud = np.tile(cloud[:1], (count, 1))
+        elif kind == "two places":
+            cloud = cloud[rng.integers(0, min(2, count), count)]
+        elif kind == "vertical line":
+            cloud[:, :2] = cloud[:1, :2]
+        elif kind == "level":
+            cloud[:, 2] = 0.0
+        return cloud
+
+    kinds = ["scattered", "line", "wall", "one place", "two places", "vertical line", "level"]
+    return st.builds(
+        build,
+        st.sampled_from(kinds),
+        st.integers(1, 12),
+        st.integers(0, 10_000),
+        st.sampled_from([1e-6, 1e-2, 0.5, 100.0]),
+    )
+
+
+@settings(deadline=None, max_examples=300)
+@given(sets_of_points(), st.sampled_from(["height", "ml"]))
+def test_any_set_of_points_gives_a_sound_plane(cloud, method):
+    found = fitted(rules(method, 0.05), cloud, sigma=pose_covariance(0.1, 1e-3))
+    assert found.normal[2] > 0.0
+    assert np.linalg.norm(found.normal) == pytest.approx(1.0, abs=1e-9)
+    assert np.isfinite(found.z)
+    for part in (found.range_part, found.pose_part):
+        assert np.isfinite(part).all()
+        assert np.linalg.eigvalsh(part).min() > -1e-12 * np.abs(part).max()
+    assert np.diag(found.range_part).min() > 0.0
+
+
+def test_range_noise_grows_with_the_range_and_with_the_footprint():
+    """(s0 + s1 r)^2 + (beta r tan i)^2: against draws of a beam of that width on a slope."""
+    assert range_variance(0.05, 0.0, 0.0, 100.0, 0.3) == pytest.approx(0.05**2)
+    assert range_variance(0.05, 1e-3, 0.0, 100.0, 0.3) == pytest.approx(0.15**2)
+    rng, beta, distance, angle = np.random.default_rng(12), 1e-3, 200.0, np.radians(60.0)
+    off = beta * rng.standard_normal(200_000)
+    # The ground at angle i to the beam's axis, met a little off the axis.
+    met = distance * np.cos(angle) / np.cos(angle + off)
+    assert range_variance(0.0, 0.0, beta, distance, np.cos(angle)) == pytest.approx(
+        np.var(met), rel=0.02
+    )
+
+
+def test_a_fit_weighs_by_the_noise_at_its_range():
+    near, far = (
+        fit(
+            Rules(configured(lidar={"range_noise": 0.02, "range_noise_per_metre": 1e-3})),
+            look(np.random.default_rng(13), 7, 0.0, lidar=lidar) - lidar,
+            *(-lidar[:2]),
+            2.0,
+            NORMAL,
+            NO_POSE,
+        )[0]
+        for lidar in (np.array([0.0, 0.0, 20.0]), np.array([0.0, 0.0, 180.0]))
+    )
+    assert np.sqrt(far.variance / near.variance) == pytest.approx(0.2 / 0.04, rel=0.01)

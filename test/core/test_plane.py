@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One plane: moments, regressions, covariances and changes of origin against numeric ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from core.builders import random_covariances, unit_vectors, upward_normals
+from scipy.optimize import minimize
+
+from quadtree_lss.core.geometry import plane, rotations, sphere
+
+STEP = 1e-6
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def scatter_of(points: np.ndarray) -> np.ndarray:
+    off = points - points.mean(axis=0)
+    return off.T @ off
+
+
+def differentiated(function, size: int) -> np.ndarray:
+    """Central differences of a function of ``size`` numbers at zero."""
+    columns = [(function(STEP * e) - function(-STEP * e)) / (2.0 * STEP) for e in np.eye(size)]
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 30])
+def test_moments_are_the_plain_ones(count):
+    points = np.random.default_rng(1).standard_normal((count, 3)) + (50.0, -30.0, 400.0)
+    mean, scatter = plane.moments_of(points)
+    np.testing.assert_allclose(mean, points.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(scatter, scatter_of(points), atol=1e-11)
+
+
+def test_inverse_is_the_inverse():
+    """Also where metres and radians differ by nine orders of magnitude."""
+    rng = np.random.default_rng(2)
+    for matrix in random_covariances(rng, 50, 3, 0.3):
+        scale = np.diag(10.0 ** rng.uniform(-9.0, 0.0, 3))
+        matrix = scale @ matrix @ scale
+        np.testing.assert_allclose(plane.inverse(matrix) @ matrix, np.eye(3), atol=1e-6)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.7])
+def test_height_regression_minimises_its_cost(spread):
+    """Least squares of z on (1, x, y) with two rows more for the slope prior."""
+    rng = np.random.default_rng(4)
+    for before in upward_normals(rng, 20):
+        cloud = rng.standard_normal((40, 3)) * (1.0, 0.6, 0.3)
+        weight = np.sqrt(spread)
+        rows = np.column_stack([np.ones(40), cloud[:, :2]])
+        rows = np.vstack([rows, [[0.0, weight, 0.0], [0.0, 0.0, weight]]])
+        right = np.concatenate([cloud[:, 2], -weight * before[:2] / before[2]])
+        _, a, b = np.linalg.lstsq(rows, right, rcond=None)[0]
+        expected = np.array([-a, -b, 1.0]) / np.sqrt(1.0 + a * a + b * b)
+        found = plane.height_fit(scatter_of(cloud), before, spread)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_orthogonal_fit_minimises_the_orthogonal_residuals():
+    """The eigenvector of the least eigenvalue, reached from a height regression."""
+    rng = np.random.default_rng(5)
+    for normal in upward_normals(rng, 30, 0.9):
+        points = rng.uniform(-1.0, 1.0, (60, 2)) @ sphere.tangent_basis(normal).T
+        scatter = scatter_of(points + 0.05 * rng.standard_normal(points.shape))
+        found = plane.orthogonal_fit(scatter, plane.height_fit(scatter, UP, 0.0))
+        expected = np.linalg.eigh(scatter)[1][:, 0]
+        np.testing.assert_allclose(found, expected * np.sign(expected[2]), atol=1e-9)
+
+
+def test_orthogonal_fit_agrees_with_a_general_optimiser_on_several_scans():
+    """One free offset per scan; the weights 1 / (n' Sigma n) held at the optimum (Eq. 35)."""
+    rng = np.random.default_rng(17)
+    truth = upward_normals(rng, 1, 0.4)[0]
+    basis = sphere.tangent_basis(truth)
+    clouds = []
+    for count, offset in ((30, 0.4), (50, -0.2), (8, 0.05)):
+        flat = basis @ rng.uniform(-1.0, 1.0, (2, count))
+        clouds.append((flat + truth[:, None] * offset + 0.02 * rng.standard_normal(flat.shape)).T)
+    weights = np.array([400.0, 900.0, 100.0])
+
+    def cost(state: np.ndarray) -> float:
+        n = sphere.plus(truth, state[:2])
+        return 0.5 * sum(
+            w * np.sum((cloud @ n - gamma) ** 2)
+            for w, cloud, gamma in zip(weights, clouds, state[2:], strict=True)
+        )
+
+    best = minimize(cost, np.zeros(5), method="BFGS", options={"gtol": 1e-10})
+    scatter = sum(w * scatter_of(cloud) for w, cloud in zip(weights, clouds, strict=True))
+    found = plane.orthogonal_fit(scatter, plane.height_fit(scatter, UP, 0.0))
+    np.testing.assert_allclose(found, sphere.plus(truth, best.x[:2]), atol=1e-7)
+
+
+def test_upward_keeps_the_plane_and_stays_off_the_horizon():
+    steepest = 0.05
+    for n in np.vstack([np.eye(3), -np.eye(3), unit_vectors(np.random.default_rng(6), 100)]):
+        up = plane.upward(n)
+        assert up[2] >= steepest - 1e-15
+        assert np.linalg.norm(up) == pytest.approx(1.0, abs=1e-12)
+        if abs(n[2]) >= steepest:
+            assert abs(n @ up) == pytest.approx(1.0, abs=1e-12)
+        else:
+            assert abs(n @ up) > 1.0 - steepest**2  # tilted by its arcsine at most
+
+
+def test_slope_covariance_is_the_inverse_hessian():
+    """Of the cost sum (n.(r - mean))^2 / (2 sigma^2) over dphi, by differences of the cost."""
+    rng = np.random.default_rng(7)
+    sigma, h = 0.05, 1e-3
+    for normal in upward_normals(rng, 10, 1.0):
+        off = rng.uniform(-1.0, 1.0, (80, 2)) @ sphere.tangent_basis(normal).T
+        off -= off.mean(axis=0)
+
+        def cost(phi: np.ndarray, off=off, normal=normal) -> float:
+            return 0.5 * float(np.sum((off @ sphere.plus(normal, phi)) ** 2)) / sigma**2
+
+        hessian = [
+            [(cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b)) / (4.0 * h * h) for b in axes]
+            for axes in [h * np.eye(2)]
+            for a in axes
+        ]
+        found = plane.slope_part(off.T @ off, normal, sigma**2)
+        # h^2 relative, and the one rad^2 that bounds what is not known.
+        np.testing.assert_allclose(found @ hessian, np.eye(2), atol=1e-3)
+
+
+def test_a_direction_that_no_point_tells_is_uncertain_by_a_radian():
+    line = np.outer(np.linspace(-1.0, 1.0, 50), (1.0, 0.0, 0.0))
+    found = plane.slope_part(scatter_of(line), UP, 0.01**2)
+    assert found[0, 0] < 1e-5
+    assert found[1, 1] == pytest.approx(1.0)
+    tilted = plane.slope_part(scatter_of(line), UP, 0.01**2, 0.04)
+    np.testing.assert_allclose(tilted, found + 0.04 * np.eye(2))
+
+
+def test_error_about_another_place_is_that_of_the_plane_through_the_centroid():
+    """dd = dd_0 + lever.dphi: by differences of the plane's offset over the new origin."""
+    rng = np.random.default_rng(8)
+    for normal in upward_normals(rng, 10):
+        slope = random_covariances(rng, 1, 2, 0.02)[0]
+        arm = rng.standard_normal(3)  # centroid minus origin
+        change = differentiated(lambda e, n=normal, arm=arm: sphere.plus(n, e) @ arm, 2)
+        jacobian = np.block([[np.eye(2), np.zeros((2, 1))], [change, np.ones((1, 1))]])
+        before = np.block([[slope, np.zeros((2, 1))], [np.zeros((1, 2)), np.array([[1e-4]])]])
+        found = plane.range_part_about(slope, 1e-4, sphere.tangent_basis(normal).T @ arm)
+        np.testing.assert_allclose(found, jacobian @ before @ jacobian.T, atol=1e-9)
+
+
+def test_shift_of_origin_maps_errors_as_differentiation_does():
+    rng = np.random.default_rng(9)
+    for normal in upward_normals(rng, 20, 1.2):
+        delta = 30.0 * unit_vectors(rng, 1)[0]
+
+        def after(error, normal=normal, delta=delta):
+            n = sphere.plus(normal, error[:2])
+            return np.append(sphere.minus(n, normal), error[2] - (n - normal) @ delta)
+
+        covariance = random_covariances(rng, 1, 3, 0.05)[0]
+        change = differentiated(after, 3)
+        np.testing.assert_allclose(
+            plane.shifted(covariance, normal, delta),
+            change @ covariance @ change.T,
+            rtol=1e-6,
+            atol=1e-6,
+        )
+
+
+def test_there_and_back_changes_nothing():
+    rng = np.random.default_rng(10)
+    for normal in upward_normals(rng, 20):
+        delta, covariance = 100.0 * unit_vectors(rng, 1)[0], random_covariances(rng, 1, 3, 0.05)[0]
+        back = plane.shifted(plane.shifted(covariance, normal, delta), normal, -delta)
+        np.testing.assert_allclose(back, covariance, atol=1e-10)
+
+
+def test_pose_part_is_the_covariance_of_a_rigid_motion():
+    """Its Jacobian by differences of a plane that is moved as a whole about the lidar."""
+    rng = np.random.default_rng(14)
+    for normal in upward_normals(rng, 20):
+        arm, sigma = 50.0 * rng.standard_normal(3), random_covariances(rng, 1, 6, 0.01)[0]
+
+        def moved(error, normal=normal, arm=arm):
+            turn = rotations.exp(error[3:])
+            n = turn @ normal
+            return np.append(sphere.minus(n, normal), n @ (turn @ arm + error[:3] - arm))
+
+        jacobian = differentiated(moved, 6)
+        expected = jacobian @ sigma @ jacobian.T
+        np.testing.assert_allclose(
+            plane.pose_part_of(normal, arm, sigma), expected, rtol=1e-5, atol=1e-8
+        )
