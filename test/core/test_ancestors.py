@@ -40,7 +40,8 @@ def test_fused_planes_are_those_of_a_direct_fit(level):
     np.testing.assert_allclose(fused.x, direct.x[order])
     np.testing.assert_allclose(fused.y, direct.y[order])
     sigma = np.sqrt(np.einsum("mii->mi", direct.covariance_range[order]))
-    tilt = np.abs(sphere.minus(fused.normal, direct.normal[order]))
+    pairs = zip(fused.normal, direct.normal[order], strict=True)
+    tilt = np.abs([sphere.minus(one, other) for one, other in pairs])
     # Bins move by the noise across the ray, and small leaves' own tilt weights: second order.
     assert (tilt < 0.2 * sigma[:, :2]).all()
     assert (np.abs(fused.z - direct.z[order]) < 0.2 * sigma[:, 2]).all()

@@ -31,6 +31,7 @@ from quadtree_lss.core.sensing.register import RegisteredScan, register
 
 GROUND = slope(0.12, -0.07, 30.0)
 NOISE = 0.05
+LIDAR = configured(lidar={"range_noise": NOISE}).lidar
 
 
 def registered(mapper: Mapper, points: np.ndarray, pose: lidar.Pose) -> RegisteredScan:
@@ -45,6 +46,7 @@ def one_more_scan(
         domain={"min_level": 1, "max_level": 1},
         lidar={"range_noise": NOISE},
         mapping={"covariance": treatment},
+        pose={"correlation_time": 0.0},
     )
     rng = np.random.default_rng(1)
     counts = Counts()
@@ -57,7 +59,7 @@ def one_more_scan(
             pose = make_pose((60.0, -40.0 + 30.0 * k, 300.0), claimed, k)
             if k == 2:
                 counts += prefit_statistics(
-                    mapper.leaves, registered(mapper, points, pose), NOISE
+                    mapper.snapshot(), registered(mapper, points, pose), config.lidar
                 ).counts()
             mapper.update(points, pose)
     return counts
@@ -114,18 +116,18 @@ def test_statistics_are_those_of_equations_17_46_and_61():
     mapper.update(scan(GROUND, x, y, pose, NOISE, rng), pose)
     x, y = scattered(rng, 0.0, 0.0, 16.0, 50)
     seen = registered(mapper, scan(GROUND, x, y, pose, NOISE, rng), pose)
-    found = prefit_statistics(mapper.leaves, seen, NOISE)
-    leaves = mapper.leaves
+    cells = mapper.snapshot()
+    found = prefit_statistics(cells, seen, LIDAR)
     sigma = lidar.point_covariances(seen.points + seen.origin, pose, NOISE)
     for k, (i, row) in enumerate(zip(found.point, found.row, strict=True)):
-        n = leaves.normal[row]
-        arm = seen.origin + seen.points[i] - (leaves.x[row], leaves.y[row], leaves.z[row])
+        n = cells.normal[row]
+        arm = seen.origin + seen.points[i] - (cells.x[row], cells.y[row], cells.z[row])
         ray = seen.points[i] / np.linalg.norm(seen.points[i])
         residual = n @ arm
         # The predicted point moves along its ray: d r / d(dphi, dd) = u / (n.u) a.
         a = np.r_[sphere.tangent_basis(n).T @ arm, -1.0]
         jacobian = np.outer(ray, a) / (n @ ray)
-        plane = leaves.range_part[row] + leaves.pose_part[row]
+        plane = cells.covariance[row]
         total = sigma[i] + jacobian @ plane @ jacobian.T
         vector = residual / (n @ ray) * ray
         assert found.residual[k] == pytest.approx(residual)
@@ -142,18 +144,19 @@ def test_only_points_of_measured_leaves_are_compared():
     rng = np.random.default_rng(4)
     x, y = scattered(rng, 0.0, 0.0, 16.0, 600)
     everywhere = registered(mapper, scan(flat(), x, y, pose, NOISE, rng), pose)
-    nothing = prefit_statistics(mapper.leaves, everywhere, NOISE)
+    nothing = prefit_statistics(mapper.snapshot(), everywhere, LIDAR)
     assert len(nothing.residual) == 0
     assert nothing.counts() == Counts()
     assert np.isnan(nothing.counts().one_degree).all()
     half = x < 8.0
     mapper.update(scan(flat(), x[half], y[half], pose, NOISE, rng), pose)
-    before = mapper.leaves.z.copy()
-    found = prefit_statistics(mapper.leaves, everywhere, NOISE)
-    assert mapper.leaves.measured[found.row].all()
+    cells = mapper.snapshot()
+    before = cells.z.copy()
+    found = prefit_statistics(cells, everywhere, LIDAR)
+    assert cells.measured[found.row].all()
     assert (everywhere.points[found.point, 0] + everywhere.origin[0] < 8.0).all()
     assert len(found.residual) == np.count_nonzero(half)
-    np.testing.assert_array_equal(mapper.leaves.z, before)
+    np.testing.assert_array_equal(cells.z, before)
 
 
 def test_counts_add_up():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cells that get one or two points a scan: stored until they make a plane, heights after that."""
+"""Cells that get one or two points a scan: hints until they tell a plane, heights after that."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from core.builders import (
     configured,
     flat,
     lattice,
+    leaf_at,
     make_pose,
+    mapped,
+    plane_errors,
     pose_covariance,
     scan,
     scattered,
@@ -25,9 +28,90 @@ ABOVE = (8.0, 8.0, 500.0)
 TWO = np.array([1.0, 3.0])
 
 
-def test_stored_points_go_up_with_the_map():
+def test_two_points_of_a_cell_are_kept_and_no_estimate():
+    mapper = Mapper(configured(domain={"min_level": 2, "max_level": 3}))
+    pose = make_pose(ABOVE)
+    report = mapper.update(scan(flat(), TWO, TWO, pose, 0.0), pose)
+    assert report.points_used == 2
+    cells = mapper.snapshot()
+    assert not cells.estimated.any()
+    assert np.count_nonzero(cells.observed) == 2
+    assert leaf_at(mapper, 2.0, 2.0).points == 2
+
+
+@pytest.mark.parametrize("fit", ["height", "ml"])
+def test_two_points_a_scan_make_a_plane_in_time(fit):
+    """Never a fit by themselves; a few scans together tell slope and height."""
+    ground, gradient = slope(0.12, -0.07, 30.0), np.array([-0.12, 0.07, 1.0])
+    config = configured(domain=FINEST_1M, lidar={"range_noise": 0.01}, mapping={"fit": fit})
+    rng, mapper = np.random.default_rng(4), Mapper(config)
+    corner_x, corner_y = (v.ravel() for v in np.meshgrid(np.arange(16.0), np.arange(16.0)))
+    for k in range(12):
+        pose = make_pose(ABOVE, stamp_ns=k + 1)
+        first, second = rng.random((2, 2, 256))
+        x = np.concatenate([corner_x + first[0], corner_x + second[0]])
+        y = np.concatenate([corner_y + first[1], corner_y + second[1]])
+        mapper.update(scan(ground, x, y, pose, 0.01, rng), pose)
+        if k == 0:
+            assert not mapper.snapshot().measured.any()
+    cells = mapper.snapshot()
+    assert np.mean(cells.measured) > 0.95
+    error = plane_errors(cells, gradient / np.linalg.norm(gradient), ground)[cells.measured]
+    assert np.median(np.abs(error)) < 0.03
+    chi = np.einsum("mi,mij,mj->m", error, np.linalg.inv(cells.covariance[cells.measured]), error)
+    assert np.median(chi) < 2.0 * 2.37  # the median of a chi-square of three degrees is 2.37
+
+
+def test_points_on_a_line_tell_no_plane_however_many():
+    config = configured(domain=CELLS_4M, lidar={"range_noise": 0.05})
+    rng, mapper = np.random.default_rng(1), Mapper(config)
+    for k in range(20):
+        t = 4.0 * rng.random(50)
+        pose = make_pose(ABOVE, stamp_ns=k + 1)
+        mapper.update(scan(flat(), t, t, pose, 0.05, rng), pose)
+    assert not mapper.snapshot().measured.any()
+    # Off the line.
+    x, y = scattered(rng, 0.0, 0.0, 4.0, 20)
+    mapper.update(scan(flat(), x, y, pose, 0.05, rng), pose)
+    assert leaf_at(mapper, 2.0, 2.0).z == pytest.approx(0.0, abs=0.05)
+    assert mapper.snapshot().measured.sum() == 1
+
+
+def test_a_leaf_waits_for_the_points_that_are_asked_for():
+    config = configured(domain=CELLS_4M, mapping={"min_points": 12})
+    rng, mapper = np.random.default_rng(2), Mapper(config)
+    for k, measured in enumerate((False, False, True)):
+        x, y = lattice(0.0, 0.0, 4.0, 2)
+        pose = make_pose(ABOVE, stamp_ns=k + 1)
+        mapper.update(scan(flat(), x, y, pose, 0.05, rng), pose)
+        assert mapper.snapshot().measured.any() == measured
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_strip_first_does_not_starve_a_steep_cell(seed):
+    """1 m cells at 45 degrees: points of a strip, again and again, then three good scans."""
+    ground = slope(1.0, 0.0)
+    config = configured(domain=FINEST_1M, lidar={"range_noise": 0.05})
+    rng, mapper = np.random.default_rng(seed), Mapper(config)
+    for k in range(32):
+        pose = make_pose(ABOVE, stamp_ns=k + 1)
+        x, y = np.array([8.0 + 0.05 * rng.random()]), np.array([8.0 + rng.random()])
+        mapper.update(scan(ground, x, y, pose, 0.05, rng), pose)
+    for k in range(3):
+        pose = make_pose(ABOVE, stamp_ns=100 + k)
+        x, y = scattered(rng, 8.0, 8.0, 1.0, 40)
+        mapper.update(scan(ground, x, y, pose, 0.05, rng), pose)
+    leaf = leaf_at(mapper, 8.5, 8.5)
+    assert leaf.known == 3
+    assert leaf.z == pytest.approx(8.5, abs=0.1)
+    assert -leaf.normal[0] / leaf.normal[2] == pytest.approx(1.0, abs=0.1)
+
+
+def test_hints_go_up_with_the_map():
     """Two scans in three are 0.4 m too high; the corner's cell gets two points of each."""
-    config = configured(domain=FINEST_1M, lidar={"range_noise": 0.01})
+    config = configured(
+        domain=FINEST_1M, lidar={"range_noise": 0.01}, pose={"correlation_time": 0.0}
+    )
     rng, mapper = np.random.default_rng(1), Mapper(config)
     estimate = make_pose(ABOVE, pose_covariance(0.3, 1e-9))
     for number, error in enumerate((0.0, 0.4, 0.4)):
@@ -38,15 +122,14 @@ def test_stored_points_go_up_with_the_map():
         position = estimate.position - (0.0, 0.0, error)
         true = Pose(1, position, estimate.rotation_map_lidar, estimate.covariance)
         mapper.update(scan(flat(), x, y, true, 0.01, rng), estimate)
-        cells = mapper.snapshot()
-        corner = np.flatnonzero((cells.ix == 0) & (cells.iy == 0))[0]
-        assert cells.measured[corner] == (number == 2)
-    assert cells.count[corner] == 6
-    assert cells.z[corner] == pytest.approx(np.median(cells.z), abs=0.03)
+    assert leaf_at(mapper, 0.5, 0.5).points == 6
+    middle = np.median(mapper.snapshot().z)
+    assert middle == pytest.approx(0.8 / 3.0, abs=0.05)
+    assert leaf_at(mapper, 0.5, 0.5).z == pytest.approx(middle, abs=0.05)
 
 
-def test_stored_points_far_from_the_frames_origin():
-    """Two points a cell and scan, fitted together: 20 km away the same."""
+def test_few_points_far_from_the_frames_origin():
+    """Two points a cell and scan: 20 km away the same."""
     maps = []
     for at in (np.zeros(3), np.array([20_000.0, -20_000.0, 3_000.0])):
         config = configured(
@@ -67,18 +150,16 @@ def test_stored_points_far_from_the_frames_origin():
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-3, atol=1e-9)
 
 
-def test_two_points_more_are_counted_and_weigh_two():
+def test_two_points_more_are_counted_and_weigh_no_more_than_two():
     config = configured(domain=CELLS_4M, lidar={"range_noise": 0.05})
-    rng, pose, mapper = np.random.default_rng(3), make_pose(ABOVE), Mapper(config)
-    x, y = lattice(0.0, 0.0, 4.0, 5)
-    mapper.update(scan(flat(), x, y, pose, 0.05, rng), pose)
-    before = mapper.snapshot()
+    mapper = mapped(config, flat(), density=2.0, scans=1)
+    before = leaf_at(mapper, 2.0, 2.0).copy()
+    pose = make_pose(ABOVE, stamp_ns=5)
     mapper.update(scan(flat(), TWO, TWO, pose, 0.0), pose)
-    after = mapper.snapshot()
-    (cell,) = np.flatnonzero(before.measured)
-    assert after.count[cell] == before.count[cell] + 2
-    own, two = before.covariance_range[cell, 2, 2], 0.05**2 / 2.0
-    assert after.covariance_range[cell, 2, 2] == pytest.approx(own * two / (own + two), rel=0.02)
+    after = leaf_at(mapper, 2.0, 2.0)
+    assert after.points == before.points + 2
+    own, two = before.range_part[8], 0.05**2 / 2.0
+    assert own * two / (own + two) * 0.98 < after.range_part[8] < own
 
 
 def test_two_points_more_keep_the_papers_treatment():

@@ -37,6 +37,7 @@ def estimates(case: str, fit: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         domain={"size": 4.0, "min_level": 1, "max_level": 1},
         lidar={"range_noise": noise},
         mapping={"fit": fit},
+        pose={"correlation_time": 0.0},
     )
     rng = np.random.default_rng(7)
     found: dict[str, list] = {"leaf": [], "parent": []}

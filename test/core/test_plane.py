@@ -122,15 +122,15 @@ def test_slope_covariance_is_the_inverse_hessian():
             for a in axes
         ]
         found = plane.slope_part(off.T @ off, normal, sigma**2)
-        # h^2 relative, and the one rad^2 that bounds what is not known.
+        # h^2 relative.
         np.testing.assert_allclose(found @ hessian, np.eye(2), atol=1e-3)
 
 
-def test_a_direction_that_no_point_tells_is_uncertain_by_a_radian():
+def test_a_direction_that_no_point_tells_is_not_known():
     line = np.outer(np.linspace(-1.0, 1.0, 50), (1.0, 0.0, 0.0))
     found = plane.slope_part(scatter_of(line), UP, 0.01**2)
     assert found[0, 0] < 1e-5
-    assert found[1, 1] == pytest.approx(1.0)
+    assert found[1, 1] > 100.0
     tilted = plane.slope_part(scatter_of(line), UP, 0.01**2, 0.04)
     np.testing.assert_allclose(tilted, found + 0.04 * np.eye(2))
 

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
 MIN_UP = cython.declare(cython.double, 0.05)
+#: Information on a slope that a fit has at least, rad^-2.
+LEAST = cython.declare(cython.double, 1e-3)
 
 
 def multiply(a: Vector, b: Vector, out: Vector) -> None:
@@ -229,8 +231,8 @@ def slope_covariance(
     """Covariance (4) of dphi: the phi block of H^-1 (Eq. 35), and ``tilt`` rad^2 on either axis.
 
     H = M S_xy M^T / variance with M = I + kappa kappa^T / (lambda (1 + lambda)), which takes steps
-    in x and y to steps along the plane in its tangent basis. A direction that the points do not
-    tell has a variance of one rad^2.
+    in x and y to steps along the plane in its tangent basis. To a direction that the points do not
+    tell belongs `LEAST`, so little that many scans of one line do not add up to a slope.
     """
     share = 1.0 / (normal[2] * (1.0 + normal[2]))
     m00 = 1.0 + share * normal[0] * normal[0]
@@ -240,9 +242,9 @@ def slope_covariance(
     x1 = m00 * scatter[1] + m01 * scatter[3]
     y0 = m01 * scatter[0] + m11 * scatter[1]
     y1 = m01 * scatter[1] + m11 * scatter[3]
-    h00 = (x0 * m00 + x1 * m01) / variance + 1.0
+    h00 = (x0 * m00 + x1 * m01) / variance + LEAST
     h01 = (x0 * m01 + x1 * m11) / variance
-    h11 = (y0 * m01 + y1 * m11) / variance + 1.0
+    h11 = (y0 * m01 + y1 * m11) / variance + LEAST
     share = 1.0 / (h00 * h11 - h01 * h01)
     out[0] = share * h11 + tilt
     out[1] = out[2] = -share * h01

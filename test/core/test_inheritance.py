@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What children inherit: a leaf that divides does not forget what earlier scans said of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from core.builders import (
+    EXACT,
+    configured,
+    elevation,
+    flat,
+    lattice,
+    leaf_at,
+    make_pose,
+    mapped,
+    pose_covariance,
+    scan,
+    scattered,
+    slope,
+)
+
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
+
+INDEPENDENT = {"correlation_time": 0.0}
+
+
+def block(x, y):
+    """Level ground with one block of half a metre."""
+    return np.where((np.abs(x - 5.0) < 0.5) & (np.abs(y - 5.0) < 0.5), 0.5, 0.0)
+
+
+def seen_from(mapper, surface, x, y, estimate: Pose, rise: float, rng) -> None:
+    """One scan whose estimated pose is ``rise`` too high: so is all the ground it shows."""
+    true = Pose(
+        estimate.stamp_ns,
+        estimate.position - (0.0, 0.0, rise),
+        estimate.rotation_map_lidar,
+        estimate.covariance,
+    )
+    mapper.update(scan(surface, x, y, true, 0.02, rng), estimate)
+
+
+def test_children_keep_the_mean_height_of_all_scans():
+    config = configured(lidar={"range_noise": 0.02}, pose=INDEPENDENT)
+    mapper, rng = Mapper(config), np.random.default_rng(2)
+    pose = make_pose((8.0, 8.0, 500.0), pose_covariance(0.1, 1e-9))
+    for rise in (0.1, 0.1, 0.1):
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 8000)
+        seen_from(mapper, flat(), x, y, pose, rise, rng)
+    leaves = mapper.leaves.count
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 8000)
+    seen_from(mapper, block, x, y, pose, -0.2, rng)
+    cells = mapper.snapshot()
+    assert len(cells.level) > leaves
+    divided = cells.measured & (cells.level > config.domain.min_level)
+    beside = np.maximum(np.abs(cells.x - 5.0), np.abs(cells.y - 5.0)) > 0.5 + 0.5 * cells.size
+    # Four scans of equal covariance: (3 * 0.1 - 0.2) / 4, not the -0.2 of the scan that divides.
+    # The block, which only that scan saw, lifts its fit of the 4 m leaf by 0.5 m / 16.
+    np.testing.assert_allclose(np.median(cells.z[divided & beside]), 0.025, atol=0.04)
+
+
+@pytest.mark.parametrize("correlation_time", [0.0, 300.0])
+def test_children_keep_the_pose_part_of_all_scans(correlation_time):
+    config = configured(
+        lidar={"range_noise": 0.02},
+        pose={"correlation_time": correlation_time},
+    )
+    mapper, rng = Mapper(config), np.random.default_rng(2)
+    pose = make_pose((8.0, 8.0, 500.0), pose_covariance(0.1, 1e-9))
+    for surface in (flat(), flat(), flat(), block):
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 8000)
+        seen_from(mapper, surface, x, y, pose, 0.0, rng)
+    cells = mapper.snapshot()
+    divided = cells.measured & (cells.level > config.domain.min_level)
+    assert divided.any()
+    # Four scans of 0.1 m each: 0.01 m^2 / 4, not the 0.01 m^2 of the scan that divides; of one
+    # error that lasts, 0.01 m^2.
+    expected = 0.01 if correlation_time else 0.0025
+    np.testing.assert_allclose(cells.covariance_pose[divided, 2, 2], expected, rtol=0.3)
+
+
+def test_a_first_scan_is_all_there_is_to_remember():
+    config = configured(lidar={"range_noise": 0.02})
+    mapper, rng = Mapper(config), np.random.default_rng(3)
+    pose = make_pose((8.0, 8.0, 500.0), pose_covariance(0.1, 1e-9))
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 8000)
+    seen_from(mapper, block, x, y, pose, -0.2, rng)
+    cells = mapper.snapshot()
+    assert np.median(cells.z[cells.measured]) == pytest.approx(-0.2, abs=0.01)
+
+
+def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
+    """What divides them is elsewhere: nothing of the slope is forgotten."""
+    config = configured(
+        domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.02}
+    )
+    mapper = mapped(config, slope(0.2, -0.1), density=60.0, scans=4)
+    for row in range(16):
+        mapper.leaves.make_room_and_divide(row, 0.02**2, 5.0, 1.0)
+    cells = mapper.snapshot()
+    assert cells.estimated.all() and not cells.measured.any()
+    x, y = lattice(0.0, 0.0, 16.0, 40)
+    np.testing.assert_allclose(elevation(cells, x, y), 0.2 * x - 0.1 * y, atol=0.01)
+    assert np.sqrt(cells.covariance[:, 2, 2]).max() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("x0", "width"), [(4.0, 0.39), (7.8, 0.2), (4.0, 1.5)])
+def test_a_strip_does_not_spoil_a_leaf_that_is_well_known(seed, x0, width):
+    """Smooth ground of one curvature, 4 m leaves known from three views; then a strip along the
+    edge is seen, where the plane is wrong: no measured leaf is four deviations and 0.1 m off."""
+
+    def ground(x, y):
+        return 0.03 * (x - 6.0) ** 2 + 0.02 * (y - 6.0) ** 2
+
+    config = configured(lidar={"range_noise": 0.05})
+    rng, mapper = np.random.default_rng(seed), Mapper(config)
+    for k in range(3):
+        pose = make_pose((8.0, 8.0, 500.0), stamp_ns=1 + k)
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 16_000)
+        mapper.update(scan(ground, x, y, pose, 0.05, rng), pose)
+    before = mapper.snapshot()
+    for k in range(3):
+        pose = make_pose((-200.0, 8.0, 300.0), stamp_ns=10 + k)
+        x, y = x0 + width * rng.random(60), 4.0 + 4.0 * rng.random(60)
+        mapper.update(scan(ground, x, y, pose, 0.05, rng), pose)
+    for cells in (before, mapper.snapshot()):
+        side = 0.5 * cells.size
+        # The mean of the ground over a cell.
+        truth = ground(cells.x, cells.y) + (0.03 + 0.02) * side**2 / 3.0
+        off = np.abs(cells.z - truth)
+        far = 4.0 * np.sqrt(cells.covariance[:, 2, 2]) / cells.normal[:, 2]
+        assert (off < np.maximum(far, 0.1))[cells.measured].all()
+
+
+@pytest.mark.parametrize("part", ["strip", "corner"])
+def test_a_part_of_a_known_leaf_moves_its_middle_by_no_more_than_its_points(part):
+    """200 points 0.3 m high in a tenth of a leaf that is known from 3,000."""
+    config = configured(domain={"min_level": 2, "max_level": 2}, lidar={"range_noise": 0.05})
+    mapper, rng = mapped(config, flat(), density=60.0, scans=3), np.random.default_rng(5)
+    before = leaf_at(mapper, 6.0, 6.0).copy()
+    x = 4.0 + 0.4 * rng.random(200)
+    y = 4.0 + (0.4 if part == "corner" else 4.0) * rng.random(200)
+    pose = make_pose((8.0, 8.0, 500.0), EXACT, 10)
+    mapper.update(scan(flat(0.3), x, y, pose, 0.05, rng), pose)
+    after = leaf_at(mapper, 6.0, 6.0)
+    assert abs(after.z - before.z) < 0.3 * 200.0 / after.points
+
+
+def test_later_points_mend_what_a_child_inherited():
+    """A child that inherits 0.7 m too low from a rough parent comes to lie where it is seen."""
+    config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.05})
+    mapper, rng = mapped(config, flat(-0.7), density=60.0, scans=2), np.random.default_rng(6)
+    for row in range(16):
+        mapper.leaves.make_room_and_divide(row, 0.3**2, 5.0, 1.0)
+    for k in range(3):
+        pose = make_pose(stamp_ns=10 + k)
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 64 * 40)
+        mapper.update(scan(flat(), x, y, pose, 0.05, rng), pose)
+    cells = mapper.snapshot()
+    assert cells.measured.all()
+    assert np.abs(cells.z).max() < 0.06
