@@ -28,6 +28,8 @@ HUBER = 2.0
 MODEL_VARIANCE = 0.02**2
 #: Variance of the measured offset that more cells do not make smaller, m^2.
 FLOOR = 0.04**2
+#: An offset of so many deviations is a jump of the pose's error.
+JUMP = 3.0
 #: What a single scan counts as, s.
 INSTANT = cython.declare(cython.double, 1e-3)
 #: Cells seen before that a scan needs to be moved.
@@ -61,7 +63,8 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     lifted, b = e_scan - e_map + noise is of variance
     S + M + R, so that S / (S + M + R) of it is expected to be the scan's error and
     M / (S + M + R) the map's. Either is bounded by what it claims: a scan of a hopeless pose comes
-    to lie on the map, one of an exact pose moves it, and errors that persist stay as they are.
+    to lie on the map, one of an exact pose moves it, and errors that persist stay as they are. An
+    offset that is out of proportion to the news shows a jump: then all error is news.
 
     Args:
         cells: (6, M) of `ScanUpdate.compare`.
@@ -82,7 +85,10 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     news = 1.0
     if correlation_time > 0.0:
         news -= math.exp(-abs(now - until) / correlation_time)
-    share = height * news / (news * (of_scan + of_map) + 1.0 / total + FLOOR)
+    noise = 1.0 / total + FLOOR
+    if height * height > JUMP**2 * (news * (of_scan + of_map) + noise):
+        news = 1.0
+    share = height * news / (news * (of_scan + of_map) + noise)
     return Offset(height, share * of_scan, share * of_map, since)
 
 
