@@ -465,7 +465,9 @@ def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
 
 
 def fused(
-    prior: tuple[Array, float, Array, Array], other: tuple[Array, float, Array, Array], common: float
+    prior: tuple[Array, float, Array, Array],
+    other: tuple[Array, float, Array, Array],
+    common: float,
 ) -> tuple[Array, float, Array, Array]:
     """`fuse` of two planes over one place: normal (3,), height, m, range and pose part (3, 3)."""
     prior_normal: cython.double[3] = prior[0]  # type: ignore[valid-type]
@@ -475,9 +477,7 @@ def fused(
     range_1: cython.double[9] = other[2].ravel()  # type: ignore[valid-type]
     pose_1: cython.double[9] = other[3].ravel()  # type: ignore[valid-type]
     rise = cython.declare(cython.double[1])
-    fuse(
-        prior_normal, prior[1] - other[1], range_0, pose_0, normal, range_1, pose_1, common, rise
-    )
+    fuse(prior_normal, prior[1] - other[1], range_0, pose_0, normal, range_1, pose_1, common, rise)
     parts = (np.array(range_0).reshape(3, 3), np.array(pose_0).reshape(3, 3))
     return np.array(normal), other[1] + rise[0], *parts
 

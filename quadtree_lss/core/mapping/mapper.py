@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.feature import as_boulder
 from quadtree_lss.core.mapping.alignment import Offset, lift, offset_of
-from quadtree_lss.core.mapping.measure import Rules
+from quadtree_lss.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS
@@ -156,7 +156,10 @@ class Mapper:
 
     def snapshot(self) -> CellMap:
         """The map as it stands; copies, so that later scans do not change it."""
-        leaves = self.leaves.rows[self.leaves.in_order()]
+        rows = self.leaves.in_order()
+        leaves = self.leaves.rows[rows]
+        unseen = np.empty((len(rows), 9))
+        unseen_parts(self.leaves, rows, unseen)
         known = leaves["known"] >= INHERITED
         measured = leaves["known"] == MEASURED
         n = self.domain.finest_count
@@ -175,7 +178,7 @@ class Mapper:
             iy=leaves["iy"].astype(np.uint32),
             z=leaves["z"] + unknown,
             normal=leaves["normal"] + unknown[:, None],
-            covariance_range=_matrices(leaves["range_part"] + unknown[:, None]),
+            covariance_range=_matrices(leaves["range_part"] + unseen + unknown[:, None]),
             covariance_pose=_matrices(leaves["pose_part"] + unknown[:, None]),
             count=leaves["points"].astype(np.uint32),
             measured=measured,

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport fabs, fmax, fmin, hypot, sqrt
+from libc.math cimport fabs, fmax, fmin, sqrt
 from quadtree_lss.core.geometry.plane cimport (
     covariance_about, height_normal, moments, orthogonal_normal, pose_part, slope_covariance
 )
 from quadtree_lss.core.geometry.sphere cimport basis_at
+
+from quadtree_lss.core.tree.leaves cimport Leaf, LeafTable
+from quadtree_lss.core.tree.morton cimport encode, squeeze
 
 cdef struct Run:
     double points
@@ -35,3 +38,4 @@ cpdef double range_variance(double noise, double per_metre, double divergence, d
 cdef double pose_variance(double* normal, double* arm, double[:, ::1] sigma) noexcept nogil
 cdef double _unseen(double offset, double square, double correlation, double side, double points) noexcept nogil
 cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double* prior, double[:, ::1] sigma, Run[::1] runs, Py_ssize_t at) noexcept nogil
+cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

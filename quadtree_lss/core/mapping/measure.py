@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.sphere import Vector
+from quadtree_lss.core.tree.leaves import LeafTable
 
 if not cython.compiled:
-    from math import fabs, hypot, sqrt
+    from math import fabs, sqrt
 
     from quadtree_lss.core.geometry.plane import (
         covariance_about,
@@ -22,10 +23,12 @@ if not cython.compiled:
         slope_covariance,
     )
     from quadtree_lss.core.geometry.sphere import basis_at
+    from quadtree_lss.core.tree.morton import encode, squeeze
 
     fmax, fmin = max, min
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 #: |n.u| is taken to be at least this (grazing incidence).
 MIN_COSINE = cython.declare(cython.double, 0.05)
@@ -34,6 +37,8 @@ MAX_VARIANCE = cython.declare(cython.double, 1e6)
 #: Variance of a scan's height of a cell that more points do not make smaller, m^2: ground is no
 #: plane, and scans see it from elsewhere.
 UNEVEN = cython.declare(cython.double, 2.25e-4)
+#: What is not known of a slope, rad.
+UNKNOWN_TILT = cython.declare(cython.double, 30.0)
 #: By how much a cell's slope may differ from that of the part of it which was seen, rad.
 UNSEEN_TILT = cython.declare(cython.double, 0.1)
 
@@ -139,10 +144,10 @@ def measure(
 ) -> None:
     """Fit a plane to a run of points; it is written to ``runs[at]``, without the statistic.
 
-    The slope of the ground outside the part that was seen may differ by `UNSEEN_TILT`, and where
-    the points are a strip, their places are noise along the ray as their heights are, which turns
-    the fit towards the ray by N sigma^2 |u_h u_z| / S_uu. Either makes the slope less certain, by
-    as much of the cell as was not seen: what a corner says of the whole is worth little.
+    A view of less than half of the cell, or of fewer than ``mapping.min_points`` points, tells its
+    height alone, and the slope is taken to be the one before: a strip at the edge of a scan is as
+    wide as the noise, which moves points along the ray in place as in height and would turn the fit
+    towards it. What the others leave out may differ in slope by `UNSEEN_TILT`.
 
     Args:
         points: (N, 3) map axes about the lidar, m; the run is ``begin`` to ``end``.
@@ -155,10 +160,21 @@ def measure(
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
     arm = cython.declare(cython.double[3])
-    zero: cython.int
+    i: cython.int
     moments(points, begin, end, runs[at].mean, runs[at].scatter)
     count: cython.double = end - begin
     runs[at].points = count
+    xx = runs[at].scatter[0]
+    yy = runs[at].scatter[3]
+    xy = runs[at].scatter[1]
+    off_x = runs[at].mean[0] - x
+    off_y = runs[at].mean[1] - y
+    correlation = xy * xy / fmax(xx * yy, 1e-300)
+    wide = fmax(
+        _unseen(off_x, xx / count, correlation, side, count),
+        _unseen(off_y, yy / count, correlation, side, count),
+    )
+    runs[at].unseen = fmin(fmax(wide / side, 0.0), 1.0)
     distance = sqrt(
         runs[at].mean[0] * runs[at].mean[0]
         + runs[at].mean[1] * runs[at].mean[1]
@@ -167,19 +183,18 @@ def measure(
     ray_x = runs[at].mean[0] / distance
     ray_y = runs[at].mean[1] / distance
     ray_z = runs[at].mean[2] / distance
-    cosine = fmax(fabs(prior[0] * ray_x + prior[1] * ray_y + prior[2] * ray_z), MIN_COSINE)
-    variance = (
-        cosine
-        * cosine
-        * range_variance(
-            rules.range_noise, rules.noise_per_metre, rules.divergence, distance, cosine
+    if runs[at].unseen >= 0.5 or count < rules.min_points:
+        tilt = UNKNOWN_TILT
+        for i in range(3):
+            runs[at].normal[i] = prior[i]
+    else:
+        tilt = runs[at].unseen * UNSEEN_TILT
+        spread = rules.range_noise * rules.range_noise
+        height_normal(
+            runs[at].scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, runs[at].normal
         )
-    )
-    height_normal(
-        runs[at].scatter, -prior[0] / prior[2], -prior[1] / prior[2], variance, runs[at].normal
-    )
-    if rules.ml and count > 3.0:
-        orthogonal_normal(runs[at].scatter, runs[at].normal)
+        if rules.ml and count > 3.0:
+            orthogonal_normal(runs[at].scatter, runs[at].normal)
     up = runs[at].normal[2]
     cosine = fabs(runs[at].normal[0] * ray_x + runs[at].normal[1] * ray_y + up * ray_z)
     cosine = fmax(cosine, MIN_COSINE)
@@ -190,26 +205,8 @@ def measure(
     runs[at].variance = variance = along * cosine * cosine
     if rules.independent:
         variance += pose_variance(runs[at].normal, runs[at].mean, sigma)
-
-    off_x = runs[at].mean[0] - x
-    off_y = runs[at].mean[1] - y
     rise = (runs[at].normal[0] * off_x + runs[at].normal[1] * off_y) / up
     runs[at].z = runs[at].mean[2] + rise
-    xx = runs[at].scatter[0]
-    yy = runs[at].scatter[3]
-    xy = runs[at].scatter[1]
-    correlation = xy * xy / fmax(xx * yy, 1e-300)
-    wide = fmax(
-        _unseen(off_x, xx / count, correlation, side, count),
-        _unseen(off_y, yy / count, correlation, side, count),
-    )
-    runs[at].unseen = fmin(fmax(wide / side, 0.0), 1.0)
-    across = hypot(ray_x, ray_y)
-    spread = (ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy) / fmax(
-        across * across, 1e-12
-    )
-    towards = count * along * across * fabs(ray_z) / fmax(spread, 1e-12)
-    tilt = runs[at].unseen * (UNSEEN_TILT + fmin(towards, 1.0))
     slope_covariance(runs[at].scatter, runs[at].normal, variance, tilt * tilt, slope)
     basis_at(runs[at].normal, basis)
     covariance_about(
@@ -220,8 +217,8 @@ def measure(
         runs[at].range_part,
     )
     if rules.independent:
-        for zero in range(9):
-            runs[at].pose_part[zero] = 0.0
+        for i in range(9):
+            runs[at].pose_part[i] = 0.0
     else:
         arm[0], arm[1], arm[2] = x, y, runs[at].z
         pose_part(runs[at].normal, arm, sigma, runs[at].pose_part)
@@ -250,3 +247,81 @@ def fit(
     runs = np.zeros(1, dtype=RUN).view(np.recarray)
     measure(rules, points, 0, len(points), x, y, side, normal, sigma, runs, 0)
     return runs
+
+
+@cython.boundscheck(False)
+def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
+    """What the parts of leaves that were never seen add to their covariance.
+
+    However often a part is seen, it says nothing of the rest, whose slope may differ by
+    `UNSEEN_TILT`: a tilt about the middle of the finest cells in which a point fell, by as much of
+    the leaf's width as these leave out.
+
+    Args:
+        table: The leaves.
+        rows: (M,) of them.
+        out: (M, 9) covariances of (dphi, dd), m and rad; written.
+    """
+    basis = cython.declare(cython.double[6])
+    slope = cython.declare(cython.double[4])
+    part = cython.declare(cython.double[9])
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    j: cython.int
+    first: cython.Py_ssize_t
+    number: cython.Py_ssize_t
+    seen: cython.Py_ssize_t
+    leaf = table.leaf
+    observed = table.seen
+    slope[1] = slope[2] = 0.0
+    with cython.nogil:
+        for i in range(rows.shape[0]):
+            for j in range(9):
+                out[i, j] = 0.0
+            j = 2 * (table.max_level - leaf[rows[i]].level)
+            number = 1 << j
+            first = encode(leaf[rows[i]].ix, leaf[rows[i]].iy) << j
+            seen = 0
+            for k in range(first, first + number):
+                seen += observed[k]
+            if seen == 0 or seen == number or leaf[rows[i]].known < 3:
+                continue
+            sx = sy = sxx = sxy = syy = 0.0
+            for k in range(number):
+                if observed[first + k]:
+                    x = squeeze(k) + 0.5
+                    y = squeeze(k >> 1) + 0.5
+                    sx += x
+                    sy += y
+                    sxx += x * x
+                    sxy += x * y
+                    syy += y * y
+            x = sx / seen
+            y = sy / seen
+            # A finest cell is a square of side one.
+            sxx = sxx / seen - x * x + 1.0 / 12.0
+            syy = syy / seen - y * y + 1.0 / 12.0
+            sxy = sxy / seen - x * y
+            across = sqrt(number)
+            correlation = sxy * sxy / (sxx * syy)
+            wide = fmax(
+                _unseen(x - 0.5 * across, sxx, correlation, across, seen),
+                _unseen(y - 0.5 * across, syy, correlation, across, seen),
+            )
+            tilt = UNSEEN_TILT * fmin(fmax(wide / across, 0.0), 1.0)
+            slope[0] = slope[3] = tilt * tilt
+            side = table.side(leaf[rows[i]].level) / across
+            x = side * (x - 0.5 * across)
+            y = side * (y - 0.5 * across)
+            z = -(leaf[rows[i]].normal[0] * x + leaf[rows[i]].normal[1] * y)
+            z /= leaf[rows[i]].normal[2]
+            basis_at(leaf[rows[i]].normal, basis)
+            covariance_about(
+                slope,
+                0.0,
+                basis[0] * x + basis[1] * y + basis[2] * z,
+                basis[3] * x + basis[4] * y + basis[5] * z,
+                part,
+            )
+            for j in range(9):
+                out[i, j] = part[j]

@@ -141,8 +141,8 @@ class LeafTable:
         """Divide a leaf above the maximum level; its children inherit what it knows.
 
         An inherited plane is the parent's moved to the child's centre, and less certain: by
-        ``square`` m^2 in height and ``tilt`` rad^2 in either slope. The first child (of the order of
-        Morton) has the parent's row, the others follow the last leaf.
+        ``square`` m^2 in height and ``tilt`` rad^2 in either slope. The first child (in Morton's
+        order) has the parent's row, the others follow the last leaf.
 
         Returns:
             False, and nothing is done, where ``max_cells`` leaves no room. The caller has made room
