@@ -98,7 +98,7 @@ def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
     )
     mapper = mapped(config, slope(0.2, -0.1), density=60.0, scans=4)
     for row in range(16):
-        mapper.leaves.make_room_and_divide(row, 0.02**2, 5.0, 1.0)
+        mapper.leaves.make_room_and_divide(row, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
     cells = mapper.snapshot()
     assert cells.estimated.all() and not cells.measured.any()
     x, y = lattice(0.0, 0.0, 16.0, 40)
@@ -154,7 +154,7 @@ def test_later_points_mend_what_a_child_inherited():
     config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.05})
     mapper, rng = mapped(config, flat(-0.7), density=60.0, scans=2), np.random.default_rng(6)
     for row in range(16):
-        mapper.leaves.make_room_and_divide(row, 0.3**2, 5.0, 1.0)
+        mapper.leaves.make_room_and_divide(row, 0.3**2, 12.0 * 0.05**2 / (5.0 * 2.0**2))
     for k in range(3):
         pose = make_pose(stamp_ns=10 + k)
         x, y = scattered(rng, 0.0, 0.0, 16.0, 64 * 40)

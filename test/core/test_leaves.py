@@ -20,7 +20,7 @@ DOMAIN = Domain(-3.0, 5.0, 16.0, 1, 5)
 
 def divide(tree: LeafTable, row: int) -> bool:
     """Divide a leaf whose plane describes its ground."""
-    return tree.make_room_and_divide(row, 0.0, 5.0, 1.0)
+    return tree.make_room_and_divide(row, 0.0, 0.0)
 
 
 def places(tree: LeafTable) -> list[np.ndarray]:
@@ -188,22 +188,21 @@ def test_inherited_planes_are_the_parents():
 
 
 def test_misfit_makes_what_is_inherited_less_certain():
-    """As many points of such residuals as are said, spread over the child, would make it so."""
-    square, slope_points, height_points = 0.01, 5.0, 2.0
+    """By the square in height and by the tilt in either slope."""
+    square, tilt = 0.01, 0.003
     plain, rough = (known_leaf(Domain(0.0, 0.0, 8.0, 0, 4)) for _ in range(2))
-    plain.make_room_and_divide(0, 0.0, slope_points, height_points)
-    rough.make_room_and_divide(0, square, slope_points, height_points)
-    tilt = square / (slope_points * 4.0**2 / 12.0)
+    plain.make_room_and_divide(0, 0.0, 0.0)
+    rough.make_room_and_divide(0, square, tilt)
     for one, other in zip(plain.rows[:4], rough.rows[:4], strict=True):
         added = (other.range_part - one.range_part).reshape(3, 3)
         np.testing.assert_allclose(
-            added, np.diag([tilt, tilt, square / height_points]), rtol=1e-9, atol=1e-15
+            added, np.diag([tilt, tilt, square]), rtol=1e-9, atol=1e-15
         )
         np.testing.assert_array_equal(other.pose_part, one.pose_part)
 
 
-def test_children_begin_their_statistics_anew_and_lean_by_a_radian_at_most():
-    """However badly the parent's plane fits."""
+def test_children_begin_their_statistics_anew():
+    """And without a feature."""
     tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
     leaf = tree.rows[0]
     tilt = leaf.range_part[0]
@@ -211,7 +210,7 @@ def test_children_begin_their_statistics_anew_and_lean_by_a_radian_at_most():
     for name in tree.rows.dtype.names:
         if name.endswith(("_sum", "_weight", "_noise")) or name == "residuals":
             leaf[name] = 7.0
-    tree.make_room_and_divide(0, 1e4, 5.0, 1.0)
+    tree.make_room_and_divide(0, 1e4, 1.0)
     children = tree.rows[:4]
     assert np.isnan(children.feature).all()
     assert not children.points.any()

@@ -157,7 +157,7 @@ def hides_rock(rules: Rules, leaf: Rows, row: cython.Py_ssize_t, side: float) ->
     )
 
 
-def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> float:
+def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> cython.double:
     """`mean_distance` of points (N, 3) to the plane of a normal (3,) through a point (3,), m."""
     n: cython.double[3] = normal  # type: ignore[valid-type]
     p: cython.double[3] = through  # type: ignore[valid-type]
@@ -166,7 +166,7 @@ def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> float:
 
 def factor_of(
     normal: ArrayLike, mean: ArrayLike, sigma: Array, along: float, plane: float
-) -> float:
+) -> cython.double:
     """`mahalanobis_factor` of a plane (3,) seen at ``mean`` (3,) from the lidar, 1/m."""
     n: cython.double[3] = normal  # type: ignore[valid-type]
     r: cython.double[3] = mean  # type: ignore[valid-type]

@@ -189,12 +189,10 @@ class LeafTable:
         self.count += 3
         return True
 
-    def make_room_and_divide(
-        self, row: int, square: float, slope_points: float, height_points: float
-    ) -> bool:
+    def make_room_and_divide(self, row: int, square: float, tilt: float) -> cython.bint:
         """`divide` one leaf."""
         self.reserve(3)
-        return self.divide(row, square, slope_points, height_points)
+        return self.divide(row, square, tilt)
 
     def in_order(self) -> Index:
         """Rows of the leaves in Morton order: neighbours in space are near in the table."""
