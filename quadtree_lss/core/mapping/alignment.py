@@ -28,6 +28,8 @@ HUBER = 2.0
 MODEL_VARIANCE = 0.02**2
 #: Variance of the measured offset that more cells do not make smaller, m^2.
 FLOOR = 0.04**2
+#: Variance of an exact pose, m^2.
+EXACT = 1e-9
 #: An offset of so many deviations is a jump of the pose's error.
 JUMP = 3.0
 #: What a single scan counts as, s.
@@ -81,7 +83,8 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     weight *= np.minimum(1.0, HUBER / np.maximum(away, HUBER))
     total = float(weight.sum())
     height, _, of_scan, _, since, until = (cells @ weight / total).tolist()
-    of_map = float(cells[3].min())
+    # On slopes either error is another one: the cell best known for what the scan knows of it.
+    of_map = (of_scan + EXACT) * float(np.min(cells[3] / (cells[2] + EXACT)))
     news = 1.0
     if correlation_time > 0.0:
         news -= math.exp(-abs(now - until) / correlation_time)

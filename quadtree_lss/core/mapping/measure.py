@@ -35,7 +35,8 @@ MIN_COSINE = cython.declare(cython.double, 0.05)
 #: Pose variances above this (m^2) say no more than this: nothing is known.
 MAX_VARIANCE = cython.declare(cython.double, 1e6)
 #: Variance of a scan's height of a cell that more points do not make smaller, m^2: ground is no
-#: plane, and scans see it from elsewhere.
+#: plane, and scans see it from elsewhere. Of a part of the cell it is more: a tenth of its width
+#: counts a hundredth.
 UNEVEN = cython.declare(cython.double, 2.25e-4)
 #: What is not known of a slope, rad.
 UNKNOWN_TILT = cython.declare(cython.double, 30.0)
@@ -175,6 +176,7 @@ def measure(
         _unseen(off_y, yy / count, correlation, side, count),
     )
     runs[at].unseen = fmin(fmax(wide / side, 0.0), 1.0)
+    seen = fmax(1.0 - runs[at].unseen, 0.1)
     distance = sqrt(
         runs[at].mean[0] * runs[at].mean[0]
         + runs[at].mean[1] * runs[at].mean[1]
@@ -211,7 +213,7 @@ def measure(
     basis_at(runs[at].normal, basis)
     covariance_about(
         slope,
-        variance / count + UNEVEN,
+        variance / count + UNEVEN / (seen * seen),
         basis[0] * off_x + basis[1] * off_y - basis[2] * rise,
         basis[3] * off_x + basis[4] * off_y - basis[5] * rise,
         runs[at].range_part,
