@@ -328,6 +328,10 @@ def fuse(
     (I - K) e (Eq. 43, Eq. 44), and each part of the covariance becomes
     (I - K) P (I - K)^T + K R K^T (Eq. 42, Eq. 45).
 
+    All is about the prior's pivot, the place where errors of its slope and of its height are
+    independent: what is known at a place and not of the slope there stays so whatever the slope
+    turns out to be, which a linear error about another place does not say.
+
     Pose error that both have in common decides nothing between them and does not average out: of
     either pose part only the share 1 - common counts in A and R, and the pose part becomes
     common ((1 - k) P + k Q) + (1 - common) ((I - K) P (I - K)^T + K Q K^T), k = K_dd.
@@ -338,10 +342,12 @@ def fuse(
         prior_range, prior_pose: (9) parts of its covariance; replaced by the fused plane's, about
             its own height.
         normal: (3) measured; replaced by the fused one.
-        range_part, pose_part: (9) parts of its covariance.
+        range_part, pose_part: (9) parts of its covariance; spoilt.
         common: Correlation of the two pose errors, 0 .. 1.
         out_rise: (1) height of the fused plane above the measured one, m.
     """
+    basis = cython.declare(cython.double[6])
+    pivot = cython.declare(cython.double[3])
     change = cython.declare(cython.double[4])
     error = cython.declare(cython.double[3])
     spread = cython.declare(cython.double[9])
@@ -352,13 +358,26 @@ def fuse(
     two = cython.declare(cython.double[9])
     fused = cython.declare(cython.double[3])
     i: cython.int
-    shift_origin(prior_range, prior_rise * prior_normal[0], prior_rise * prior_normal[1])
-    shift_origin(prior_pose, prior_rise * prior_normal[0], prior_rise * prior_normal[1])
+    share = prior_range[0] * prior_range[4] - prior_range[1] * prior_range[1]
+    share = 1.0 / fmax(share, 1e-300)
+    first = share * (prior_range[4] * prior_range[2] - prior_range[1] * prior_range[5])
+    second = share * (prior_range[0] * prior_range[5] - prior_range[1] * prior_range[2])
+    basis_at(prior_normal, basis)
+    for i in range(3):
+        pivot[i] = first * basis[i] + second * basis[3 + i]
+    pivot[2] += prior_rise
+    shift_origin(prior_range, first, second)
+    shift_origin(prior_pose, first, second)
+    basis_at(normal, basis)
+    first = basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2]
+    second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
+    shift_origin(range_part, first, second)
+    shift_origin(pose_part, first, second)
     change_of_tangent(prior_normal, normal, change)
     turn_tangent(prior_range, change)
     turn_tangent(prior_pose, change)
     minus_at(prior_normal, normal, error)
-    error[2] = prior_normal[2] * prior_rise
+    error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     for i in range(9):
         one[i] = prior_range[i] + (1.0 - common) * prior_pose[i]
         two[i] = range_part[i] + (1.0 - common) * pose_part[i]
@@ -382,11 +401,17 @@ def fuse(
         spread[i] = rest[3 * i] * error[0] + rest[3 * i + 1] * error[1] + rest[3 * i + 2] * error[2]
     plus_at(normal, spread, fused)
     keep_up(fused)
+    rise = spread[2] - error[2]
     for i in range(3):
+        rise += fused[i] * pivot[i]
         normal[i] = fused[i]
-    rise = spread[2] / fused[2]
-    shift_origin(prior_range, -rise * fused[0], -rise * fused[1])
-    shift_origin(prior_pose, -rise * fused[0], -rise * fused[1])
+    rise /= fused[2]
+    pivot[2] -= rise
+    basis_at(fused, basis)
+    first = -(basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2])
+    second = -(basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2])
+    shift_origin(prior_range, first, second)
+    shift_origin(prior_pose, first, second)
     out_rise[0] = rise
 
 

@@ -258,7 +258,7 @@ class ScanUpdate:
 
         A first estimate of level ground is fused like any other. What a leaf inherited lies at the
         height of the map, as an aligned scan does, or at that of this very scan: then pose error
-        is common to both and decides nothing between them.
+        is common to both, decides nothing between them and stays as it was.
         """
         rise = cython.declare(cython.double[1])
         i: cython.int
@@ -273,6 +273,8 @@ class ScanUpdate:
             leaf[row].range_part[8] = HEIGHT_SIGMA * HEIGHT_SIGMA
         if same_scan or (self.aligned and leaf[row].known == INHERITED):
             common = 1.0
+            for i in range(9):
+                self.runs[at].pose_part[i] = leaf[row].pose_part[i]
         else:
             common = self.common(leaf[row].last_time)
         fuse(
