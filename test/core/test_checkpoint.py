@@ -19,8 +19,9 @@ CONFIG = configured()
 
 
 def ground(x, y):
-    """A slope with a block on it."""
-    return 0.1 * x - 0.05 * y + 0.5 * (np.hypot(x - 3.0, y - 4.0) < 1.0)
+    """A slope with two blocks on it, one at the border of what most scans see."""
+    blocks = (np.hypot(x - 3.0, y - 4.0) < 1.0) | (np.hypot(x - 10.5, y - 2.0) < 0.8)
+    return 0.1 * x - 0.05 * y + 0.5 * blocks
 
 
 def flown(mapper: Mapper, scans: range) -> Mapper:
@@ -28,7 +29,7 @@ def flown(mapper: Mapper, scans: range) -> Mapper:
     for number in scans:
         rng = np.random.default_rng(number)
         pose = make_pose(stamp_ns=1_000 + number)
-        x, y = scattered(rng, 0.0, 0.0, 11.0 if number % 2 else 16.0, 1500 if number % 2 else 15)
+        x, y = scattered(rng, 0.0, 0.0, 11.0 if number % 2 else 16.0, 1500 if number % 2 else 3)
         mapper.update(scan(ground, x, y, pose, 0.03, rng), pose)
     return mapper
 

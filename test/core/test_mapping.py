@@ -56,7 +56,7 @@ def assert_sound(cells: CellMap) -> None:
     np.testing.assert_allclose(np.linalg.norm(cells.normal[known], axis=1), 1.0, atol=1e-9)
     for part in (cells.covariance_range[known], cells.covariance_pose[known]):
         assert np.isfinite(part).all()
-        bound = 1e-9 * np.abs(part).max(axis=(1, 2)) if len(part) else np.zeros(0)
+        bound = 1e-7 * np.abs(part).max(axis=(1, 2)) if len(part) else np.zeros(0)
         assert (np.linalg.eigvalsh(part).min(axis=1) >= -bound).all()
     assert np.isfinite(cells.roughness[cells.measured]).all()
     assert (cells.roughness[cells.measured] >= 0.0).all()
@@ -75,11 +75,13 @@ def assert_equal(a: CellMap, b: CellMap, tolerance: float = 0.0) -> None:
 
 @pytest.mark.parametrize("fit", ["height", "ml"])
 def test_range_noise_alone_is_covered_by_the_covariance(fit):
-    """256 cells of 1 m: their mean NEES is 3 within five times sqrt(6 / 256)."""
+    """256 cells of 4 m: their mean NEES is 3 within five times sqrt(6 / 256)."""
     config = configured(
-        domain={"min_level": 4, "max_level": 4}, lidar={"range_noise": 0.03}, mapping={"fit": fit}
+        domain={"size": 64.0, "min_level": 4, "max_level": 4},
+        lidar={"range_noise": 0.3},
+        mapping={"fit": fit},
     )
-    cells = mapped(config, GROUND, density=40.0, scans=3).snapshot()
+    cells = mapped(config, GROUND, density=4.0, scans=3).snapshot()
     assert cells.measured.all()
     assert abs(nees(cells).mean() - 3.0) < 5.0 * np.sqrt(6.0 / 256)
 
