@@ -250,7 +250,9 @@ def along_a_strip(align: bool, drift: float = np.radians(0.1)) -> float:
         mapping={"align": align},
     )
     mapper, rng = Mapper(config), np.random.default_rng(12)
-    turn = np.array([[np.cos(drift), 0, -np.sin(drift)], [0, 1, 0], [np.sin(drift), 0, np.cos(drift)]])
+    turn = np.array(
+        [[np.cos(drift), 0, -np.sin(drift)], [0, 1, 0], [np.sin(drift), 0, np.cos(drift)]]
+    )
     sigma = np.diag([1e-4, 1e-4, 1e-4, 1e-10, drift**2, 1e-10])
     for number in range(100):
         at = np.array([5.0 * number - 80.0, 0.0, 100.0])

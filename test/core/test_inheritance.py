@@ -93,9 +93,7 @@ def test_a_first_scan_is_all_there_is_to_remember():
 
 def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
     """What divides them is elsewhere: nothing of the slope is forgotten."""
-    config = configured(
-        domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.02}
-    )
+    config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.02})
     mapper = mapped(config, slope(0.2, -0.1), density=60.0, scans=4)
     for row in range(16):
         mapper.leaves.make_room_and_divide(row, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))

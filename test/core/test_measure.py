@@ -173,9 +173,7 @@ def test_a_turn_about_the_vertical_turns_the_fit(method):
     centre = np.array([0.3, -0.2, 0.0])
     by = rules(method)
     base = fitted(by, cloud, tuple(centre[:2]), sigma=sigma)
-    turned = fitted(
-        by, cloud @ turn.T, tuple((turn @ centre)[:2]), sigma=sigma, lidar=turn @ LIDAR
-    )
+    turned = fitted(by, cloud @ turn.T, tuple((turn @ centre)[:2]), sigma=sigma, lidar=turn @ LIDAR)
     full = np.eye(3)
     full[:2, :2] = turn[:2, :2]
     np.testing.assert_allclose(turned.normal, turn @ base.normal, atol=1e-9)

@@ -11,7 +11,7 @@ import cython
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.tree.quadtree import CellMap
+from quadtree_lss.core.tree.cell_map import CellMap
 
 if not cython.compiled:
     from math import atan2, cos, sin, sqrt

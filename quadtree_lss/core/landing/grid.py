@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core.landing.raster import TerrainRaster
-from quadtree_lss.core.tree.quadtree import Domain
+from quadtree_lss.core.tree.domain import Domain
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.core.landing.lattice import grown, nearest_marked
-from quadtree_lss.core.tree.quadtree import CellMap, Domain
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.tree.domain import Domain
 
 if not cython.compiled:
     from math import erf, exp, pi, sqrt

@@ -21,7 +21,8 @@ from quadtree_lss.core.landing.score import (
     seen_about,
 )
 from quadtree_lss.core.landing.touchdown import TouchdownCheck
-from quadtree_lss.core.tree.quadtree import CellMap, Domain
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.tree.domain import Domain
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]

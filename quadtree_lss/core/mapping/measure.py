@@ -34,9 +34,8 @@ Index = NDArray[np.intp]
 MIN_COSINE = cython.declare(cython.double, 0.05)
 #: Pose variances above this (m^2) say no more than this: nothing is known.
 MAX_VARIANCE = cython.declare(cython.double, 1e6)
-#: Variance of a scan's height of a cell that more points do not make smaller, m^2: ground is no
-#: plane, and scans see it from elsewhere. Of a part of the cell it is more: a tenth of its width
-#: counts a hundredth.
+#: Variance that a view of 70 % of a cell's width adds to the height of the cell, m^2; one of half
+#: of it adds three times as much: ground is no plane.
 UNEVEN = cython.declare(cython.double, 2.25e-4)
 #: What is not known of a slope, rad.
 UNKNOWN_TILT = cython.declare(cython.double, 30.0)
@@ -148,7 +147,9 @@ def measure(
     A view of less than half of the cell, or of fewer than ``mapping.min_points`` points, tells its
     height alone, and the slope is taken to be the one before: a strip at the edge of a scan is as
     wide as the noise, which moves points along the ray in place as in height and would turn the fit
-    towards it. What the others leave out may differ in slope by `UNSEEN_TILT`.
+    towards it. What the others leave out may differ in slope by `UNSEEN_TILT`. Residuals beyond
+    what noise makes of them are of ground that is no plane: as scans see it from elsewhere, its
+    height is as uncertain, however many points there are.
 
     Args:
         points: (N, 3) map axes about the lidar, m; the run is ``begin`` to ``end``.
@@ -209,11 +210,22 @@ def measure(
         variance += pose_variance(runs[at].normal, runs[at].mean, sigma)
     rise = (runs[at].normal[0] * off_x + runs[at].normal[1] * off_y) / up
     runs[at].z = runs[at].mean[2] + rise
+    quadratic = (
+        runs[at].normal[0] * (runs[at].normal[0] * xx + 2.0 * runs[at].normal[1] * xy)
+        + runs[at].normal[1] * runs[at].normal[1] * yy
+        + up * up * runs[at].scatter[5]
+        + 2.0 * up * runs[at].normal[0] * runs[at].scatter[2]
+        + 2.0 * up * runs[at].normal[1] * runs[at].scatter[4]
+    )
+    free = fmax(count - 3.0, 1.0)
+    runs[at].square = fmax(quadratic, 0.0) / free
+    doubt = runs[at].variance * (1.0 + 2.0 * sqrt(2.0 / free))
+    uneven = fmax(runs[at].square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
     slope_covariance(runs[at].scatter, runs[at].normal, variance, tilt * tilt, slope)
     basis_at(runs[at].normal, basis)
     covariance_about(
         slope,
-        variance / count + UNEVEN / (seen * seen),
+        variance / count + uneven,
         basis[0] * off_x + basis[1] * off_y - basis[2] * rise,
         basis[3] * off_x + basis[4] * off_y - basis[5] * rise,
         runs[at].range_part,
@@ -224,14 +236,6 @@ def measure(
     else:
         arm[0], arm[1], arm[2] = x, y, runs[at].z
         pose_part(runs[at].normal, arm, sigma, runs[at].pose_part)
-    quadratic = (
-        runs[at].normal[0] * (runs[at].normal[0] * xx + 2.0 * runs[at].normal[1] * xy)
-        + runs[at].normal[1] * runs[at].normal[1] * yy
-        + up * up * runs[at].scatter[5]
-        + 2.0 * up * runs[at].normal[0] * runs[at].scatter[2]
-        + 2.0 * up * runs[at].normal[1] * runs[at].scatter[4]
-    )
-    runs[at].square = fmax(quadratic, 0.0) / fmax(count - 3.0, 1.0)
     runs[at].statistic = 0.0
 
 
