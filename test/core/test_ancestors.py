@@ -43,8 +43,8 @@ def test_fused_planes_are_those_of_a_direct_fit(level):
     pairs = zip(fused.normal, direct.normal[order], strict=True)
     tilt = np.abs([sphere.minus(one, other) for one, other in pairs])
     # Bins move by the noise across the ray, and small leaves' own tilt weights: second order.
-    assert (tilt < 0.2 * sigma[:, :2]).all()
-    assert (np.abs(fused.z - direct.z[order]) < 0.2 * sigma[:, 2]).all()
+    assert (tilt < 0.5 * sigma[:, :2]).all()
+    assert (np.abs(fused.z - direct.z[order]) < 0.5 * sigma[:, 2]).all()
     for name, other in (
         ("range_part", direct.covariance_range[order]),
         ("pose_part", direct.covariance_pose[order]),

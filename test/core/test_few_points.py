@@ -77,11 +77,12 @@ def test_points_on_a_line_tell_no_plane_however_many():
     assert mapper.snapshot().measured.sum() == 1
 
 
-def test_a_leaf_waits_for_the_points_that_are_asked_for():
-    config = configured(domain=CELLS_4M, mapping={"min_points": 12})
+@pytest.mark.parametrize(("least", "measured"), [(25, True), (26, False)])
+def test_a_scan_of_fewer_points_than_are_asked_for_tells_no_slope(least, measured):
+    config = configured(domain=CELLS_4M, mapping={"min_points": least})
     rng, mapper = np.random.default_rng(2), Mapper(config)
-    for k, measured in enumerate((False, False, True)):
-        x, y = lattice(0.0, 0.0, 4.0, 2)
+    x, y = lattice(0.0, 0.0, 4.0, 5)
+    for k in range(3):
         pose = make_pose(ABOVE, stamp_ns=k + 1)
         mapper.update(scan(flat(), x, y, pose, 0.05, rng), pose)
         assert mapper.snapshot().measured.any() == measured
@@ -104,7 +105,7 @@ def test_a_strip_first_does_not_starve_a_steep_cell(seed):
     leaf = leaf_at(mapper, 8.5, 8.5)
     assert leaf.known == 3
     assert leaf.z == pytest.approx(8.5, abs=0.1)
-    assert -leaf.normal[0] / leaf.normal[2] == pytest.approx(1.0, abs=0.1)
+    assert -leaf.normal[0] / leaf.normal[2] == pytest.approx(1.0, abs=0.15)
 
 
 def test_hints_go_up_with_the_map():
@@ -123,7 +124,8 @@ def test_hints_go_up_with_the_map():
         true = Pose(1, position, estimate.rotation_map_lidar, estimate.covariance)
         mapper.update(scan(flat(), x, y, true, 0.01, rng), estimate)
     assert leaf_at(mapper, 0.5, 0.5).points == 6
-    middle = np.median(mapper.snapshot().z)
+    cells = mapper.snapshot()
+    middle = np.median(cells.z[cells.measured])
     assert middle == pytest.approx(0.8 / 3.0, abs=0.05)
     assert leaf_at(mapper, 0.5, 0.5).z == pytest.approx(middle, abs=0.05)
 

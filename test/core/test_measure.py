@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from quadtree_lss.core.geometry import rotations, sphere
+from quadtree_lss.core.geometry import plane, rotations, sphere
 from quadtree_lss.core.mapping.measure import Rules, fit, range_variance
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -60,8 +60,8 @@ def fitted(
 def look(
     rng: np.random.Generator, per_side: int, noise: float, size: float = 2.0, lidar=LIDAR
 ) -> np.ndarray:
-    """Points of the tilted plane through the origin, (N, 3), one somewhere in each of ``per_side``^2
-    squares that fill a cell: nothing of it is left out."""
+    """Points (N, 3) of the tilted plane through the origin, one somewhere in each of the squares
+    that fill a cell: nothing of it is left out."""
     corner = np.stack(np.meshgrid(*[np.arange(per_side)] * 2), axis=-1).reshape(-1, 2)
     x, y = ((corner + rng.random(corner.shape)) / per_side - 0.5).T * size
     truth = np.stack([x, y, GRADIENT[0] * x + GRADIENT[1] * y], axis=1)
@@ -197,11 +197,6 @@ def test_where_points_tell_no_slope_the_prior_is_kept_and_called_unknown():
         found = fitted(rules(), cloud, prior=prior)
         np.testing.assert_allclose(found.normal, prior, atol=1e-9)
         assert found.range_part[0, 0] + found.range_part[1, 1] > 100.0
-    line = np.column_stack([np.linspace(-1.0, 1.0, 50), np.zeros((50, 2))])
-    found = fitted(rules(), line, prior=prior)
-    assert found.normal[0] == pytest.approx(0.0, abs=1e-3)
-    assert found.normal[1] / found.normal[2] == pytest.approx(0.2, abs=1e-3)
-    assert found.range_part[1, 1] > 100.0
 
 
 @pytest.mark.parametrize("share", [0.1, 0.25, 0.5])
@@ -226,28 +221,33 @@ def test_points_all_over_a_cell_leave_little_out(count):
     rng = np.random.default_rng(10)
     clouds = (np.c_[rng.uniform(-1.0, 1.0, (count, 2)), np.zeros(count)] for _ in range(500))
     unseen = np.array([fitted(rules(), cloud).unseen for cloud in clouds])
-    assert np.mean(unseen) < 0.06
+    assert np.mean(unseen) < 0.08
     assert np.mean(unseen >= 0.5) < 0.02
 
 
-def test_a_diagonal_band_leaves_out_both_sides():
+def test_a_diagonal_band_leaves_out_nearly_all():
     t = np.linspace(-1.0, 1.0, 400)
-    assert fitted(rules(), np.column_stack([t, t, 0.0 * t])).unseen > 0.4
+    assert fitted(rules(), np.column_stack([t, t, 0.0 * t])).unseen > 0.9
 
 
-def test_noise_turns_the_fit_of_a_strip_towards_the_ray_and_that_is_told():
-    """At 45 degrees noise moves points in x as it does in z, however many there are."""
+@pytest.mark.parametrize("middle", [0.0, 0.9])
+@pytest.mark.parametrize("width", [0.0, 0.1, 0.8])
+def test_a_strip_tells_its_height_alone(middle, width):
+    """At 45 degrees noise moves points in x as it does in z, which would turn a narrow fit."""
     rng, lidar, by = np.random.default_rng(11), np.array([-300.0, 0.0, 300.0]), rules(noise=0.05)
-    for middle in (0.0, 0.9):
-        off, told = [], []
-        for _ in range(300):
-            truth = rng.uniform(-1.0, 1.0, (60, 3)) * (0.1, 1.0, 0.0) + (middle, 0.0, 0.0)
-            ray = (truth - lidar) / np.linalg.norm(truth - lidar, axis=1, keepdims=True)
-            found = fitted(by, truth + 0.05 * rng.standard_normal((60, 1)) * ray, lidar=lidar)
-            off.append(abs(sphere.minus(found.normal, UP)[0]))
-            told.append(np.sqrt(found.range_part[0, 0]))
-        assert np.mean(off) > 0.15  # it does turn
-        assert np.mean(np.array(off) < 4.0 * np.array(told)) > 0.99
+    prior = np.array([0.1, -0.05, 1.0]) / np.sqrt(1.0125)
+    truth = rng.uniform(-1.0, 1.0, (400, 3)) * (0.5 * width, 1.0, 0.0) + (middle, 0.0, 0.0)
+    ray = (truth - lidar) / np.linalg.norm(truth - lidar, axis=1, keepdims=True)
+    seen = truth + 0.05 * rng.standard_normal((400, 1)) * ray
+    found = fitted(by, seen, lidar=lidar, prior=prior)
+    np.testing.assert_array_equal(found.normal, prior)
+    assert min(found.range_part[0, 0], found.range_part[1, 1]) > 100.0
+    # Where the points are, the plane lies at their mean height.
+    at = seen.mean(axis=0)
+    over = found.z - (prior[0] * at[0] + prior[1] * at[1]) / prior[2]
+    assert over == pytest.approx(at[2], abs=1e-9)
+    known = plane.shifted(found.range_part, prior, at - (0.0, 0.0, found.z))
+    assert np.sqrt(known[2, 2]) < 0.2
 
 
 def sets_of_points() -> st.SearchStrategy[np.ndarray]:

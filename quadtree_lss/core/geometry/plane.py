@@ -358,8 +358,9 @@ def fuse(
     two = cython.declare(cython.double[9])
     fused = cython.declare(cython.double[3])
     i: cython.int
-    share = prior_range[0] * prior_range[4] - prior_range[1] * prior_range[1]
-    share = 1.0 / fmax(share, 1e-300)
+    square = prior_range[0] * prior_range[4]
+    share = square - prior_range[1] * prior_range[1]
+    share = 1.0 / share if share > 1e-9 * square else 0.0
     first = share * (prior_range[4] * prior_range[2] - prior_range[1] * prior_range[5])
     second = share * (prior_range[0] * prior_range[5] - prior_range[1] * prior_range[2])
     basis_at(prior_normal, basis)

@@ -36,6 +36,6 @@ cdef class Rules:
 
 cpdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double[:, ::1] sigma) noexcept nogil
-cdef double _unseen(double offset, double square, double correlation, double side, double points) noexcept nogil
+cdef double _unseen(double square, double correlation, double side, double points) noexcept nogil
 cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double* prior, double[:, ::1] sigma, Run[::1] runs, Py_ssize_t at) noexcept nogil
 cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

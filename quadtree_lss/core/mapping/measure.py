@@ -116,17 +116,15 @@ def pose_variance(normal: Vector, arm: Vector, sigma: Array) -> cython.double:
     return fmin(fmax(total, 0.0), MAX_VARIANCE)
 
 
-def _unseen(
-    offset: float, square: float, correlation: float, side: float, points: float
-) -> cython.double:
+def _unseen(square: float, correlation: float, side: float, points: float) -> cython.double:
     """Width of a cell, along one of its axes, that points leave out, m.
 
-    Points of mean ``offset`` from the centre and variance ``square`` fill sqrt(3 square) to either
-    side of their mean; correlated with the other axis, they fill a diagonal band only. What a full
-    cell leaves out by chance, side / sqrt(points), does not count.
+    Points of variance ``square`` fill sqrt(3 square) to either side of their mean; correlated with
+    the other axis, they fill a diagonal band only. What a full cell leaves out by chance,
+    side / sqrt(points), does not count.
     """
     half = sqrt(fmax(3.0 * square * (1.0 - correlation), 0.0))
-    return 0.5 * side + fabs(offset) - half - side / sqrt(points)
+    return side - 2.0 * half - side / sqrt(points)
 
 
 def measure(
@@ -173,8 +171,8 @@ def measure(
     off_y = runs[at].mean[1] - y
     correlation = xy * xy / fmax(xx * yy, 1e-300)
     wide = fmax(
-        _unseen(off_x, xx / count, correlation, side, count),
-        _unseen(off_y, yy / count, correlation, side, count),
+        _unseen(xx / count, correlation, side, count),
+        _unseen(yy / count, correlation, side, count),
     )
     runs[at].unseen = fmin(fmax(wide / side, 0.0), 1.0)
     seen = fmax(1.0 - runs[at].unseen, 0.1)
@@ -311,8 +309,8 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             across = sqrt(number)
             correlation = sxy * sxy / (sxx * syy)
             wide = fmax(
-                _unseen(x - 0.5 * across, sxx, correlation, across, seen),
-                _unseen(y - 0.5 * across, syy, correlation, across, seen),
+                _unseen(sxx, correlation, across, seen),
+                _unseen(syy, correlation, across, seen),
             )
             tilt = UNSEEN_TILT * fmin(fmax(wide / across, 0.0), 1.0)
             slope[0] = slope[3] = tilt * tilt

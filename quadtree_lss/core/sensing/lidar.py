@@ -15,6 +15,9 @@ from quadtree_lss.core.geometry.rotations import skew
 
 Array = NDArray[np.float64]
 
+#: Variances (m^2, rad^2) above this say no more than this: nothing is known.
+MAX_VARIANCE = 1e6
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -72,6 +75,14 @@ def body_from_fixed_covariance(covariance: Array, rotation: Array) -> Array:
     t = np.eye(6)
     t[3:, 3:] = rotation.T
     return t @ covariance @ t.T
+
+
+def sound_covariance(covariance: Array) -> Array:
+    """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.clip(values, 0.0, MAX_VARIANCE))
+    out: Array = root @ root.T
+    return out
 
 
 def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Array:

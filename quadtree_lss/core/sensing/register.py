@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LidarConfig
-from quadtree_lss.core.geometry.planes import covariance_root
 from quadtree_lss.core.sensing.isolated import isolated_in_image
 from quadtree_lss.core.sensing.isolated_points import isolated_in_space
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.core.sensing.points import arrange, bin_runs, turn
 from quadtree_lss.core.sensing.sweep import Sweep, still
 from quadtree_lss.core.tree.domain import Domain
@@ -33,7 +32,6 @@ class RegisteredScan:
 
     Attributes:
         pose: Lidar pose at the scan's stamp, its covariance positive semidefinite and bounded.
-        pose_root: (6, 6) root of the pose covariance.
         origin: (3,) position of the lidar at the scan's stamp, map frame, m.
         points: (N, 3) map axes about ``origin``, m: each point is its own ray (but for the
             lidar's way between the stamp and the point's time, far shorter than a ray).
@@ -44,7 +42,6 @@ class RegisteredScan:
     """
 
     pose: Pose
-    pose_root: Array
     origin: Array
     points: Array
     key: Keys
@@ -111,11 +108,9 @@ def register(
     runs, spare = work.runs[:run_count], work.spare[:run_count]
     points, key = np.empty((inside, 3)), np.empty(inside, np.int64)
     arrange(work.points, spare if sort_packed(runs, spare) else runs, work.spans, points, key)
-    root = covariance_root(pose.covariance)
     middle = (sums / sound + pose.position[:2]).tolist() if sound else None
     scan = RegisteredScan(
-        pose=replace(pose, covariance=root @ root.T),
-        pose_root=root,
+        pose=replace(pose, covariance=sound_covariance(pose.covariance)),
         origin=pose.position,
         points=points,
         key=key,
