@@ -154,7 +154,7 @@ def assert_sound(cells: CellMap) -> None:
     total = np.einsum("mii->mi", cells.covariance[known])
     assert (total > 0.0).all()
     # Round-off leaves each part with errors of the whole's size. Of walls that is all there is.
-    ground = cells.normal[known, 2] > 0.01
+    ground = cells.normal[known, 2] > 0.1
     scale = np.sqrt(total[ground, :, None] * total[ground, None, :])
     for part in (cells.covariance_range[known], cells.covariance_pose[known]):
         assert np.linalg.eigvalsh(part[ground] / scale).min(initial=0.0) > -0.01

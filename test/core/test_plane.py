@@ -130,7 +130,7 @@ def test_a_direction_that_no_point_tells_is_not_known():
     line = np.outer(np.linspace(-1.0, 1.0, 50), (1.0, 0.0, 0.0))
     found = plane.slope_part(scatter_of(line), UP, 0.01**2)
     assert found[0, 0] < 1e-5
-    assert found[1, 1] > 100.0
+    assert found[1, 1] > 90.0
     tilted = plane.slope_part(scatter_of(line), UP, 0.01**2, 0.04)
     np.testing.assert_allclose(tilted, found + 0.04 * np.eye(2))
 

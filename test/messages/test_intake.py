@@ -123,8 +123,3 @@ def test_a_scan_of_which_nothing_enters_the_map_says_why_and_where():
     assert "4 without a return" in text and "x -32" not in text and "middle" not in text
     far = unused([[0.0, 0.0, 100.0]], **{"lidar.max_range": 50.0})
     assert "1 out of range (lidar.min_range, lidar.max_range)" in far
-
-
-def test_points_that_find_no_room_are_not_used():
-    text = unused([[-30.0, 0.0, 100.0]] * 2, **{"mapping.max_stored_points": 0})
-    assert "2 without room to be stored (mapping.max_stored_points" in text

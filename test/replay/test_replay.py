@@ -247,14 +247,6 @@ def test_points_that_miss_the_map_are_counted_and_told(bag):
     assert told.startswith("only ") and summary["points_used"] > 0
 
 
-def test_points_without_room_are_counted_and_told(bag):
-    config = config_from_values({"mapping.max_stored_points": 0, "domain.min_level": 6}, CONFIG)
-    result = replay(bag, None, config)
-    refused = result.summary["points_dropped"]["refused"]
-    assert refused > 0.01 * result.summary["points"]
-    assert any(f"{refused} points found no room" in line for line in result.warnings)
-
-
 def test_a_part_of_the_bag(bag, tmp_path):
     seen = []
     part = replay(

@@ -27,8 +27,10 @@ Array = NDArray[np.float64]
 
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
 MIN_UP = cython.declare(cython.double, 0.05)
+#: Variance that round-off leaves at least, rad^2 and m^2.
+SURE = cython.declare(cython.double, 1e-12)
 #: Information on a slope that a fit has at least, rad^-2.
-LEAST = cython.declare(cython.double, 1e-3)
+LEAST = cython.declare(cython.double, 1e-2)
 
 
 def multiply(a: Vector, b: Vector, out: Vector) -> None:
@@ -413,6 +415,8 @@ def fuse(
     second = -(basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2])
     shift_origin(prior_range, first, second)
     shift_origin(prior_pose, first, second)
+    for i in range(3):
+        prior_range[4 * i] = fmax(prior_range[4 * i], SURE)
     out_rise[0] = rise
 
 

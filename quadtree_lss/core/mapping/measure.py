@@ -38,7 +38,7 @@ MAX_VARIANCE = cython.declare(cython.double, 1e6)
 #: of it adds three times as much: ground is no plane.
 UNEVEN = cython.declare(cython.double, 2.25e-4)
 #: What is not known of a slope, rad.
-UNKNOWN_TILT = cython.declare(cython.double, 30.0)
+UNKNOWN_TILT = cython.declare(cython.double, 10.0)
 #: By how much a cell's slope may differ from that of the part of it which was seen, rad.
 UNSEEN_TILT = cython.declare(cython.double, 0.1)
 
