@@ -60,7 +60,7 @@ def test_a_wrong_range_noise_is_seen(tmp_path):
     wrong = consistency(bag, load_config((), {**SMALL, "lidar.range_noise": 0.09})).counts
     assert wrong.one_degree.below > 0.06
     assert wrong.one_degree.above < 0.001
-    assert wrong.points == right.points
+    assert wrong.points == pytest.approx(right.points, rel=0.05)
 
 
 def test_scans_are_those_a_replay_maps(tmp_path):

@@ -200,7 +200,7 @@ def test_without_the_times_it_is_off_by_what_the_motion_says():
         for row in rows[:10]:
             inside = np.abs(put[:, :2] - (cells.x[row], cells.y[row])).max(axis=1)
             near = inside < 0.5 * cells.size[row]
-            assert cells.z[row] == pytest.approx(put[near, 2].mean(), abs=0.3 * cells.size[row])
+            assert cells.z[row] == pytest.approx(put[near, 2].mean(), abs=0.35 * cells.size[row])
 
 
 def test_a_flash_with_a_time_for_each_point_gives_the_same_bits_as_without():

@@ -87,7 +87,8 @@ def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
     cells = arrays(result.out / "cells.npz")
     m = len(cells["level"])
     shapes = {name: array.shape for name, array in cells.items()}
-    flat = "level ix iy x y size z nx ny nz count measured roughness exception_fraction".split()
+    flat = "level ix iy x y size z nx ny nz count measured roughness exception_fraction"
+    flat = [*flat.split(), "observed"]
     expected = dict.fromkeys(flat, (m,))
     expected |= {"covariance": (m, 3, 3), "feature": (m, 5), "domain": (5,)}
     assert shapes == expected
