@@ -322,7 +322,7 @@ def fuse(
     common: float,
     out_rise: Vector,
 ) -> None:
-    """Two estimates of a plane made one (Eq. 37 to Eq. 45).
+    """Two estimates of a plane made one (Eq. 37 to Eq. 45), which Eq. 22 does of scans' offsets.
 
     Eq. 39 is the error of the prior about the measured plane, e = (n_prior [-] n, d_prior), its
     covariances (Eq. 38) carried to the measured plane's tangent and origin. With A and R the

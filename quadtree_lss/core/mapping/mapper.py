@@ -180,7 +180,7 @@ class Mapper:
             normal=leaves["normal"] + unknown[:, None],
             covariance_range=_matrices(leaves["range_part"] + unseen + unknown[:, None]),
             covariance_pose=_matrices(leaves["pose_part"] + unknown[:, None]),
-            count=leaves["points"].astype(np.uint32),
+            count=np.where(measured, leaves["points"], 0.0).astype(np.uint32),
             measured=measured,
             roughness=np.where(measured, area * mean, np.nan),
             exception_fraction=np.where(measured, leaves["exception_sum"] / counted, np.nan),
