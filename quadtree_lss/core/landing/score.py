@@ -22,7 +22,8 @@ from quadtree_lss.core.landing.lattice import (
     touching,
 )
 from quadtree_lss.core.landing.raster import TerrainRaster
-from quadtree_lss.core.tree.quadtree import CellMap, Domain
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.tree.domain import Domain
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]

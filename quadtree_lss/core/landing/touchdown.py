@@ -29,7 +29,7 @@ from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.geometry import feature
 from quadtree_lss.core.landing.lattice import disc
 from quadtree_lss.core.landing.raster import TerrainRaster
-from quadtree_lss.core.tree.quadtree import Domain
+from quadtree_lss.core.tree.domain import Domain
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

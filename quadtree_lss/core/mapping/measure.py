@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the points of one scan in one cell say of its plane (paper IV.A)."""
+"""What the points of one scan in one cell say of its plane (paper IV.A).
+
+Each scan has its own offset there (Eq. 20, Eq. 21): only how its points lie to one another tells
+the slope, and pose error, which is theirs in common, is a part of the covariance by itself.
+"""
 
 from __future__ import annotations
 

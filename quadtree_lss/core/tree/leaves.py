@@ -3,6 +3,7 @@
 
 Finest cells are numbered in Morton order, so that every cell of every level is one run of numbers,
 and a point finds its leaf without descending the tree. Division turns one row into four.
+A plane is Eq. 37 with the covariance of Eq. 38.
 """
 
 from __future__ import annotations
