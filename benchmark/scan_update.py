@@ -16,6 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parent))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: one core is measured
@@ -28,11 +29,13 @@ from quadtree_lss.core.mapping import mapper as mapping
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
 
-#: Steps of `Mapper.update`, by the function that takes each; the rest is the update's own.
+#: Steps of `Mapper.update`: names of its module, and methods of what they lead to.
 STAGES: tuple[tuple[str, object, str], ...] = (
-    ("register", mapping, "register"),
-    ("fit, align, fuse, judge, divide", mapping.ScanUpdate, "run"),
-    ("residuals, exceptions, features", Mapper, "_accumulate"),
+    ("register, order", mapping, "register"),
+    ("runs of leaves", mapping, "ScanUpdate"),
+    ("fit", mapping.ScanUpdate, "fit"),
+    ("align", Mapper, "_align"),
+    ("update (fuse, judge, divide, rest)", mapping.ScanUpdate, "settle"),
 )
 FLIGHTS = (
     ("morpheus", "Morpheus, leaves to 0.25 m (must: median 1.5, 99 % 4 ms)"),
@@ -69,13 +72,12 @@ def main() -> None:
 
 def side_by_side(mapper: Mapper, scans: list[tuple[np.ndarray, Pose]]) -> dict[str, np.ndarray]:
     """CPU time (S,) of each scan in `mapper` and for mean heights on its finest cells, ms."""
-    others = mean_heights(mapper.domain)
-    spent = []
-    for points, pose in scans:
-        ready = np.array(points, dtype=float)  # of a message they are float32, and read-only
-        ours = cpu_ms(mapper.update, points, pose)
-        spent.append([ours, *(cpu_ms(method, ready, pose) for method in others.values())])
-    return dict(zip([OURS, *others], np.array(spent).T, strict=True))
+    methods = {OURS: mapper.update, **mean_heights(mapper.domain)}
+    spent = {}
+    for name, method in methods.items():
+        ready = None if name == OURS else float  # in a message they are float32, and read-only
+        spent[name] = np.array([cpu_ms(method, np.array(points, ready), p) for points, p in scans])
+    return spent
 
 
 def totals(title: str, flight: Recording, config: Config) -> None:
@@ -109,14 +111,16 @@ def watched(spent: Counter[str]) -> Iterator[None]:
 
         return wrapper
 
-    originals = [(owner, name, vars(owner)[name]) for _, owner, name in STAGES]
-    try:
-        for (stage, owner, name), (_, _, original) in zip(STAGES, originals, strict=True):
-            setattr(owner, name, timed(stage, original))
+    # A compiled class has no methods that could be exchanged, but may be inherited.
+    plain = mapping.ScanUpdate
+    steps = {name: timed(stage, getattr(of, name)) for stage, of, name in STAGES if of is plain}
+    heir = type("Watched", (plain,), steps)
+    with contextlib.ExitStack() as stack:
+        for stage, owner, name in STAGES:
+            if owner is not plain:
+                function = heir if name == "ScanUpdate" else getattr(owner, name)
+                stack.enter_context(mock.patch.object(owner, name, timed(stage, function)))
         yield
-    finally:
-        for owner, name, original in originals:
-            setattr(owner, name, original)
 
 
 def stages(flights: dict[str, Recording]) -> None:
@@ -200,24 +204,15 @@ def memory(flight: Recording) -> None:
     for scan in flight.scans:
         mapper.update(*scan[1:3])
     leaves = mapper.leaves
-    columns = [
-        value
-        for value in vars(leaves).values()
-        if isinstance(value, np.ndarray) and len(value) == leaves.capacity
-    ]
-    total = sum(column.nbytes for column in columns)
     records = encode_cells(mapper.snapshot())
+    finest = leaves.leaf_of.itemsize + leaves.observed.itemsize
     rows = [
         ["leaves", f"{leaves.count:,}", ""],
-        ["columns of the mapper, a leaf", f"{total / leaves.capacity:.0f}", "B"],
-        ["  allocated for all", f"{total / 2**20:.1f}", "MiB"],
-        [
-            "index and mask of finest cells, a cell",
-            f"{leaves.leaf_of_finest.itemsize + mapper.observed.itemsize}",
-            "B",
-        ],
-        ["map/cells, a leaf", f"{records.dtype.itemsize}", "B"],
-        ["  message", f"{records.nbytes / 2**20:.2f}", "MiB"],
+        ["a leaf in the mapper", f"{leaves.rows.dtype.itemsize}", "B"],
+        ["  allocated for all", f"{leaves.rows.nbytes / 2**20:.1f}", "MiB"],
+        ["index and mask of finest cells, a cell", f"{finest}", "B"],
+        ["a leaf in map/cells", f"{records.dtype.itemsize}", "B"],
+        ["  the message", f"{records.nbytes / 2**20:.2f}", "MiB"],
     ]
     table("Memory, Morpheus", ["", "", "unit"], rows)
 

@@ -43,7 +43,7 @@ def as_boulder(state: Array) -> Array:
 
 
 def height(state: Array, x: Array, y: Array) -> Array:
-    """Eq. 57: height of bumps (..., 5) at x, y (...) relative to the cell's centre, A left out."""
+    """Eq. 57: height of features (..., 5) at x, y (...) about the cell's centre, A left out."""
     square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2
     out: Array = peak(state) * np.exp(-0.5 * square / state[..., 4] ** 2)
     return out

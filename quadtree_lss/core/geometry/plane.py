@@ -189,10 +189,11 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
 
     Eq. 23, Eq. 24 and Eq. 25 are the cost, Eq. 26, Eq. 27, Eq. 28, Eq. 29, Eq. 30 and Eq. 31 its
     linearisation, Eq. 32, Eq. 33, Eq. 34 and Eq. 35 the normal equations, Eq. 36 the step. With
-    one free offset gamma_j per scan (Eq. 20, Eq. 21) and weights constant in a (cell, scan), the
-    cost of Eq. 25 is n^T S n / 2 with S the within-scan scatter times 1 / (n^T Sigma n). With B the
-    tangent basis at n: gradient B^T S n, Hessian B^T S B - (n^T S n) I. Where that is not positive
-    definite the Gauss-Newton Hessian B^T S B of Eq. 33 serves. Convergence is cubic.
+    one free offset gamma_j per scan (Eq. 20, Eq. 21; of one scan, d is its gamma: Eq. 22) and
+    weights constant in a (cell, scan), the cost of Eq. 25 is n^T S n / 2 with S the within-scan
+    scatter times 1 / (n^T Sigma n). With B the tangent basis at n: gradient B^T S n, Hessian
+    B^T S B - (n^T S n) I. Where that is not positive definite the Gauss-Newton Hessian B^T S B of
+    Eq. 33 serves. Convergence is cubic.
     """
     basis = cython.declare(cython.double[6])
     first = cython.declare(cython.double[3])
