@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from quadtree_lss.core.geometry import plane
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree import morton
+from quadtree_lss.core.geometry import morton
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import LeafTable
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-CORE = "core.geometry core.tree core.sensing core.mapping core.landing"
+CORE = "core.geometry core.sensing core.tree core.mapping core.landing"
 #: The whole order. All but the core also know the package's version and its errors.
 MAY_IMPORT = {
     "errors": "",
@@ -17,8 +17,8 @@ MAY_IMPORT = {
     "core.__init__": "build",
     "config": "",
     "core.geometry": "config",
-    "core.tree": "config core.geometry",
-    "core.sensing": "config core.geometry core.tree",
+    "core.sensing": "config core.geometry",
+    "core.tree": "config core.geometry core.sensing",
     "core.mapping": "config core.geometry core.sensing core.tree",
     "core.landing": "config core.geometry core.sensing core.tree",
     "messages": f"config {CORE}",

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from quadtree_lss.config.settings import LidarConfig
+from quadtree_lss.core.geometry.morton import squeezed
 from quadtree_lss.core.sensing.register import RegisteredScan
 from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.core.tree.morton import squeezed
 
 if not cython.compiled:
     from math import fabs, sqrt

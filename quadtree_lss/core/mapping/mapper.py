@@ -101,7 +101,7 @@ class Mapper:
             pose: Lidar pose at the scan's stamp.
             sweep: How the lidar moved while it took the scan; None if at once.
         """
-        scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain, sweep)
+        scan, dropped = register(points_lidar, pose, self.config.lidar, self.config.domain, sweep)
         divisions = refused = 0
         offset = None
         if len(scan.key):

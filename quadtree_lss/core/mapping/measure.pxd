@@ -6,7 +6,7 @@ from quadtree_lss.core.geometry.plane cimport (
 from quadtree_lss.core.geometry.sphere cimport basis_at
 
 from quadtree_lss.core.tree.leaves cimport Leaf, LeafTable
-from quadtree_lss.core.tree.morton cimport encode, squeeze
+from quadtree_lss.core.geometry.morton cimport encode, squeeze
 
 cdef struct Run:
     double points

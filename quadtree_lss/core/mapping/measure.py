@@ -18,6 +18,7 @@ from quadtree_lss.core.tree.leaves import LeafTable
 if not cython.compiled:
     from math import fabs, sqrt
 
+    from quadtree_lss.core.geometry.morton import encode, squeeze
     from quadtree_lss.core.geometry.plane import (
         covariance_about,
         height_normal,
@@ -27,7 +28,6 @@ if not cython.compiled:
         slope_covariance,
     )
     from quadtree_lss.core.geometry.sphere import basis_at
-    from quadtree_lss.core.tree.morton import encode, squeeze
 
     fmax, fmin = max, min
 

@@ -1,6 +1,6 @@
 from libc.math cimport NAN, sqrt
 
-from quadtree_lss.core.tree.morton cimport PLACE_BITS, PLACE_MASK
+from quadtree_lss.core.geometry.morton cimport PLACE_BITS, PLACE_MASK
 
 ctypedef fused Coordinate:
     float

@@ -11,7 +11,7 @@ if not cython.compiled:
     from math import nan as NAN
     from math import sqrt
 
-    from quadtree_lss.core.tree.morton import PLACE_BITS, PLACE_MASK
+    from quadtree_lss.core.geometry.morton import PLACE_BITS, PLACE_MASK
 
 Array = NDArray[np.float64]
 Points = NDArray[np.float32] | NDArray[np.float64]

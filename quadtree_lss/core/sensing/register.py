@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.config.settings import LidarConfig
+from quadtree_lss.config.settings import DomainConfig, LidarConfig
+from quadtree_lss.core.geometry.morton import SPREAD, sort_packed
 from quadtree_lss.core.sensing.isolated import isolated_in_image
 from quadtree_lss.core.sensing.isolated_points import isolated_in_space
 from quadtree_lss.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.core.sensing.points import arrange, bin_runs, turn
 from quadtree_lss.core.sensing.sweep import Sweep, still
-from quadtree_lss.core.tree.domain import Domain
-from quadtree_lss.core.tree.morton import SPREAD, sort_packed
 
 Array = NDArray[np.float64]
 Points = NDArray[np.float32] | NDArray[np.float64]
@@ -52,7 +51,7 @@ def register(
     points_lidar: Points,
     pose: Pose,
     lidar: LidarConfig,
-    domain: Domain,
+    domain: DomainConfig,
     sweep: Sweep | None = None,
 ) -> tuple[RegisteredScan, dict[str, int]]:
     """Keep the sound returns, apply Eq. 15 and bring them into the order of the cells.
@@ -90,7 +89,8 @@ def register(
     missing, beyond = lost.tolist()
     sound = len(flat) - missing - beyond - isolated
     west, south = (pose.position[:2] - [domain.xmin, domain.ymin]).tolist()
-    n, per_metre = domain.finest_count, 1.0 / domain.finest_size
+    n = 1 << domain.max_level
+    per_metre = n / domain.size
     bin_runs(
         work.points,
         work.ranges,
@@ -123,14 +123,6 @@ def register(
         "outside": sound - inside,
     }
     return scan, dropped
-
-
-def finest_of(scan: RegisteredScan, domain: Domain) -> NDArray[np.intp]:
-    """(N,) index iy * n + ix of the finest cell under each point."""
-    x, y = (scan.key >> axis & 0x55555555 for axis in (0, 1))
-    for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
-        x, y = (x | x >> shift) & mask, (y | y >> shift) & mask
-    return y * domain.finest_count + x
 
 
 def compact(values: NDArray[np.intp], bound: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Domain, Morton order, the table of leaves, the published map."""
+"""Domain, the table of leaves, the published map."""

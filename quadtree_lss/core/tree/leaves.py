@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from quadtree_lss.core.tree.domain import Domain
 
 if not cython.compiled:
+    from quadtree_lss.core.geometry.morton import encode, squeeze
     from quadtree_lss.core.geometry.plane import shift_origin
     from quadtree_lss.core.geometry.sphere import basis_at
-    from quadtree_lss.core.tree.morton import encode, squeeze
 
     NAN = float("nan")
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
