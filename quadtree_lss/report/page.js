@@ -90,7 +90,7 @@ const LAYERS = {
 if (leaf.sigma) {
   LAYERS.sigma = onLeaves("Uncertainty of height, 1 σ", "m", leaf.sigma.at,
                           leaf.sigma.limits, "magma");
-  LAYERS.roughness = onLeaves("Roughness (mean distance)", "mm", leaf.roughness.at,
+  LAYERS.roughness = onLeaves("Roughness (distance from the plane)", "m", leaf.roughness.at,
                               leaf.roughness.limits, "magma");
 }
 function paint(layer) {
@@ -335,7 +335,7 @@ function values(x, y) {
       rows.push(["leaf's slope", Number.isNaN(s) ? "–" : leaf.slope.at(r).toFixed(1) + "°"]);
       rows.push(["measurements", leaf.count.raw[r]]);
       rows.push(["roughness", Number.isNaN(leaf.roughness.at(r)) ? "–" :
-        leaf.roughness.at(r).toFixed(1) + " mm"]);
+        leaf.roughness.at(r).toFixed(4) + " m"]);
       rows.push(["exceptions", Number.isNaN(leaf.exceptions.at(r)) ? "–" :
         (100 * leaf.exceptions.at(r)).toFixed(1) + " %"]);
       rows.push(["feature", Number.isNaN(height) ? "none" : height.toFixed(2) + " m high"]);

@@ -114,7 +114,7 @@ def _leaves(cells: CellMap) -> dict[str, Any]:
         with np.errstate(invalid="ignore"):
             sigma = np.where(cells.estimated, np.sqrt(cells.covariance[:, 2, 2]), np.nan)
             degrees = np.where(cells.estimated, np.degrees(slope(cells.normal)), np.nan)
-        rough = 1e3 * cells.roughness / cells.size**2  # Eq. 55 by area: mm off the plane
+        rough = cells.roughness / cells.size**2  # Eq. 55 by area: distance from the plane
         shown = np.isfinite(cells.feature[:, 0])
         height = np.full(len(cells.level), np.nan)
         height[shown] = peak(cells.feature[shown])

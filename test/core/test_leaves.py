@@ -9,9 +9,8 @@ from core.builders import configured, domain_of, flat, leaf_by_descent, make_pos
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.core.geometry import plane
+from quadtree_lss.core.geometry import morton, plane
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.geometry import morton
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import LeafTable
 

@@ -16,10 +16,9 @@ from core.builders import (
 )
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.core.geometry import rotations
+from quadtree_lss.core.geometry import morton, rotations
 from quadtree_lss.core.sensing import lidar
 from quadtree_lss.core.sensing.register import register
-from quadtree_lss.core.geometry import morton
 
 DRAWS = 40_000
 #: A sample (co)variance of DRAWS normal values errs by sqrt(2 / DRAWS) = 0.7 % (one sigma).

@@ -117,7 +117,7 @@ def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(result):
     cells = result.cells
     even = dataclasses.replace(cells, roughness=0.007 * cells.size**2)
     data = page_data.page_data(dataclasses.replace(result, cells=even), CONFIG)["leaves"]
-    np.testing.assert_allclose(column(data["roughness"]), 7.0)
+    np.testing.assert_allclose(column(data["roughness"]), 0.007)
 
 
 def test_large_maps_stay_small_pages(result, monkeypatch):
