@@ -1,4 +1,6 @@
-from libc.math cimport atan2, cos, fmax, sin, sqrt
+from libc.math cimport sqrt
+from quadtree_lss.core.geometry.plane cimport inverse_symmetric, keep_up, shift_origin, turn_tangent
+from quadtree_lss.core.geometry.sphere cimport basis_at, change_of_tangent, minus_at, plus_at
 
 cpdef void fuse_leaves(
     Py_ssize_t[::1] ancestor,
@@ -13,12 +15,3 @@ cpdef void fuse_leaves(
     double[:, :, ::1] fused_range,
     double[:, :, ::1] fused_pose,
 )
-cdef void see_from(
-    double* normal, double* arm, double* reference, double* change, double* error
-) noexcept nogil
-cdef void step_from(double* reference, double* step, double* normal) noexcept nogil
-cdef void axes(double* normal, double* out) noexcept nogil
-cdef double dot(double* a, double* b) noexcept nogil
-cdef void congruent(double* change, double* covariance, double* out) noexcept nogil
-cdef void invert(double* matrix, double* out) noexcept nogil
-cdef double bounded(double correlation) noexcept nogil

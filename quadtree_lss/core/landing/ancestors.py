@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import cython
 import numpy as np
@@ -14,17 +12,18 @@ from numpy.typing import NDArray
 from quadtree_lss.core.tree.cell_map import CellMap
 
 if not cython.compiled:
-    from math import atan2, cos, sin, sqrt
+    from math import sqrt
 
-    fmax = max
+    from quadtree_lss.core.geometry.plane import (
+        inverse_symmetric,
+        keep_up,
+        shift_origin,
+        turn_tangent,
+    )
+    from quadtree_lss.core.geometry.sphere import basis_at, change_of_tangent, minus_at, plus_at
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-#: A C array of doubles that a kernel reads or writes in place.
-Vector: TypeAlias = MutableSequence[float]
-
-#: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
-MIN_UP = cython.declare(cython.double, 0.05)
 
 
 @dataclass(frozen=True)
@@ -127,185 +126,76 @@ def fuse_leaves(
     a: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
-    leaves: cython.Py_ssize_t = ancestor.shape[0]
     count: cython.Py_ssize_t = place.shape[0]
     total = cython.declare(cython.double[::1], np.zeros(count))
     pulled = cython.declare(cython.double[:, ::1], np.zeros((count, 3)))
-    reference = cython.declare(cython.double[:, ::1], np.zeros((count, 3)))
-    n = cython.declare(cython.double[3])
+    own = cython.declare(cython.double[3])
+    mean = cython.declare(cython.double[3])
     arm = cython.declare(cython.double[3])
     error = cython.declare(cython.double[3])
-    change = cython.declare(cython.double[9])
-    moved = cython.declare(cython.double[9])
-    inverse = cython.declare(cython.double[9])
+    basis = cython.declare(cython.double[6])
+    turn = cython.declare(cython.double[4])
+    ranges = cython.declare(cython.double[9])
+    poses = cython.declare(cython.double[9])
+    information = cython.declare(cython.double[9])
     with cython.nogil:
-        for k in range(leaves):
+        for k in range(ancestor.shape[0]):
             a = ancestor[k]
             total[a] += weight[k]
             z[a] += weight[k] * centre[k, 2]
             for i in range(3):
-                reference[a, i] += weight[k] * normal[k, i]
+                fused[a, i] += weight[k] * normal[k, i]
         for a in range(count):
             z[a] /= total[a]
-            norm = 0.0
+            length = sqrt(fused[a, 0] ** 2 + fused[a, 1] ** 2 + fused[a, 2] ** 2)
             for i in range(3):
-                norm += reference[a, i] * reference[a, i]
-            for i in range(3):
-                reference[a, i] /= sqrt(norm)
-        for k in range(leaves):
+                fused[a, i] /= length
+        # Each leaf seen from its ancestor's centre, its error in the tangent at the mean normal.
+        for k in range(ancestor.shape[0]):
             a = ancestor[k]
             arm[0], arm[1] = place[a, 0] - centre[k, 0], place[a, 1] - centre[k, 1]
             arm[2] = z[a] - centre[k, 2]
-            see_from(
-                cython.address(normal[k, 0]), arm, cython.address(reference[a, 0]), change, error
-            )
-            congruent(change, cython.address(range_part[k, 0, 0]), moved)
-            invert(moved, inverse)
+            for i in range(3):
+                own[i], mean[i] = normal[k, i], fused[a, i]
+                for j in range(3):
+                    ranges[3 * i + j] = range_part[k, i, j]
+                    poses[3 * i + j] = pose_part[k, i, j]
+            basis_at(own, basis)
+            change_of_tangent(own, mean, turn)
+            first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
+            second = basis[3] * arm[0] + basis[4] * arm[1] + basis[5] * arm[2]
+            shift_origin(ranges, first, second)
+            shift_origin(poses, first, second)
+            turn_tangent(ranges, turn)
+            turn_tangent(poses, turn)
+            minus_at(own, mean, error)
+            error[2] = -(own[0] * arm[0] + own[1] * arm[1] + own[2] * arm[2])
+            inverse_symmetric(ranges, information)
             for i in range(3):
                 for j in range(3):
-                    fused_range[a, i, j] += inverse[3 * i + j]
-                    pulled[a, i] += inverse[3 * i + j] * error[j]
-            congruent(change, cython.address(pose_part[k, 0, 0]), moved)
-            for i in range(3):
-                for j in range(3):
-                    fused_pose[a, i, j] += weight[k] / total[a] * moved[3 * i + j]
+                    fused_range[a, i, j] += information[3 * i + j]
+                    fused_pose[a, i, j] += weight[k] / total[a] * poses[3 * i + j]
+                    pulled[a, i] += information[3 * i + j] * error[j]
         for a in range(count):
-            invert(cython.address(fused_range[a, 0, 0]), inverse)
+            for i in range(3):
+                mean[i] = fused[a, i]
+                for j in range(3):
+                    information[3 * i + j] = fused_range[a, i, j]
+                    poses[3 * i + j] = fused_pose[a, i, j]
+            inverse_symmetric(information, ranges)
             for i in range(3):
                 error[i] = 0.0
                 for j in range(3):
-                    error[i] += inverse[3 * i + j] * pulled[a, j]
-            step_from(cython.address(reference[a, 0]), error, n)
+                    error[i] += ranges[3 * i + j] * pulled[a, j]
+            plus_at(mean, error, own)
+            keep_up(own)
             # d / n_z is how far the plane passes above the origin; the origin moves up to it.
-            rise = error[2] / n[2]
+            rise = error[2] / own[2]
             z[a] += rise
-            for i in range(9):
-                change[i] = 1.0 if i % 4 == 0 else 0.0
-            change[6], change[7] = rise * n[0], rise * n[1]
-            congruent(change, inverse, cython.address(fused_range[a, 0, 0]))
-            for i in range(9):
-                moved[i] = fused_pose[a, i // 3, i % 3]
-            congruent(change, moved, cython.address(fused_pose[a, 0, 0]))
+            shift_origin(ranges, -rise * own[0], -rise * own[1])
+            shift_origin(poses, -rise * own[0], -rise * own[1])
             for i in range(3):
-                fused[a, i] = n[i]
-
-
-def see_from(normal: Vector, arm: Vector, reference: Vector, change: Vector, error: Vector) -> None:
-    """A plane as an observation of one with the normal ``reference`` whose origin lies elsewhere.
-
-    d' = d - n.arm and dd' = dd - (B^T arm).dphi (B the first two columns of Eq. 2 at n); with
-    w = R^T n, R that of Eq. 2 at the reference, n [-] reference is log(w) (Eq. 9) and its error
-    dlog(w) R^T B dphi.
-
-    Args:
-        normal: (3,) of the plane, which passes through its origin.
-        arm: (3,) of the other origin from its own, m.
-        reference: (3,).
-        change: (3, 3), set to the linear map of the plane's error.
-        error: (3,), set to (n [-] reference, d').
-    """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    own = cython.declare(cython.double[9])
-    other = cython.declare(cython.double[9])
-    seen = cython.declare(cython.double[3])
-    log = cython.declare(cython.double[6])
-    turned = cython.declare(cython.double[6])
-    axes(normal, own)
-    axes(reference, other)
-    for i in range(3):
-        seen[i] = dot(cython.address(other[3 * i]), normal)
-        for j in range(2):
-            turned[2 * i + j] = dot(cython.address(other[3 * i]), cython.address(own[3 * j]))
-    sine = sqrt(seen[0] * seen[0] + seen[1] * seen[1])
-    kx, ky, across = 1.0, 0.0, 1.0
-    if sine > 1e-9:
-        kx, ky, across = seen[0] / sine, seen[1] / sine, atan2(sine, seen[2]) / sine
-    cosine = seen[2]
-    log[0], log[4] = cosine * kx * kx + across * ky * ky, cosine * ky * ky + across * kx * kx
-    log[1] = log[3] = (cosine - across) * kx * ky
-    log[2], log[5] = -sine * kx, -sine * ky
-    for i in range(2):
-        for j in range(2):
-            change[3 * i + j] = (
-                log[3 * i] * turned[j]
-                + log[3 * i + 1] * turned[2 + j]
-                + log[3 * i + 2] * turned[4 + j]
-            )
-        change[3 * i + 2] = 0.0
-        change[6 + i] = -dot(cython.address(own[3 * i]), arm)
-    change[8] = 1.0
-    error[0], error[1], error[2] = across * seen[0], across * seen[1], -dot(normal, arm)
-
-
-def step_from(reference: Vector, step: Vector, normal: Vector) -> None:
-    """Eq. 8: normal = reference [+] (step[0], step[1]), turned up and no wall."""
-    i: cython.Py_ssize_t
-    to = cython.declare(cython.double[9])
-    axes(reference, to)
-    angle = sqrt(step[0] * step[0] + step[1] * step[1])
-    sinc = sin(angle) / angle if angle > 1e-9 else 1.0
-    for i in range(3):
-        normal[i] = (to[i] * step[0] + to[3 + i] * step[1]) * sinc + to[6 + i] * cos(angle)
-    if normal[2] < 0.0:
-        normal[0], normal[1], normal[2] = -normal[0], -normal[1], -normal[2]
-    if normal[2] < MIN_UP:
-        level = sqrt((1.0 - MIN_UP * MIN_UP) / (normal[0] * normal[0] + normal[1] * normal[1]))
-        normal[0], normal[1], normal[2] = level * normal[0], level * normal[1], MIN_UP
-
-
-def axes(normal: Vector, out: Vector) -> None:
-    """Columns of Eq. 2, the axes of dphi and the normal, as rows of (3, 3)."""
-    x, y, z = normal[0], normal[1], normal[2]
-    f = 1.0 / (1.0 + z)
-    out[0], out[1], out[2] = 1.0 - f * x * x, -f * x * y, -x
-    out[3], out[4], out[5] = -f * x * y, 1.0 - f * y * y, -y
-    out[6], out[7], out[8] = x, y, z
-
-
-def dot(a: Vector, b: Vector) -> float:
-    """Of two vectors (3,)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def congruent(change: Vector, covariance: Vector, out: Vector) -> None:
-    """T C T^T of (3, 3), C symmetric; ``out`` is another array."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    image = cython.declare(cython.double[9])
-    for i in range(3):
-        for j in range(3):
-            image[3 * i + j] = dot(cython.address(change[3 * i]), cython.address(covariance[3 * j]))
-    for i in range(3):
-        for j in range(i, 3):
-            value = dot(cython.address(image[3 * i]), cython.address(change[3 * j]))
-            out[3 * i + j] = out[3 * j + i] = value
-
-
-def invert(matrix: Vector, out: Vector) -> None:
-    """Inverse of a symmetric positive definite (3, 3) by cofactors, scaled to a unit diagonal.
-
-    A scaled determinant below 1e-14 is round-off and taken as that: metres and radians of very
-    different size do not spoil the inverse, and a singular matrix gives a large finite one.
-    """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    scale = cython.declare(cython.double[3])
-    for i in range(3):
-        scale[i] = 1.0 / sqrt(fmax(matrix[4 * i], 1e-24))
-    b = bounded(matrix[1] * scale[0] * scale[1])
-    c = bounded(matrix[2] * scale[0] * scale[2])
-    e = bounded(matrix[5] * scale[1] * scale[2])
-    out[0], out[4], out[8] = 1.0 - e * e, 1.0 - c * c, 1.0 - b * b
-    out[1] = out[3] = c * e - b
-    out[2] = out[6] = b * e - c
-    out[5] = out[7] = b * c - e
-    determinant = fmax(out[0] + b * out[1] + c * out[2], 1e-14)
-    for i in range(3):
-        for j in range(3):
-            out[3 * i + j] *= scale[i] * scale[j] / determinant
-
-
-def bounded(correlation: float) -> float:
-    """Between -1 and 1."""
-    return fmax(-1.0, -fmax(-1.0, -correlation))
+                fused[a, i] = own[i]
+                for j in range(3):
+                    fused_range[a, i, j] = ranges[3 * i + j]
+                    fused_pose[a, i, j] = poses[3 * i + j]
