@@ -377,10 +377,12 @@ def fuse(
     second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
     shift_origin(range_part, first, second)
     shift_origin(pose_part, first, second)
-    change_of_tangent(prior_normal, normal, change)
-    turn_tangent(prior_range, change)
-    turn_tangent(prior_pose, change)
-    minus_at(prior_normal, normal, error)
+    error[0] = error[1] = 0.0
+    if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
+        change_of_tangent(prior_normal, normal, change)
+        turn_tangent(prior_range, change)
+        turn_tangent(prior_pose, change)
+        minus_at(prior_normal, normal, error)
     error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     for i in range(9):
         one[i] = prior_range[i] + (1.0 - common) * prior_pose[i]

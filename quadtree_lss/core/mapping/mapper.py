@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.feature import as_boulder
-from quadtree_lss.core.mapping.alignment import Offset, lift, offset_of
+from quadtree_lss.core.mapping.alignment import LEAST_LIFT, Offset, lift, offset_of
 from quadtree_lss.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
@@ -133,7 +133,8 @@ class Mapper:
         """Let the scan and the map meet at one height."""
         offset = offset_of(change.compare(), now, self.config.pose.correlation_time)
         if offset is not None:
-            lift(self.leaves, offset.map, offset.since)
+            if abs(offset.map) >= LEAST_LIFT:
+                lift(self.leaves, offset.map, offset.since)
             change.align(offset.scan)
         return offset
 
