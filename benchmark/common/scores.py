@@ -48,9 +48,7 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
     for scan in flight.scans:
         if consistent:
             registered, _ = register(*scan[1:3], config.lidar, mapper.domain, scan.sweep)
-            counts += prefit_statistics(
-                mapper.leaves, registered, config.lidar.range_noise
-            ).counts()
+            counts += prefit_statistics(mapper.snapshot(), registered, config.lidar).counts()
         began = time.process_time()
         mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         times.append(1e3 * (time.process_time() - began))

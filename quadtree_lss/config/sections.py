@@ -177,9 +177,7 @@ class MappingConfig:
         low=1,
         high=100000,
     )
-    align: bool = _p(
-        True, "move each scan to where the map lies: one offset a scan, filtered from scan to scan"
-    )
+    align: bool = _p(True, "let each scan and the map meet at one height")
     min_points: int = _p(3, "points of one scan that make a first fit", low=3, high=10000)
     slope_prior_points: float = _p(
         5.0, "weight of the parent's slope in a first height fit, in points", low=0.0, high=1000.0

@@ -158,7 +158,7 @@ class Mapper:
     def snapshot(self) -> CellMap:
         """The map as it stands; copies, so that later scans do not change it."""
         rows = self.leaves.in_order()
-        leaves = self.leaves.rows[rows]
+        leaves = np.take(self.leaves.rows.view(np.ndarray), rows)
         unseen = np.empty((len(rows), 9))
         unseen_parts(self.leaves, rows, unseen)
         known = leaves["known"] >= INHERITED

@@ -41,6 +41,9 @@ MAX_VARIANCE = cython.declare(cython.double, 1e6)
 #: Variance that a view of 70 % of a cell's width adds to the height of the cell, m^2; one of half
 #: of it adds three times as much: ground is no plane.
 UNEVEN = cython.declare(cython.double, 2.25e-4)
+#: An orthogonal fit that stands so much steeper than the regression of height (n_z over n_z) is of
+#: points that are as far apart in height as in place: no plane.
+OVERTURNED = cython.declare(cython.double, 0.5)
 #: What is not known of a slope, rad.
 UNKNOWN_TILT = cython.declare(cython.double, 10.0)
 #: By how much a cell's slope may differ from that of the part of it which was seen, rad.
@@ -199,7 +202,14 @@ def measure(
             runs[at].scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, runs[at].normal
         )
         if rules.ml and count > 3.0:
+            first = runs[at].normal[0]
+            second = runs[at].normal[1]
+            up = runs[at].normal[2]
             orthogonal_normal(runs[at].scatter, runs[at].normal)
+            if runs[at].normal[2] < OVERTURNED * up:
+                runs[at].normal[0] = first
+                runs[at].normal[1] = second
+                runs[at].normal[2] = up
     up = runs[at].normal[2]
     cosine = fabs(runs[at].normal[0] * ray_x + runs[at].normal[1] * ray_y + up * ray_z)
     cosine = fmax(cosine, MIN_COSINE)

@@ -43,6 +43,7 @@ cdef class LeafTable:
     cdef readonly object leaf_of
     cdef Leaf[::1] leaf
     cdef int[::1] over
+    cdef Py_ssize_t[::1] order
     cdef readonly object observed
     cdef unsigned char[::1] seen
     cdef readonly Py_ssize_t count

@@ -200,8 +200,9 @@ class LeafTable:
         code: cython.Py_ssize_t = 0
         at: cython.Py_ssize_t = 0
         out = np.empty(self.count, dtype=np.intp)
-        while code < len(self.leaf_of):
-            out[at] = self.over[code]
+        self.order = out
+        while code < self.over.shape[0]:
+            self.order[at] = self.over[code]
             code += 1 << (2 * (self.max_level - self.leaf[self.over[code]].level))
             at += 1
         return out
