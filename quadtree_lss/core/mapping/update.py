@@ -338,6 +338,8 @@ class ScanUpdate:
         asked: cython.bint = asks(self.rules, self.table.leaf, row, self.runs, at)
         if not (asked and self._divide(row, at)):
             self._rest(row, begin, end, at)
+            if self.runs[at].unseen >= 0.5 or self.runs[at].points < self.rules.min_residuals:
+                return
             if not hides_rock(self.rules, self.table.leaf, row, self._side(row)):
                 return
             if asked or not self._divide(row, at):
