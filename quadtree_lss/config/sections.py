@@ -345,6 +345,14 @@ class LssConfig:
         "that flies with an area or a keep-out",
         choices=("none", "area", "keep_out", "both"),
     )
+    max_map_age: float = _p(
+        30.0,
+        "lss_node withdraws its sites when no map it could use has come for longer; 0 is never",
+        unit="s",
+        low=0.0,
+        high=1e5,
+        live=True,
+    )
     hysteresis: float = _p(
         0.0,
         "a new first site must score better than the last by this; 0 is off",

@@ -9,31 +9,32 @@ from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseArray
 from nav_msgs.msg import OccupancyGrid
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.messages.maps import MapMessageError
-from quadtree_lss.messages.poses import check_frame
 from quadtree_lss.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Status
 from quadtree_lss.ros.landing_inputs import LandingInputs
 from quadtree_lss.ros.markers import MarkerPublisher, site_markers
-from quadtree_lss.ros.messages import landing_messages, map_from_messages
-from quadtree_lss.ros.monitor import Arrivals, Durations
+from quadtree_lss.ros.messages import landing_messages
+from quadtree_lss.ros.monitor import Durations
 from quadtree_lss.ros.node_runner import run
 from quadtree_lss.ros.parameters import NodeParameters
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.publishers import Publishers
 from quadtree_lss.ros.qos import advertise, latched, subscribe
 from quadtree_lss.ros.rate_limit import ChangePublisher
+from quadtree_lss.ros.received_map import ReceivedMap
 
 if TYPE_CHECKING:
     from quadtree_lss.core.landing.sites import LandingAssessment
 
 CELLS, OBSERVED = "map/cells", "map/observed"
+LOOK_PERIOD_S = 0.2
+"""How often the age of the map is looked at."""
 
 
 class LssNode(Node):
@@ -46,20 +47,19 @@ class LssNode(Node):
         self._problems = Problems(self.get_logger())
         self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
         # Before the map: of what is there when the node starts, they are to be looked at first.
-        self._inputs = LandingInputs(
-            self, self._problems, self._output.changed, config.lss.required_input
-        )
+        self._inputs = LandingInputs(self, self._problems, self._ask, config.lss.required_input)
         self._map_topic = self.resolve_topic_name(CELLS)
         effect = "maps of either are assessed"
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
+        binding = "frames.map" in self._settings.given
+        self._map = ReceivedMap(self._problems, config.frames.map, binding=binding)
         subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._map_publishers.changed)
         subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
-        self._newest: dict[str, Any] = {}
-        self._cells: CellMap | None = None
         self._result: LandingAssessment | None = None
-        self._frame = config.frames.map
         self._assessments = 0
-        self._maps = Arrivals()
+        self._assessed: CellMap | None = None
+        self._withheld = ""
+        self._asked = False
         self._lss_ms, self._latency_ms = Durations(), Durations()
         self._diagnostics = Diagnostics(
             self, config.publish.diagnostics_rate, self._problems, self._collect
@@ -79,6 +79,8 @@ class LssNode(Node):
             advertise(self, MarkerArray, "landing/markers", latched()),
             self._site_markers,
         )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
         # This takes a while to load, in which the middleware already finds mapping_node.
         from quadtree_lss.core.landing.sites import LandingSiteSelector
 
@@ -86,52 +88,49 @@ class LssNode(Node):
 
     def _reconfigure(self, config: Config) -> None:
         self._selector.configure(config)
+        self._ask()
+
+    def _ask(self) -> None:
+        """Something else than the map changed."""
+        self._asked = True
         self._output.changed()
 
     def _on_cells(self, message: Any) -> None:
-        self._newest["cells"] = message
-        self._join()
+        if self._map.on_cells(message):
+            self._output.changed()
 
     def _on_observed(self, message: Any) -> None:
-        self._newest["observed"] = message
-        self._join()
+        if self._map.on_observed(message):
+            self._output.changed()
 
-    def _join(self) -> None:
-        """A map is complete when both its messages carry the same stamp.
+    def _withhold(self) -> str:
+        """Why no site may be given out, empty if nothing speaks against it."""
+        limit = self._settings.config.lss.max_map_age
+        reasons = (self._inputs.withheld, self._map.too_old(limit))
+        return "; ".join(reason for reason in reasons if reason)
 
-        Neither is used twice: the next map may have the same stamp, and its cells must not be
-        joined with what was observed before. Only the newest map is kept and decoded when its
-        turn comes: maps are skipped, not queued.
-        """
-        cells, observed = self._newest.get("cells"), self._newest.get("observed")
-        if cells is None or observed is None or cells.header.stamp != observed.header.stamp:
-            return
-        self._newest = {"map": (cells, observed)}
-        self._maps.add()
-        self._output.changed()
-
-    def _decode(self) -> None:
-        cells, observed = self._newest.pop("map")
-        frame = cells.header.frame_id
-        try:
-            if "frames.map" in self._settings.given:
-                check_frame(frame, self._settings.config.frames.map, "map/cells")
-            self._cells = map_from_messages(cells, observed)
-        except (MapMessageError, MessageError) as error:
-            self._problems.report(f"map.{error.reason}", f"map not used: {error}")
-        else:
-            self._frame = frame
-            self._inputs.use_frame(frame)
+    def _look_around(self) -> None:
+        """Withdraws the sites when the map has become too old."""
+        if self._result is not None and self._withhold() != self._withheld:
+            self._output.now()
 
     def _assess(self) -> None:
-        if "map" in self._newest:
-            self._decode()
-        if self._cells is None or not self._inputs.settled():
+        self._map.take()
+        cells = self._map.cells
+        if cells is None:
             return
+        self._inputs.use_frame(self._map.frame)
+        withheld = self._withhold()
+        if cells is self._assessed and withheld == self._withheld and not self._asked:
+            return  # what came was refused
+        if not self._inputs.settled():
+            return
+        self._assessed, self._withheld, self._asked = cells, withheld, False
         start = time.perf_counter()
-        result = self._selector.assess(self._cells, **self._inputs.restrictions())
+        restrictions = {**self._inputs.restrictions(), "withheld": withheld}
+        result = self._selector.assess(cells, **restrictions)
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
-        for topic, message in landing_messages(result, self._frame).items():
+        for topic, message in landing_messages(result, self._map.frame).items():
             self._landing[topic].publish(message)
         self._assessments += 1
         self._result = result
@@ -144,12 +143,15 @@ class LssNode(Node):
         if self._result is None:
             return None
         lss = self._settings.config.lss
-        return site_markers(self._result, self._frame, 0.5 * lss.vehicle_diameter + lss.margin)
+        return site_markers(self._result, self._map.frame, 0.5 * lss.vehicle_diameter + lss.margin)
 
     def _collect(self, status: Status) -> None:
-        status.judge_age("map", self._map_topic, self._maps, self._settings.config.diagnostics)
+        self._map.take()
+        limits = self._settings.config.diagnostics
+        status.judge_age("map", self._map_topic, self._map.arrivals, limits)
         status.add(
             {
+                "map.refused": self._map.refusals,
                 "map.publishers": self._map_publishers.number,
                 "assessments": self._assessments,
                 "lss_ms": self._lss_ms.take(),
@@ -157,24 +159,27 @@ class LssNode(Node):
             }
         )
         status.add({f"landing.{name}": state for name, state in self._inputs.states().items()})
-        if self._inputs.withheld:
-            status.note(ERROR, f"no site is given out: {self._inputs.withheld}")
+        withheld = self._withhold()
+        if withheld:
+            status.note(ERROR, f"no site is given out: {withheld}")
+        elif self._map.refused:
+            status.note(ERROR, f"{self._map.refused}; the one before it holds")
         result = self._result
-        if result is None and self._cells is not None:
+        if result is None and self._map.cells is not None:
             names = " and ".join(f"landing/{name}" for name in self._inputs.unheard())
             status.note(WARN, f"no site is given out yet: waiting for {names}")
-        if result is None or self._cells is None:
+        if result is None or self._map.cells is None:
             return
         count = len(result.sites.score)
         status.add(
             {
                 "map.stamp_ns": result.stamp_ns,
-                "map.leaves": len(self._cells.level),
+                "map.leaves": len(self._map.cells.level),
                 "sites": count,
                 "explanation": result.explanation,
             }
         )
-        if self._inputs.withheld:
+        if withheld:
             return
         if count:
             status.note(OK, f"{count} sites; {result.explanation}")

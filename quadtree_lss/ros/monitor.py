@@ -19,10 +19,15 @@ class Arrivals:
         self._last = self._looked = time.monotonic()
         self._counted = 0
 
-    def add(self) -> None:
-        """One came just now."""
+    @staticmethod
+    def now() -> float:
+        """Present time, s, as `add` takes it."""
+        return time.monotonic()
+
+    def add(self, at: float | None = None) -> None:
+        """One came just now, or at that time."""
         self.count += 1
-        self._last = time.monotonic()
+        self._last = time.monotonic() if at is None else at
 
     def age(self) -> float:
         """Seconds since the last one, or since the start if none came."""

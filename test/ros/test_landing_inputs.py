@@ -9,16 +9,10 @@ import functools
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point32, PointStamped, PolygonStamped, PoseArray
-from nav_msgs.msg import OccupancyGrid
-from ros.conftest import status_values
-from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
-from sensor_msgs.msg import PointCloud2
+from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
+from ros_vehicle import Vehicle, flat_map
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.messages.clouds import MessageError, stamp_ns
+from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.ros.landing_inputs import (
     JOIN_S,
     MAX_VERTICES,
@@ -27,7 +21,6 @@ from quadtree_lss.ros.landing_inputs import (
     target_from_message,
 )
 from quadtree_lss.ros.messages import header_message, map_messages
-from quadtree_lss.ros.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 
@@ -50,71 +43,7 @@ def target(x, y):
 @pytest.fixture(scope="module")
 def cells():
     """A map that has room for sites everywhere."""
-    domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
-    mapper = Mapper(load_config(overrides={"domain": domain}))
-    for event in events(2):
-        if event.points_lidar is not None:
-            mapper.update(event.points_lidar, Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE))
-    return mapper.snapshot()
-
-
-class Vehicle:
-    """What lss_node hears, latched, and all it says: stamps and places of the sites."""
-
-    def __init__(self, listener, cells):
-        node = listener.node
-        self.listener, self._cells = listener, cells
-        self._publishers = {
-            topic: node.create_publisher(kind, topic, latched())
-            for topic, kind in (
-                ("map/cells", PointCloud2),
-                ("map/observed", OccupancyGrid),
-                ("landing/area", PolygonStamped),
-                ("landing/keep_out", PolygonStamped),
-            )
-        }
-        self.said = []
-        node.create_subscription(PoseArray, "landing/sites", self._on_sites, latched())
-
-    def _on_sites(self, message):
-        places = np.array([(p.position.x, p.position.y) for p in message.poses]).reshape(-1, 2)
-        self.said.append((stamp_ns(message.header), message.header.frame_id, places))
-
-    def send_map(self, seconds, frame="map", observed_frame=None):
-        """The map with a stamp ``seconds`` after the start; the stamp."""
-        stamp = START_NS + seconds * 10**9
-        cloud, grid = map_messages(dataclasses.replace(self._cells, stamp_ns=stamp), frame)
-        grid.header.frame_id = observed_frame or frame
-        self.send("map/observed", grid)
-        self.send("map/cells", cloud)
-        return stamp
-
-    def send(self, topic, message):
-        self._publishers[topic].publish(message)
-
-    def last(self):
-        return self.said[-1] if self.said else (None, None, None)
-
-    def sites_of(self, stamp, condition):
-        """True once the sites of this map were last sent, and are some that fulfil it all."""
-        last, _, places = self.last()
-        return last == stamp and len(places) > 0 and bool(np.all(condition(places)))
-
-    def none_of(self, stamp):
-        """True once it was last said that the map of this stamp has no site."""
-        last, _, places = self.last()
-        return last == stamp and len(places) == 0
-
-    def values(self):
-        return status_values(self.listener, "lss_node")
-
-    def told(self, level, *words):
-        status = self.listener.diagnostics.get("lss_node")
-        return (
-            status is not None
-            and status.level == level
-            and all(word in status.message for word in words)
-        )
+    return flat_map()
 
 
 @pytest.fixture
@@ -217,14 +146,15 @@ def test_halves_of_two_maps_are_not_joined(ros, vehicle):
     received, said = int(vehicle.values().get("map.received", 1)), len(vehicle.said)
     _, grid = map_messages(
         dataclasses.replace(
-            vehicle._cells, stamp_ns=stamp, observed=np.zeros_like(vehicle._cells.observed)
+            vehicle.cells, stamp_ns=stamp, observed=np.zeros_like(vehicle.cells.observed)
         ),
         "map",
     )
     vehicle.send("map/observed", grid)
     stamp = vehicle.send_map(0, "odom", observed_frame="map")
     assert wait(lambda: vehicle.values().get("problems.map.frame") == "1"), lss.output()
-    assert int(vehicle.values()["map.received"]) == received + 1
+    values = vehicle.values()
+    assert values["map.refused"] == "1" and int(values["map.received"]) == received
     assert all(len(places) for _, _, places in vehicle.said[said:]), "of a map without ground"
     stamp = vehicle.send_map(1)
     assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A refused map is never received: its age runs, the status says so, sites are withdrawn."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from ros_vehicle import Vehicle, flat_map
+
+from quadtree_lss.ros.messages import map_messages
+from quadtree_lss.ros.problems import Problems
+from quadtree_lss.ros.received_map import ReceivedMap
+
+pytestmark = pytest.mark.xdist_group("ros_landing")
+
+
+class Log:
+    def warning(self, message):
+        """Nobody reads it."""
+
+
+@pytest.fixture(scope="module")
+def cells():
+    return flat_map()
+
+
+def broken(cells):
+    """The same map with one leaf twenty thousand kilometres up."""
+    z = cells.z.copy()
+    z[0] = 2e7
+    return dataclasses.replace(cells, z=z, stamp_ns=cells.stamp_ns + 1)
+
+
+def give(received, cells):
+    cloud, grid = map_messages(cells, "map")
+    assert not received.on_observed(grid)
+    assert received.on_cells(cloud)
+
+
+def test_a_refused_map_does_not_make_the_one_before_younger(cells):
+    received = ReceivedMap(Problems(Log()), "map", binding=False)
+    give(received, cells)
+    received.take()
+    first, age = received.cells, received.arrivals.age()
+    give(received, broken(cells))
+    received.take()
+    assert received.cells is first and received.arrivals.count == 1 and received.refusals == 1
+    assert received.arrivals.age() > age and "cannot be used" in received.refused
+    assert "cannot be used" in received.too_old(1e-9) and not received.too_old(0.0)
+    give(received, cells)
+    assert received.too_old(1e-9) and not received.refused, "what waits is looked at first"
+    assert received.arrivals.count == 2
+
+
+def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells):
+    received = ReceivedMap(Problems(Log()), "map", binding=False)
+    give(received, cells)
+    age = received.arrivals.age
+    give(received, cells)
+    came = received.arrivals.now()
+    received.take()
+    assert age() >= received.arrivals.now() - came
+
+
+def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
+    lss = ros.start("lss_node", "-p", "lss.max_map_age:=8.0", "-p", "diagnostics.error_age:=2.0")
+    with ros.listen({}) as listener:
+        vehicle, wait = Vehicle(listener, cells), listener.wait_for
+        stamp = vehicle.send_map(0)
+        anywhere = functools.partial(vehicle.sites_of, stamp, lambda at: np.isfinite(at[:, 0]))
+        assert wait(anywhere), lss.output()
+        stamp = vehicle.send_map(1)
+        assert wait(functools.partial(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9))
+        said = len(vehicle.said)
+        vehicle.cells = broken(cells)
+        for k in range(2, 8):
+            vehicle.send_map(k)
+            told = functools.partial(at_count, vehicle, "map.refused", k - 1)
+            assert wait(told), (k, lss.output())
+            if k == 2:
+                assert wait(lambda: vehicle.told(DiagnosticStatus.ERROR, "cannot be used"))
+                assert len(vehicle.said) == said, "nothing is said again of the map before"
+        assert wait(functools.partial(vehicle.none_of, stamp)), "withdrawn"
+        assert wait(lambda: vehicle.told(DiagnosticStatus.ERROR, "lss.max_map_age", "plane"))
+        values = vehicle.values()
+        assert values["map.received"] == "2" and float(values["map.age_s"]) > 8.0
+        vehicle.cells = cells
+        stamp = vehicle.send_map(9)
+        assert wait(functools.partial(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9))
+        assert wait(lambda: vehicle.told(DiagnosticStatus.OK, "sites")), lss.output()
+
+
+def at_count(vehicle, key, number):
+    return vehicle.values().get(key) == str(number)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lss_node hears of a vehicle, and all it says: for the tests of that node alone."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from geometry_msgs.msg import PolygonStamped, PoseArray
+from nav_msgs.msg import OccupancyGrid
+from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.messages.clouds import stamp_ns
+from quadtree_lss.ros.messages import map_messages
+from quadtree_lss.ros.qos import latched
+
+
+def flat_map():
+    """A map that has room for sites everywhere."""
+    domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
+    mapper = Mapper(load_config(overrides={"domain": domain}))
+    for event in events(2):
+        if event.points_lidar is not None:
+            mapper.update(event.points_lidar, Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE))
+    return mapper.snapshot()
+
+
+class Vehicle:
+    """What lss_node hears, latched, and all it says: stamps and places of the sites."""
+
+    def __init__(self, listener, cells):
+        node = listener.node
+        self.listener, self.cells = listener, cells
+        self._publishers = {
+            topic: node.create_publisher(kind, topic, latched())
+            for topic, kind in (
+                ("map/cells", PointCloud2),
+                ("map/observed", OccupancyGrid),
+                ("landing/area", PolygonStamped),
+                ("landing/keep_out", PolygonStamped),
+            )
+        }
+        self.said = []
+        node.create_subscription(PoseArray, "landing/sites", self._on_sites, latched())
+
+    def _on_sites(self, message):
+        places = np.array([(p.position.x, p.position.y) for p in message.poses]).reshape(-1, 2)
+        self.said.append((stamp_ns(message.header), message.header.frame_id, places))
+
+    def send_map(self, seconds, frame="map", observed_frame=None):
+        """The map with a stamp ``seconds`` after the start; the stamp."""
+        stamp = START_NS + seconds * 10**9
+        cloud, grid = map_messages(dataclasses.replace(self.cells, stamp_ns=stamp), frame)
+        grid.header.frame_id = observed_frame or frame
+        self.send("map/observed", grid)
+        self.send("map/cells", cloud)
+        return stamp
+
+    def send(self, topic, message):
+        self._publishers[topic].publish(message)
+
+    def last(self):
+        return self.said[-1] if self.said else (None, None, None)
+
+    def sites_of(self, stamp, condition):
+        """True once the sites of this map were last sent, and are some that fulfil it all."""
+        last, _, places = self.last()
+        return last == stamp and len(places) > 0 and bool(np.all(condition(places)))
+
+    def none_of(self, stamp):
+        """True once it was last said that the map of this stamp has no site."""
+        last, _, places = self.last()
+        return last == stamp and len(places) == 0
+
+    def values(self):
+        status = self.listener.diagnostics.get("lss_node")
+        return {} if status is None else {item.key: item.value for item in status.values}
+
+    def told(self, level, *words):
+        """True if its last status has this level, and all these words in its text."""
+        status = self.listener.diagnostics.get("lss_node")
+        return (
+            status is not None
+            and status.level == level
+            and all(word in status.message for word in words)
+        )
