@@ -1,64 +1,149 @@
 # SPDX-License-Identifier: Apache-2.0
 """Both nodes: ``ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml``."""
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+import os
+
+import yaml
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    LogInfo,
+    OpaqueFunction,
+    RegisterEventHandler,
+)
+from launch.event_handlers import OnProcessExit
+from launch.events import matches_action
+from launch.events.process import ProcessExited, ShutdownProcess
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 PACKAGE = "quadtree_lss"
+# Exit codes after which another start would end the same way: wrong arguments, wrong configuration.
+FINAL = (2, 78)
+# Each is an argument too, with "_" for "/": the name under which the topic is known here.
+TOPICS = {
+    "mapping_node": (
+        "lidar/points",
+        "lidar/gimbal",
+        "nav/pose",
+        "nav/odometry",
+        "map/cells",
+        "map/observed",
+        "map/markers",
+    ),
+    "lss_node": (
+        "map/cells",
+        "map/observed",
+        "landing/area",
+        "landing/keep_out",
+        "landing/target",
+        "landing/sites",
+        "landing/site_table",
+        "landing/selected",
+        "landing/hazards",
+        "landing/score",
+        "landing/probability",
+        "landing/markers",
+    ),
+}
 
 
 def generate_launch_description() -> LaunchDescription:
     """``mapping_node`` and ``lss_node`` with one parameter file, in one namespace."""
     default = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "default.yaml"])
-    arguments = [
-        DeclareLaunchArgument(
-            "params_file", default_value=default, description="ROS parameter file for both nodes"
-        ),
-        DeclareLaunchArgument(
-            "namespace", default_value="", description="namespace of nodes and topics"
-        ),
-        DeclareLaunchArgument(
-            "use_sim_time", default_value="false", description="take time from /clock"
-        ),
-        DeclareLaunchArgument(
-            "lidar_points", default_value="lidar/points", description="topic of the scans"
-        ),
-        DeclareLaunchArgument(
-            "nav_pose",
-            default_value="nav/pose",
-            description="topic of the lidar's poses, or of the body's with a mount",
-        ),
-        DeclareLaunchArgument(
-            "lidar_gimbal",
-            default_value="lidar/gimbal",
-            description="topic of the gimbal, with mount.gimbal",
-        ),
-        DeclareLaunchArgument(
-            "respawn", default_value="true", description="start a node that has ended again"
-        ),
-    ]
-    sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
-    shared = {
-        "package": PACKAGE,
-        "namespace": LaunchConfiguration("namespace"),
-        "parameters": [LaunchConfiguration("params_file"), {"use_sim_time": sim_time}],
-        "output": "screen",
-        "respawn": LaunchConfiguration("respawn"),
-        "respawn_delay": 1.0,
+    arguments = {
+        "params_file": (default, "ROS parameter file for both nodes"),
+        "namespace": ("", "namespace of nodes and topics"),
+        "use_sim_time": ("", "true or false: time from /clock; empty leaves it as it is set"),
+        "log_level": ("", "debug, info, warn, error or fatal; empty leaves it as it is set"),
+        "respawn": ("true", "start a node that has ended again, unless its configuration is wrong"),
     }
-    mapping = Node(
-        executable="mapping_node",
-        name="mapping_node",
-        remappings=[
-            ("lidar/points", LaunchConfiguration("lidar_points")),
-            ("nav/pose", LaunchConfiguration("nav_pose")),
-            ("lidar/gimbal", LaunchConfiguration("lidar_gimbal")),
-        ],
-        **shared,
+    for topic in sorted({topic for topics in TOPICS.values() for topic in topics}):
+        arguments[_argument(topic)] = (topic, f"name of the topic {topic}")
+    arguments["nav_odometry"] = (
+        "nav/odometry",
+        "topic of poses as nav_msgs/Odometry; if given, they are used instead of nav_pose",
     )
-    lss = Node(executable="lss_node", name="lss_node", **shared)
-    return LaunchDescription([*arguments, mapping, lss])
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, (value, text) in arguments.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=_nodes)])
+
+
+def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    def given(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    # Later ones win; what is not given here is left to the file and to a parent's SetParameter.
+    parameters: list[object] = [_checked(given("params_file"))]
+    if given("use_sim_time"):
+        parameters.append({"use_sim_time": _truth("use_sim_time", given("use_sim_time"))})
+    sources: list[object] = []
+    if given("nav_odometry") != "nav/odometry":
+        sources = [{"pose.source": "odometry"}]
+    log_level = ["--log-level", given("log_level")] if given("log_level") else []
+    entities: list[LaunchDescriptionEntity] = []
+    for name, topics in TOPICS.items():
+        node = Node(
+            package=PACKAGE,
+            executable=name,
+            name=name,
+            namespace=given("namespace"),
+            parameters=[*parameters, *sources],
+            remappings=[
+                (topic, given(_argument(topic)))
+                for topic in topics
+                if given(_argument(topic)) != topic
+            ],
+            ros_arguments=log_level,
+            output="screen",
+            respawn=_truth("respawn", given("respawn")),
+            respawn_delay=1.0,
+        )
+        handler = OnProcessExit(target_action=node, on_exit=_stay_ended)
+        entities += [RegisterEventHandler(handler), node]
+    return entities
+
+
+def _stay_ended(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """No respawn of a node that another start cannot help."""
+    if event.returncode not in FINAL:
+        return []
+    text = f"{event.process_name} ended with exit code {event.returncode}: its arguments or its"
+    text += " configuration are wrong, see its line above; it is not started again"
+    end = ShutdownProcess(process_matcher=matches_action(event.action))
+    return [LogInfo(msg=text), EmitEvent(event=end)]
+
+
+def _checked(path: str) -> str:
+    """The parameter file's absolute path.
+
+    Raises:
+        RuntimeError: the nodes would not get a parameter from it, and fly with the defaults.
+    """
+    tried = os.path.abspath(os.path.expanduser(path))
+    try:
+        with open(tried, encoding="utf-8") as file:
+            content = yaml.safe_load(file)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        msg = f"params_file '{tried}' cannot be read: {reason}"
+        raise RuntimeError(msg) from None
+    if not content:
+        msg = f"params_file '{tried}' is empty"
+        raise RuntimeError(msg)
+    return tried
+
+
+def _truth(name: str, text: str) -> bool:
+    if text.lower() not in ("true", "false"):
+        msg = f"{name} is '{text}': it must be true or false"
+        raise RuntimeError(msg)
+    return text.lower() == "true"
+
+
+def _argument(topic: str) -> str:
+    return topic.replace("/", "_")

@@ -16,6 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.ros.announce import announce
 from quadtree_lss.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Status
 from quadtree_lss.ros.landing_inputs import LandingInputs
 from quadtree_lss.ros.markers import MarkerPublisher, site_markers
@@ -60,6 +61,7 @@ class LssNode(Node):
         self._assessed: CellMap | None = None
         self._withheld = ""
         self._asked = False
+        self._first_told = False
         self._lss_ms, self._latency_ms = Durations(), Durations()
         self._diagnostics = Diagnostics(
             self, config.publish.diagnostics_rate, self._problems, self._collect
@@ -85,6 +87,7 @@ class LssNode(Node):
         from quadtree_lss.core.landing.sites import LandingSiteSelector
 
         self._selector = LandingSiteSelector(config)
+        announce(self, config)
 
     def _reconfigure(self, config: Config) -> None:
         self._selector.configure(config)
@@ -134,10 +137,22 @@ class LssNode(Node):
             self._landing[topic].publish(message)
         self._assessments += 1
         self._result = result
+        self._tell_first(result)
         self._markers.changed()
         latency = self._diagnostics.latency_ms(result.stamp_ns)
         if latency is not None:
             self._latency_ms.add(latency)
+
+    def _tell_first(self, result: LandingAssessment) -> None:
+        """One line when there are sites for the first time."""
+        sites = result.sites
+        if not self._first_told and len(sites.score):
+            self._first_told = True
+            x, y, z = sites.position[0]
+            self.get_logger().info(
+                f"first sites: {len(sites.score)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m;"
+                f" {result.explanation}"
+            )
 
     def _site_markers(self) -> MarkerArray | None:
         if self._result is None:

@@ -19,6 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.core.sensing.pose_buffer import seconds
 from quadtree_lss.messages.intake import (
     NO_POINTS_USED,
     Intake,
@@ -26,6 +27,7 @@ from quadtree_lss.messages.intake import (
     noise_notice,
     unused_points_text,
 )
+from quadtree_lss.ros.announce import announce
 from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
 from quadtree_lss.ros.map_files import Checkpoints, MapFileError
 from quadtree_lss.ros.map_services import MapServices
@@ -95,6 +97,7 @@ class MappingNode(Node):
         if config.mount.gimbal:
             self._arrived["gimbal"] = Arrivals()
         self._scans = 0
+        self._first_told = False
         self._divisions_refused = 0
         self._points_dropped: Counter[str] = Counter()
         self._report: ScanReport | None = None
@@ -123,6 +126,7 @@ class MappingNode(Node):
         self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
+        announce(self, config)
 
     def destroy_node(self) -> None:
         """Before the node ends, what the checkpoint lacks is written."""
@@ -222,6 +226,12 @@ class MappingNode(Node):
         self._map_ms.add(1e3 * (time.perf_counter() - start))
         self._scans += 1
         self._report = report
+        if report.points_used and not self._first_told:
+            self._first_told = True
+            self.get_logger().info(
+                f"first scan mapped: {seconds(report.stamp_ns)}, {report.points_used} of"
+                f" {report.points} points, {report.leaves} leaves"
+            )
         self._divisions_refused += report.refused_divisions
         self._points_dropped.update(report.dropped)
         unused = unused_points_text(report, self._mapper.domain)
@@ -301,7 +311,7 @@ class MappingNode(Node):
         )
         if report.points_used == 0:
             status.note(WARN, "no point of the last scan could be used")
-        if report.refused_divisions:
+        if self._mapper.leaves.count + 3 > config.mapping.max_cells:
             status.note(WARN, "the map is full (mapping.max_cells)")
         noise = noise_notice(report.noise_ratio, config)
         if noise is not None:

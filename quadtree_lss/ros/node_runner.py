@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import tempfile
@@ -16,7 +17,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from quadtree_lss.config.settings import parameters
+from quadtree_lss.config.settings import ConfigError, parameters
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.ros.entry import stop_on_signal
 
@@ -26,7 +27,8 @@ ARGUMENT_ERRORS = (
     rclpy_implementation.RCLError,
 )
 
-START_ERRORS = (rclpy_implementation.RCLError, NameValidationException, ParameterException)
+WRONG_CONFIGURATION = 78
+"""Exit code after which another start ends the same way (EX_CONFIG of sysexits.h); so does 2."""
 
 STOP_PERIOD_S = 0.2
 """How often an idle node looks whether it was asked to end."""
@@ -49,7 +51,8 @@ def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | N
         args: Command line with the program's name, ``sys.argv`` by default.
 
     Returns:
-        Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong usage.
+        Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong usage,
+        `WRONG_CONFIGURATION` if its parameters or names are wrong.
     """
     argv = list(sys.argv if args is None else args)
     try:
@@ -57,7 +60,8 @@ def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | N
     except ARGUMENT_ERRORS as error:
         return _wrong_arguments(error)
     if "-h" in own or "--help" in own:
-        print(_help(os.path.basename(argv[0]), description))
+        with contextlib.suppress(BrokenPipeError):  # the reader has gone, as with `| head`
+            print(_help(os.path.basename(argv[0]), description), flush=True)
         return 0
     if own:
         print(f"unknown argument {own[0]!r}; ROS arguments follow --ros-args", file=sys.stderr)
@@ -88,7 +92,7 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
         return 0
     except QuadtreeLssError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 1
+        return WRONG_CONFIGURATION if isinstance(error, ConfigError) else 1
     finally:
         if executor is not None:
             executor.shutdown()
@@ -102,11 +106,14 @@ def _made(make_node: Callable[[], Node]) -> Node:
     """The node.
 
     Raises:
-        QuadtreeLssError: it cannot be made of these parameters, names and overrides.
+        ConfigError: it cannot be made of these parameters, names and overrides.
+        QuadtreeLssError: the middleware fails.
     """
     try:
         return make_node()
-    except START_ERRORS as error:
+    except (NameValidationException, ParameterException) as error:
+        raise ConfigError(_line(error)) from None
+    except rclpy_implementation.RCLError as error:
         raise QuadtreeLssError(_line(error)) from None
 
 

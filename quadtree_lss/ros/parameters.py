@@ -14,6 +14,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
@@ -23,6 +24,7 @@ from quadtree_lss.config.settings import (
     ConfigError,
     Parameter,
     config_from_values,
+    nearest_key,
     parameters,
     values_from_config,
 )
@@ -131,6 +133,7 @@ class NodeParameters:
                 row.name, values[row.name], descriptor(row), ignore_override=True
             )
         self._changed = changed
+        node.add_pre_set_parameters_callback(_converted)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
         if overridden:
@@ -171,6 +174,30 @@ class NodeParameters:
     def _with(self, changes: Iterable[RosParameter]) -> Config:
         own = {item.name: item.value for item in changes if not is_ros_own(item.name)}
         return _checked(config_from_values(own, self.config))
+
+
+class _UnknownParameterError(ParameterNotDeclaredException):
+    """As rclpy's, whose services answer with its text, but with the name and the nearest one."""
+
+    def __init__(self, name: str) -> None:
+        Exception.__init__(self, f"unknown parameter '{name}'; did you mean '{nearest_key(name)}'?")
+
+
+def _converted(changes: list[RosParameter]) -> list[RosParameter]:
+    """New values before rclpy looks at names and types: whole numbers serve as floats.
+
+    Raises:
+        _UnknownParameterError: a name is neither in the table nor ROS's own.
+    """
+    types = {row.name: row.type for row in parameters()}
+    result = []
+    for item in changes:
+        if item.name not in types and not is_ros_own(item.name):
+            raise _UnknownParameterError(item.name)
+        if types.get(item.name) is float and item.type_ is RosParameter.Type.INTEGER:
+            item = RosParameter(item.name, value=float(item.value))
+        result.append(item)
+    return result
 
 
 def _checked(config: Config) -> Config:

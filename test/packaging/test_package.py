@@ -9,7 +9,6 @@ import importlib.util
 import json
 import os
 import re
-import runpy
 import stat
 import subprocess
 import sys
@@ -110,44 +109,6 @@ def _imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.add(node.module.split(".")[0])
     return names
-
-
-def test_launch_file_describes_both_nodes_to_a_real_launch():
-    """Where ROS itself is installed; the wheels have no launch."""
-    pytest.importorskip("launch_ros")
-    path = SHARE / "launch" / "quadtree_lss.launch.py"
-    description = runpy.run_path(str(path))["generate_launch_description"]()
-    nodes = [entity for entity in description.entities if hasattr(entity, "node_executable")]
-    assert len(nodes) == len(NODES)
-
-
-def test_launch_file_starts_both_nodes_with_its_arguments():
-    path = SHARE / "launch" / "quadtree_lss.launch.py"
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
-    assert functions == {"generate_launch_description"}
-    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
-
-    def first_words(name: str) -> set[str]:
-        return {
-            call.args[0].value
-            for call in calls
-            if isinstance(call.func, ast.Name) and call.func.id == name
-            if call.args and isinstance(call.args[0], ast.Constant)
-        }
-
-    declared = first_words("DeclareLaunchArgument")
-    topics = {"lidar_points", "nav_pose", "lidar_gimbal"}
-    assert declared == {"params_file", "namespace", "use_sim_time", "respawn"} | topics
-    assert first_words("LaunchConfiguration") == declared
-    started = {
-        keyword.value.value
-        for call in calls
-        if isinstance(call.func, ast.Name) and call.func.id == "Node"
-        for keyword in call.keywords
-        if keyword.arg == "executable" and isinstance(keyword.value, ast.Constant)
-    }
-    assert started == set(NODES)
 
 
 def test_the_foxglove_layout_shows_topics_and_fields_that_there_are():

@@ -129,3 +129,14 @@ def test_live_parameters_change_and_others_do_not(context):
         (done,) = node.set_parameters([Parameter(name, value=value)])
         assert not done.successful and done.reason
     assert held.config.lss.margin == 1.5 and len(seen) == 1
+
+
+def test_a_misspelt_name_and_a_whole_number_as_ros2_param_set_sends_them(ros):
+    ros.start("lss_node")
+    with ros.listen() as listener:
+        wrong = ros.set(listener, "lss_node", "lss.marign", 1.5)
+        assert not wrong.successful
+        assert wrong.reason == "unknown parameter 'lss.marign'; did you mean 'lss.margin'?"
+        assert ros.set(listener, "lss_node", "lss.margin", 2).successful
+        assert not ros.set(listener, "lss_node", "lss.sites", 2.5).successful
+        assert ros.set(listener, "lss_node", "use_sim_time", False).successful

@@ -139,7 +139,7 @@ def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
         for name, value, why in (
             ("domain.size", 64.0, "read-only"),
             ("lss.margin", -1.0, "lss.margin"),
-            ("lss.marign", 1.0, "undeclared"),
+            ("lss.marign", 1.0, "did you mean 'lss.margin'"),
         ):
             refused = ask(name, value)
             assert not refused.successful and why in refused.reason, refused

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""As much of `launch` and `launch_ros` as our launch file uses, from their documented interface.
+
+ROS's wheels have neither. Classes only keep what they are given; `built` does what the launch
+service does with a description: declare arguments, run opaque functions, collect what they return.
+"""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+
+class Record:
+    """Keeps its arguments: positional ones in ``args``, others as attributes."""
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        self.args = args
+        self.__dict__.update(named)
+
+
+class Context:
+    """Values of launch arguments."""
+
+    def __init__(self, values: Mapping[str, str]) -> None:
+        self.launch_configurations = dict(values)
+
+
+class LaunchDescription(Record): ...
+
+
+class DeclareLaunchArgument(Record): ...
+
+
+class EmitEvent(Record): ...
+
+
+class LogInfo(Record): ...
+
+
+class OpaqueFunction(Record): ...
+
+
+class RegisterEventHandler(Record): ...
+
+
+class OnProcessExit(Record): ...
+
+
+class ProcessExited(Record): ...
+
+
+class ShutdownProcess(Record): ...
+
+
+class Node(Record): ...
+
+
+class LaunchConfiguration(Record):
+    """The value of an argument; one that is not declared is an error, as in launch."""
+
+    def perform(self, context: Context) -> str:
+        return context.launch_configurations[self.args[0]]
+
+
+class FindPackageShare(Record):
+    """The share folder of an installed package."""
+
+    def perform(self, context: Context) -> str:
+        return str(Path(sys.prefix) / "share" / self.args[0])
+
+
+class PathJoinSubstitution(Record):
+    """Joined parts, texts or substitutions."""
+
+    def perform(self, context: Context) -> str:
+        (parts,) = self.args
+        return str(Path(*(p if isinstance(p, str) else p.perform(context) for p in parts)))
+
+
+def matches_action(action: Any) -> Callable[[Any], bool]:
+    """True for that action."""
+    return lambda other: other is action
+
+
+MODULES: dict[str, dict[str, Any]] = {
+    "launch": {
+        "LaunchContext": Context,
+        "LaunchDescription": LaunchDescription,
+        "LaunchDescriptionEntity": Record,
+    },
+    "launch.actions": {
+        "DeclareLaunchArgument": DeclareLaunchArgument,
+        "EmitEvent": EmitEvent,
+        "LogInfo": LogInfo,
+        "OpaqueFunction": OpaqueFunction,
+        "RegisterEventHandler": RegisterEventHandler,
+    },
+    "launch.event_handlers": {"OnProcessExit": OnProcessExit},
+    "launch.events": {"matches_action": matches_action},
+    "launch.events.process": {"ProcessExited": ProcessExited, "ShutdownProcess": ShutdownProcess},
+    "launch.substitutions": {
+        "LaunchConfiguration": LaunchConfiguration,
+        "PathJoinSubstitution": PathJoinSubstitution,
+    },
+    "launch_ros": {},
+    "launch_ros.actions": {"Node": Node},
+    "launch_ros.substitutions": {"FindPackageShare": FindPackageShare},
+}
+
+
+def built(path: Path, monkeypatch: Any, **given: str) -> tuple[list[Any], Context]:
+    """What a launch file makes of arguments: its entities in order, and the context."""
+    for name, content in MODULES.items():
+        module = ModuleType(name)
+        module.__dict__.update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    description = runpy.run_path(str(path))["generate_launch_description"]()
+    context = Context({})
+    entities: list[Any] = []
+    for entity in description.args[0]:
+        if isinstance(entity, DeclareLaunchArgument):
+            (name,), value = entity.args, entity.default_value
+            default = value if isinstance(value, str) else value.perform(context)
+            context.launch_configurations[name] = given.pop(name, default)
+        elif isinstance(entity, OpaqueFunction):
+            entities += entity.function(context)
+        else:
+            entities.append(entity)
+    assert not given, f"no such arguments: {sorted(given)}"
+    return entities, context

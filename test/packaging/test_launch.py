@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the launch file builds of its arguments, told by a small stand-in for `launch`."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from launch_stand_in import EmitEvent, Node, RegisterEventHandler, ShutdownProcess, built
+
+from quadtree_lss.messages.outputs import TOPIC_TYPES
+
+SHARE = Path(sys.prefix) / "share" / "quadtree_lss"
+LAUNCH = SHARE / "launch" / "quadtree_lss.launch.py"
+CONTENT = "/**:\n  ros__parameters:\n    lss.margin: 1.0\n"
+INPUTS = ("lidar/points", "lidar/gimbal", "nav/pose", "landing/area", "landing/keep_out")
+
+
+@pytest.fixture
+def make(monkeypatch):
+    """Nodes by name and the other entities, of launch arguments."""
+
+    def nodes(**given: str) -> tuple[dict[str, Any], list[Any]]:
+        entities, _ = built(LAUNCH, monkeypatch, **given)
+        found = {entity.name: entity for entity in entities if isinstance(entity, Node)}
+        return found, [entity for entity in entities if not isinstance(entity, Node)]
+
+    return nodes
+
+
+def test_both_nodes_start_with_the_shipped_defaults(make):
+    nodes, _ = make()
+    assert set(nodes) == {"mapping_node", "lss_node"}
+    for name, node in nodes.items():
+        assert node.package == "quadtree_lss" and node.executable == name
+        assert node.parameters == [str(SHARE / "config" / "default.yaml")]
+        assert node.remappings == [] and node.ros_arguments == [] and node.namespace == ""
+        assert node.respawn is True and node.respawn_delay > 0.0
+
+
+def test_a_parameter_file_is_the_only_source_unless_more_is_said(make, tmp_path, monkeypatch):
+    """Unset means untouched: the file's and a parent's use_sim_time hold."""
+    (tmp_path / "vehicle.yaml").write_text(CONTENT)
+    monkeypatch.chdir(tmp_path)
+    path = str(tmp_path / "vehicle.yaml")
+    for node in make(params_file="vehicle.yaml")[0].values():
+        assert node.parameters == [path]
+    for text, value in (("true", True), ("False", False)):
+        for node in make(params_file="vehicle.yaml", use_sim_time=text)[0].values():
+            assert node.parameters == [path, {"use_sim_time": value}]
+    with pytest.raises(RuntimeError, match="use_sim_time is 'maybe'"):
+        make(use_sim_time="maybe")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "No such file"),
+        (b"", "is empty"),
+        (b"# nothing\n", "is empty"),
+        (b"\xff\xfe", "cannot be read"),
+        (b"a: [", "cannot be read"),
+    ],
+)
+def test_a_file_that_sets_nothing_stops_the_launch(make, tmp_path, monkeypatch, content, words):
+    """In one line with the path tried, instead of a flight with the defaults."""
+    monkeypatch.chdir(tmp_path)
+    if content is not None:
+        (tmp_path / "vehicle.yaml").write_bytes(content)
+    with pytest.raises(RuntimeError, match=words) as caught:
+        make(params_file="vehicle.yaml")
+    assert str(tmp_path / "vehicle.yaml") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_a_file_that_may_not_be_read_stops_the_launch(make, tmp_path):
+    path = tmp_path / "vehicle.yaml"
+    path.write_text(CONTENT)
+    path.chmod(0)
+    with pytest.raises(RuntimeError, match="Permission denied"):
+        make(params_file=str(path))
+
+
+def test_every_topic_may_be_named(make):
+    topics = {*TOPIC_TYPES, *INPUTS, "landing/target"}
+    given = {topic.replace("/", "_"): f"/vehicle/{topic}" for topic in topics}
+    nodes, _ = make(**given)
+    renamed = {name: dict(node.remappings) for name, node in nodes.items()}
+    for topic in topics:
+        of = [name for name in renamed if topic in renamed[name]]
+        assert of, topic
+        assert all(renamed[name][topic] == f"/vehicle/{topic}" for name in of)
+    assert "map/cells" in renamed["mapping_node"] and "map/cells" in renamed["lss_node"]
+
+
+def test_odometry_is_used_when_its_topic_is_named(make):
+    nodes, _ = make(nav_odometry="/odometry/filtered")
+    assert nodes["mapping_node"].remappings == [("nav/odometry", "/odometry/filtered")]
+    assert nodes["mapping_node"].parameters[-1] == {"pose.source": "odometry"}
+
+
+def test_log_level_namespace_and_respawn(make):
+    nodes, _ = make(log_level="debug", namespace="lander", respawn="false")
+    for node in nodes.values():
+        assert node.ros_arguments == ["--log-level", "debug"]
+        assert node.namespace == "lander" and node.respawn is False
+
+
+@pytest.mark.parametrize(("code", "final"), [(0, False), (1, False), (-9, False), (2, True)])
+def test_a_wrong_configuration_is_not_tried_again(make, code, final):
+    nodes, others = make()
+    handlers = [e.args[0] for e in others if isinstance(e, RegisterEventHandler)]
+    assert {handler.target_action.name for handler in handlers} == set(nodes)
+    for handler in handlers:
+        node = handler.target_action
+        event = SimpleNamespace(returncode=code, process_name=node.name, action=node)
+        events = [e.event for e in handler.on_exit(event, None) if isinstance(e, EmitEvent)]
+        assert len(events) == final
+        for end in events:
+            assert isinstance(end, ShutdownProcess) and end.process_matcher(node)
+
+
+def test_the_nodes_exit_code_for_a_wrong_configuration_is_among_the_final_ones(make):
+    node_runner = pytest.importorskip("quadtree_lss.ros.node_runner")
+    test_a_wrong_configuration_is_not_tried_again(make, node_runner.WRONG_CONFIGURATION, True)
+
+
+def test_a_real_launch_understands_it():
+    """Where ROS itself is installed; the wheels have no launch."""
+    launch = pytest.importorskip("launch")
+    actions = pytest.importorskip("launch_ros.actions")
+    description = runpy.run_path(str(LAUNCH))["generate_launch_description"]()
+    context = launch.LaunchContext()
+    entities = [made for item in description.entities for made in item.visit(context) or []]
+    nodes = [entity for entity in entities if isinstance(entity, actions.Node)]
+    assert {node.node_executable for node in nodes} == {"mapping_node", "lss_node"}

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What nodes say when they start and first succeed, and of a state that lasts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ros.conftest import at_least, has
+from ros_scene import Sensors, cloud, last_scan_ns, pose
+
+import quadtree_lss
+from quadtree_lss import build
+
+pytestmark = pytest.mark.xdist_group("ros")
+
+
+def test_one_line_says_what_runs_and_one_that_it_works(ros):
+    mapping = ros.start("mapping_node", "-p", "lidar.max_range:=900", "-r", "nav/pose:=/ekf/pose")
+    lss = ros.start("lss_node", "-r", "__ns:=/lander", "-r", "map/cells:=/map/cells")
+    with ros.listen() as listener:
+        assert listener.wait_for(lambda: "takes" in lss.output() and "takes" in mapping.output())
+        lines = mapping.output().splitlines()
+        assert len(lines) == 1
+        for words in (
+            f"quadtree_lss {quadtree_lss.__version__} ({build.name()})",
+            "lidar.range_noise=0.03, lss.sites=3, qos.scan_reliability=reliable",
+            f"publish.diagnostics_rate=5.0 (from {ros.params})",
+            "lidar.max_range=900.0 (from command line)",
+            "domain x -16 ... 16, y -16 ... 16 m in frame 'map', cells 4 ... 0.5 m",
+            "vehicle of 3.7 m diameter, margin 0 m",
+            "takes /lidar/points (reliable, 50), /ekf/pose (reliable, 200)",
+            "/map/cells (reliable, latched, 1)",
+        ):
+            assert words in lines[0], words
+        assert "/lander/landing/sites (reliable, latched, 1)" in lss.output()
+        assert "takes /map/cells" in lss.output() or ", /map/cells (reliable" in lss.output()
+
+
+def test_the_first_scan_and_the_first_sites_are_told_once(ros):
+    mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        sensors.publish(4)
+        told = lambda: "first sites: 3, the best at x " in lss.output()  # noqa: E731
+        assert listener.wait_for(told), lss.output()
+        sensors.publish(4, offset_ns=2_000_000_000)
+        assert listener.wait_for(lambda: at_least(listener, "scans", 8)), mapping.output()
+    assert mapping.output().count("first scan mapped: 1700000000.000000 s, ") == 1
+    assert lss.output().count("first sites") == 1
+
+
+def test_a_full_map_stays_full_whether_a_scan_wants_to_divide_or_not(ros):
+    mapping = ros.start("mapping_node", "-p", "mapping.max_cells:=64")
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        sensors.publish(2)
+        refused = lambda: at_least(listener, "map.refused_divisions", 1)  # noqa: E731
+        assert listener.wait_for(refused), mapping.output()
+        later = last_scan_ns(2) + 500_000_000
+        calm = np.full((4, 4, 3), [0.0, 0.0, 100.0])
+        calm[..., 0] += np.linspace(-0.3, 0.3, 4)
+        sensors.poses.publish(pose(later))
+        sensors.scans.publish(cloud(later, calm))
+        assert listener.wait_for(lambda: has(listener, "scan.stamp_ns", later)), mapping.output()
+        assert "the map is full" in listener.diagnostics["mapping_node"].message
