@@ -7,12 +7,12 @@ import argparse
 import json
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-import yaml
-
-from quadtree_lss.config.loading import load_config, parse_value
+from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config
+from quadtree_lss.config.yaml_text import YamlError, parse_yaml
 
 DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
 EXIT_CODES = """exit codes:
@@ -41,6 +41,14 @@ def add_command(
     text = "progress bar even if this is no terminal; where internal errors come from"
     add("-v", "--verbose", action="store_true", help=text)
     return parser
+
+
+def named(text: str) -> Path:
+    """Type of an option: a file or folder, which an empty text does not name."""
+    if not text.strip():
+        msg = "an empty name is no file or folder"
+        raise argparse.ArgumentTypeError(msg)
+    return Path(text)
 
 
 def positive(text: str) -> float:
@@ -119,9 +127,9 @@ def chosen_config(options: argparse.Namespace) -> Config:
         if not key.strip():
             options.parser.error(f"--set {item}: no key before the =")
         try:
-            overrides[key.strip()] = parse_value(value)
-        except yaml.YAMLError:
-            options.parser.error(f"--set {item}: not a value")
+            overrides[key.strip()] = parse_yaml(value)
+        except YamlError as error:
+            options.parser.error(f"--set {item}: not a value: {error}")
     return load_config(options.config, overrides, origin="--set")
 
 

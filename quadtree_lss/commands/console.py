@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
+from quadtree_lss.errors import one_line
+
 if TYPE_CHECKING:
     from quadtree_lss.replay.result import ReplayResult
 
@@ -126,12 +128,12 @@ def print_result(result: ReplayResult) -> None:
             f" {sites.hazard_distance[k]:8.2f} m {sites.subscale_height[k]:7.2f} m"
         )
     if result.out is not None:
-        print(f"results in {result.out}")
+        print(f"results in {one_line(result.out)}")
 
 
 def say(text: str) -> None:
     """One line on stderr."""
-    print(f"quadtree-lss: {text}", file=sys.stderr)
+    print(f"quadtree-lss: {one_line(text)}", file=sys.stderr)
 
 
 def warn(text: str) -> None:

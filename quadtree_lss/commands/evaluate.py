@@ -15,6 +15,7 @@ from quadtree_lss.commands.common import (
     add_config_options,
     add_json,
     chosen_config,
+    named,
     print_json,
 )
 from quadtree_lss.commands.console import Interruption, ProgressBar, say, warn
@@ -56,18 +57,20 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
     parser = add_command(commands, "evaluate", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("results", type=Path, metavar="DIR", nargs="*", help="folder that replay wrote, or several")
-    add("--truth", type=Path, metavar="NPZ", help="truth.npz of the simulation")
+    add(
+        "results", type=named, metavar="DIR", nargs="*", help="folder that replay wrote, or several"
+    )
+    add("--truth", type=named, metavar="NPZ", help="truth.npz of the simulation")
     text = "the bag that was replayed, for Table 2 (default: where it was when it was replayed)"
-    add("--bag", metavar="BAG", help=text)
+    add("--bag", type=named, metavar="BAG", help=text)
     text = "folder for tables and figures (default DIR/evaluation; else results/<time>)"
-    add("--out", type=Path, metavar="DIR", help=text)
+    add("--out", type=named, metavar="DIR", help=text)
     many = parser.add_argument_group("many seeds at once: simulate, replay, evaluate each")
     add = many.add_argument
     add("--seeds", metavar="LIST", help="for instance 101-120 or 1,2,7")
     add("--scenario", choices=SCENARIOS, help="(default morpheus)")
     add_config_options(many)
-    add("--bags", type=Path, metavar="DIR", help="simulated flights, kept (default OUT/flights)")
+    add("--bags", type=named, metavar="DIR", help="simulated flights, kept (default OUT/flights)")
     add("--jobs", type=int, choices=(1, 2), help="processes (default 2)")
     add("--figures", action="store_true", help="draw the figures of every seed")
     add_flight_options(many)

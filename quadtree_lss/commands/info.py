@@ -13,6 +13,7 @@ from quadtree_lss.commands.common import (
     add_config_options,
     add_json,
     chosen_config,
+    named,
     print_json,
 )
 from quadtree_lss.commands.console import ProgressBar
@@ -30,7 +31,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
     parser = add_command(commands, "info", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    add("bag", type=named, metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
     add_config_options(parser)
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")

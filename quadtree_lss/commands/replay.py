@@ -15,6 +15,7 @@ from quadtree_lss.commands.common import (
     add_config_options,
     add_json,
     chosen_config,
+    named,
     not_negative,
     positive,
     print_json,
@@ -48,15 +49,15 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
     parser = add_command(commands, "replay", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
-    add("--out", metavar="DIR", type=Path, help="folder for the results (default results/<time>)")
+    add("bag", type=named, metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    add("--out", metavar="DIR", type=named, help="folder for the results (default results/<time>)")
     add_config_options(parser)
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
     add("--start", metavar="S", type=not_negative, default=0.0, help="begin S seconds into the bag")
     add("--duration", metavar="D", type=positive, help="process D seconds only")
     add("--no-report", action="store_true", help="no figures and no report.html")
-    add("--record", metavar="BAG", type=Path, help="write what the nodes would publish, as mcap")
+    add("--record", metavar="BAG", type=named, help="write what the nodes would publish, as mcap")
     add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
     add("--rate", metavar="R", type=positive, help="speed of --publish (default 1)")
     add_json(parser)

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from quadtree_lss.commands.common import (
     DONE,
     INTERRUPTED,
     add_command,
     add_json,
+    named,
     not_negative,
     positive,
     print_json,
@@ -38,7 +38,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     add("scenario", choices=SCENARIOS, help="which flight")
     add("--seed", type=whole(0), default=1, metavar="N", help="of terrain and noise (default 1)")
-    add("--out", required=True, type=Path, metavar="BAG", help="bag to write")
+    add("--out", required=True, type=named, metavar="BAG", help="bag to write")
     add_flight_options(parser)
     add("--overwrite", action="store_true", help="replace an existing bag and truth.npz")
     add_json(parser)
@@ -48,7 +48,7 @@ def add_flight_options(parser: argparse._ActionsContainer) -> None:
     """What is flown, over what, with which noise."""
     add = parser.add_argument
     add("--duration", type=positive, metavar="D", help="seconds of flight")
-    add("--terrain", type=Path, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    add("--terrain", type=named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
     add("--range-noise", type=not_negative, metavar="M", help="one sigma of a range, m")
     add("--outliers", type=share, default=0.0, metavar="F", help="share of false returns")
     add("--dropouts", type=share, default=0.0, metavar="F", help="share of missing returns")

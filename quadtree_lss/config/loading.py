@@ -35,41 +35,11 @@ from quadtree_lss.config.settings import (
     parameters,
     values_from_config,
 )
+from quadtree_lss.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
 
 NODES = ("mapping_node", "lss_node")
 ROS_OWN = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
 """Parameters that ROS itself declares; they mean nothing offline."""
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML as ROS reads it: 1e-3 is a number. A key that stands twice is an error."""
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """As in the base class, refusing repeated keys."""
-        seen: set[object] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                problem = f"key {key!r} stands twice"
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
-
-
-def parse_value(text: str) -> object:
-    """One value as it would stand in a file.
-
-    Raises:
-        yaml.YAMLError: it cannot.
-    """
-    return yaml.load(text, Loader=_Loader)
 
 
 def load_config(
@@ -164,14 +134,12 @@ def read_values(path: str | os.PathLike[str]) -> dict[str, object]:
     """
     try:
         with open(path, encoding="utf-8") as file:
-            content = yaml.load(file, Loader=_Loader)
+            content = parse_yaml(file.read(MOST_BYTES + 1))
     except (OSError, UnicodeDecodeError) as error:
         msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
         raise ConfigError(msg) from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" in line {mark.line + 1}" if mark else ""
-        msg = f"{path}: no valid YAML{line}: {getattr(error, 'problem', error)}"
+    except YamlError as error:
+        msg = f"{path}: {error}"
         raise ConfigError(msg) from None
     values: dict[str, object] = {}
     sections = 0

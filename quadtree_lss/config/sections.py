@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from quadtree_lss.config.limits import MOST_LEAVES, MOST_LEVELS
 from quadtree_lss.config.parameter import declared as _p
 
 
@@ -15,8 +16,14 @@ class DomainConfig:
     xmin: float = _p(-60.0, "western edge of the square domain", unit="m", low=-1e8, high=1e8)
     ymin: float = _p(-60.0, "southern edge of the square domain", unit="m", low=-1e8, high=1e8)
     size: float = _p(120.0, "side of the square domain", unit="m", low=0.01, high=1e5)
-    min_level: int = _p(4, "level to which the tree is divided at start", low=0, high=12)
-    max_level: int = _p(8, "finest level; a cell is size / 2^level", low=0, high=12)
+    min_level: int = _p(4, "level to which the tree is divided at start", low=0, high=MOST_LEVELS)
+    max_level: int = _p(
+        8,
+        "finest level; a cell is size / 2^level. At 11 a landing site pass takes 1.3 GB, at 12 it"
+        " would take five",
+        low=0,
+        high=MOST_LEVELS,
+    )
 
 
 @dataclass(frozen=True)
@@ -182,7 +189,7 @@ class MappingConfig:
     slope_prior_points: float = _p(
         5.0, "weight of the parent's slope in a first height fit, in points", low=0.0, high=1000.0
     )
-    max_cells: int = _p(200000, "leaves the map may hold", low=1, high=20000000)
+    max_cells: int = _p(200000, "leaves the map may hold, at up to 1.5 kB", low=1, high=MOST_LEAVES)
     residual_clip: float = _p(
         1.0, "residuals count at most this much in running statistics", unit="m", low=0.01, high=1e3
     )

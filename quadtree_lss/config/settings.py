@@ -8,6 +8,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from quadtree_lss.config.limits import why_too_much
 from quadtree_lss.config.parameter import ConfigError, Parameter, Value, checked_value
 from quadtree_lss.config.sections import (
     CheckpointConfig,
@@ -181,10 +182,7 @@ def _check_together(config: Config) -> None:
             f" diagnostics.error_age = {ages.error_age}"
         )
         raise ConfigError(msg)
-    nodes = domain.size / config.lss.grid_spacing
-    if nodes > 4096:
-        msg = (
-            f"lss.grid_spacing = {config.lss.grid_spacing} m makes {nodes:.0f} nodes a side over"
-            f" domain.size = {domain.size} m; 4096 is the most"
-        )
+    reason = why_too_much(domain.size, 1 << domain.max_level, config.lss)
+    if reason is not None:
+        msg = f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"
         raise ConfigError(msg)

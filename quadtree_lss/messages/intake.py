@@ -19,6 +19,7 @@ from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, PoseBuffer, seconds
 from quadtree_lss.core.sensing.scan_queue import Drop, ScanQueue
 from quadtree_lss.core.sensing.sweep import Sweep, poses_during, sweep
 from quadtree_lss.core.tree.domain import Domain
+from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import MessageError, Points, points_from_cloud, stamp_ns
 from quadtree_lss.messages.poses import (
     has_unknown_covariance,
@@ -199,7 +200,7 @@ class Intake:
     def notices(self) -> list[Notice]:
         """What there is to tell since the last call."""
         told, self._notices = self._notices, []
-        return told
+        return [Notice(reason, one_line(text)) for reason, text in told]
 
     def reject(self, what: str, error: MessageError) -> None:
         """Counts and tells a message that cannot be used; ``what`` is cloud, pose or gimbal."""

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
+from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import leaf_raster
@@ -107,6 +109,7 @@ def decode_cells(
     xmin: float,
     ymin: float,
     stamp_ns: int,
+    lss: LssConfig | None = None,
 ) -> CellMap:
     """The map from its two messages.
 
@@ -115,9 +118,11 @@ def decode_cells(
         observed: (n, n) [iy, ix] of ``map/observed``.
         xmin, ymin: Origin of ``map/observed``, m.
         stamp_ns: Stamp that both messages carry.
+        lss: How landing will be judged on it; None if it will not.
 
     Raises:
-        MapMessageError: sizes do not fit or the leaves do not tile the domain.
+        MapMessageError: sizes do not fit, the leaves do not tile the domain, or landing sites
+            cannot be computed on a map so large (``too_large``).
     """
     n = observed.shape[0]
     if observed.shape != (n, n) or n < 1 or n & (n - 1):
@@ -127,6 +132,12 @@ def decode_cells(
         msg = "map/cells has no leaves"
         raise MapMessageError("no_cells", msg)
     max_level = n.bit_length() - 1
+    if max_level > MOST_LEVELS or len(records) > MOST_LEAVES:
+        msg = (
+            f"map of {len(records)} leaves on {n} x {n} finest cells: {MOST_LEAVES} leaves and"
+            f" {1 << MOST_LEVELS} cells a side are the most"
+        )
+        raise MapMessageError("too_large", msg)
     level = np.ascontiguousarray(records["level"])
     ix, iy = records["ix"].astype(np.uint32), records["iy"].astype(np.uint32)
     beyond = (level > max_level) | (np.maximum(ix, iy) >> np.minimum(level, 31) > 0)
@@ -138,6 +149,10 @@ def decode_cells(
     if not (np.isfinite([xmin, ymin, size]).all() and 0.0 < size < 1e9):
         msg = f"map/cells lies at ({xmin}, {ymin}) with size {size} m"
         raise MapMessageError("domain", msg)
+    reason = None if lss is None else why_too_much(size, n, lss)
+    if reason is not None:
+        msg = f"map of {size:g} m: {reason}"
+        raise MapMessageError("too_large", msg)
     if domain.min_level > max_level or not np.array_equal(records["size"], domain.cell_size(level)):
         msg = "map/cells has leaves whose size does not follow from their level"
         raise MapMessageError("domain", msg)

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import stamp_ns
 from quadtree_lss.messages.maps import (
     CELL_FIELDS,
@@ -84,8 +86,13 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
     return np.frombuffer(cloud.data, dtype=kinds)
 
 
-def map_from_messages(cloud: Any, grid: Any) -> CellMap:
+def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> CellMap:
     """The map of one stamp from ``map/cells`` and ``map/observed``.
+
+    Args:
+        cloud, grid: The messages.
+        lss: How landing will be judged on it: a map too large for that is refused before anything
+            is made of it. None if it will not be judged.
 
     Raises:
         MapMessageError: a message is not what ``mapping_node`` sends, or the two are not of one
@@ -93,7 +100,8 @@ def map_from_messages(cloud: Any, grid: Any) -> CellMap:
     """
     frames = (str(cloud.header.frame_id), str(grid.header.frame_id))
     if frames[0].lstrip("/") != frames[1].lstrip("/"):
-        msg = f"map/cells is in frame '{frames[0]}', map/observed in '{frames[1]}'"
+        shown = [one_line(frame, 80) for frame in frames]
+        msg = f"map/cells is in frame '{shown[0]}', map/observed in '{shown[1]}'"
         raise MapMessageError("frame", msg)
     records = cloud_records(cloud, CELL_FIELDS)
     values = np.frombuffer(grid.data, dtype=np.int8)
@@ -105,7 +113,7 @@ def map_from_messages(cloud: Any, grid: Any) -> CellMap:
         raise MapMessageError("observed_size", msg)
     observed = values.reshape(grid.info.height, grid.info.width) > 0
     origin = grid.info.origin.position
-    return decode_cells(records, observed, origin.x, origin.y, stamp_ns(cloud.header))
+    return decode_cells(records, observed, origin.x, origin.y, stamp_ns(cloud.header), lss)
 
 
 class MessageMaker:

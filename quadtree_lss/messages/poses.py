@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 
 from quadtree_lss.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 
 Array = NDArray[np.float64]
 
 MAX_POSITION = 1e8
 """Metres; positions beyond are absurd."""
+
+MAX_COVARIANCE = 1e12
+"""m^2, m rad, rad^2; entries beyond are absurd, and their squares no numbers any more."""
 
 UNIT_TOLERANCE = 0.01
 """A quaternion's length may differ from one by this; it is normalised."""
@@ -87,7 +91,8 @@ def mount_from_message(msg: Any) -> Pose:
 def check_frame(frame: str, expected: str, what: str) -> None:
     """Raises MessageError ``frame`` unless both names are the same frame."""
     if str(frame).lstrip("/") != expected.lstrip("/"):
-        text = f"{what} is in frame '{frame}', expected '{expected}' (parameter frames.map)"
+        text = f"{what} is in frame '{one_line(frame, 80)}', expected '{expected}'"
+        text += " (parameter frames.map)"
         raise MessageError("frame", text)
 
 
@@ -118,8 +123,8 @@ def _covariance(content: bytes) -> Array | None:
     if entries.size != 36:
         text = f"pose covariance has {entries.size} entries; 36 are needed"
         raise MessageError("covariance", text)
-    if not np.isfinite(entries).all():
-        text = "pose covariance is not finite"
+    if not (np.abs(entries) <= MAX_COVARIANCE).all():  # also when one is not a number
+        text = f"pose covariance is not finite or absurd (beyond {MAX_COVARIANCE:.0e})"
         raise MessageError("covariance", text)
     matrix = entries.reshape(6, 6)
     variances = matrix.diagonal()
@@ -128,9 +133,10 @@ def _covariance(content: bytes) -> Array | None:
         raise MessageError("covariance", text)
     sigmas = np.sqrt(variances)
     scale = np.where(sigmas > 0.0, sigmas, 1.0)
-    scaled = matrix / np.outer(scale, scale)
-    asymmetry = np.abs(scaled - scaled.T).max()
-    if asymmetry > COVARIANCE_TOLERANCE:
+    with np.errstate(all="ignore"):
+        scaled = matrix / scale[:, None] / scale
+        asymmetry = np.abs(scaled - scaled.T).max()
+    if not asymmetry <= COVARIANCE_TOLERANCE:  # also when one is not a number
         text = f"pose covariance is not symmetric (relative difference {asymmetry:.2g})"
         raise MessageError("covariance", text)
     scaled = 0.5 * (scaled + scaled.T)

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 import zstandard
 
+from quadtree_lss.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.replay.parts import Part, of_one_time
@@ -173,13 +173,14 @@ class Bag:
             return [self.path]
         there = sorted(p for p in self.path.iterdir() if _storage_suffix(p) is not None)
         try:
-            content = yaml.safe_load((self.path / "metadata.yaml").read_text())
+            with open(self.path / "metadata.yaml", encoding="utf-8") as file:
+                content: Any = parse_yaml(file.read(MOST_BYTES + 1), aliases=True)
             names = content["rosbag2_bagfile_information"]["relative_file_paths"]
             listed = [self.path / Path(name).name for name in names]
         except FileNotFoundError:
             self._losses.append("metadata.yaml is missing: was the recording cut off?")
             listed = there
-        except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError):
+        except (OSError, ValueError, KeyError, TypeError, YamlError):
             self._losses.append("metadata.yaml cannot be read")
             listed = there
         self._losses += [f"{p.name} is missing" for p in listed if not p.exists()]

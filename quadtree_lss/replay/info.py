@@ -14,6 +14,7 @@ import numpy as np
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.sensing.register import register
 from quadtree_lss.core.tree.domain import Domain
+from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.replay.bags import POSE_TYPE, SCAN_TYPE, Bag, BagError
 from quadtree_lss.replay.map_messages import MapPairs
@@ -227,7 +228,7 @@ class _Stamps:
             return  # counted and told by the intake
         self.stamps.append(stamp)
         self.delays.append((message.received_ns - stamp) / SECOND_NS)
-        self.frames[msg.header.frame_id] += 1
+        self.frames[one_line(msg.header.frame_id, 80)] += 1
         if kind == SCAN_TYPE:
             self.points.append(msg.width * msg.height)
             self.layouts[_layout(msg)] += 1
@@ -249,12 +250,13 @@ class _Stamps:
 
 
 def _layout(msg: Any) -> str:
-    names = [
+    items = [
         f"{item.name} {TYPE_NAMES.get(item.datatype, '?')} @{item.offset}" for item in msg.fields
     ]
     shape = f"{msg.height} x {msg.width} organised" if msg.height > 1 else "unorganised"
     order = "big" if msg.is_bigendian else "little"
-    return f"{', '.join(names)}; {msg.point_step} bytes a point, {order} endian, {shape}"
+    fields = one_line(", ".join(items), 400)
+    return f"{fields}; {msg.point_step} bytes a point, {order} endian, {shape}"
 
 
 def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> None:
@@ -296,11 +298,12 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> None:
 
 def _lines(info: BagInfo) -> list[str]:
     when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(info.start_ns / SECOND_NS))
-    lines = [f"{info.path}: {info.seconds:.2f} s from {when} UTC"]
-    width = max(len(topic.name) for topic in info.topics)
-    for topic in info.topics:
+    lines = [f"{one_line(info.path)}: {info.seconds:.2f} s from {when} UTC"]
+    names = [one_line(topic.name, 80) for topic in info.topics]
+    width = max(map(len, names))
+    for topic, name in zip(info.topics, names, strict=True):
         rate = "" if topic.rate != topic.rate else f"{topic.rate:.2f} Hz"
-        lines.append(f"  {topic.name:{width}} {topic.count:7d} {rate:>11}  {topic.type}")
+        lines.append(f"  {name:{width}} {topic.count:7d} {rate:>11}  {one_line(topic.type, 80)}")
         if topic.first_stamp_ns is None or topic.last_stamp_ns is None:
             continue
         frames = ", ".join(f"{name!r}" for name in topic.frames)
@@ -315,13 +318,14 @@ def _lines(info: BagInfo) -> list[str]:
     if info.kind == "scans":
         dropped = ", ".join(f"{n} {reason}" for reason, n in info.scans_dropped.items() if n)
         lines.append(
-            f"scans {info.scan_topic}, poses {info.pose_topic}: {info.scans_with_pose} scans have"
-            f" a pose at their stamp; dropped: {dropped or 'none'}"
+            f"scans {one_line(info.scan_topic, 80)}, poses {one_line(info.pose_topic, 80)}:"
+            f" {info.scans_with_pose} scans have a pose at their stamp;"
+            f" dropped: {dropped or 'none'}"
         )
         if info.points:
             lines.append(f"{points_line(info.points, info.points_dropped)} with this configuration")
-    lines += [f"note: {line}" for line in info.notes]
-    lines += [f"damaged: {line}" for line in info.losses]
-    lines += [f"problem: {line}" for line in info.problems]
+    lines += [one_line(f"note: {line}") for line in info.notes]
+    lines += [one_line(f"damaged: {line}") for line in info.losses]
+    lines += [one_line(f"problem: {line}") for line in info.problems]
     lines.append("it would work" if info.works else "it would not work")
     return lines

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.maps import MapMessageError
@@ -47,8 +48,12 @@ class MapPairs:
         ours = {pairs.topics[0], pairs.topics[0].removesuffix(CELLS) + SITE_TABLE}
         return None if clouds - ours else pairs
 
-    def take(self, bag: Bag, message: RawMessage) -> CellMap | None:
+    def take(self, bag: Bag, message: RawMessage, lss: LssConfig) -> CellMap | None:
         """The map that this message completes, None if its other half is still missing.
+
+        Args:
+            bag, message: An open bag and one of its messages on ``topics``.
+            lss: How landing will be judged on the map.
 
         Raises:
             MapMessageError: a message is not what ``mapping_node`` sends.
@@ -64,4 +69,4 @@ class MapPairs:
         except MessageError as error:
             raise MapMessageError(error.reason, str(error)) from None
         self._held.clear()
-        return map_from_messages(cells, observed)
+        return map_from_messages(cells, observed, lss)

@@ -105,7 +105,7 @@ class Run:
         last: CellMap | None = None
         for message in bag.messages(pairs.topics, stream.start_ns, stream.stop_ns):
             try:
-                found = pairs.take(bag, message)
+                found = pairs.take(bag, message, self.config.lss)
             except MapMessageError as error:
                 self._tell(f"map_{error.reason}", str(error))
                 found = None

@@ -53,7 +53,12 @@ class LssNode(Node):
         effect = "maps of either are assessed"
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
         binding = "frames.map" in self._settings.given
-        self._map = ReceivedMap(self._problems, config.frames.map, binding=binding)
+        self._map = ReceivedMap(
+            self._problems,
+            config.frames.map,
+            lambda: self._settings.config.lss,
+            binding=binding,
+        )
         subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._map_publishers.changed)
         subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
         self._result: LandingAssessment | None = None

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.maps import MapMessageError
@@ -22,6 +24,7 @@ class ReceivedMap:
     Args:
         problems: Where refused maps are told.
         frame: Map frame of the configuration.
+        lss: How landing is judged at present: maps too large for that are refused.
         binding: True if maps of any other frame are refused.
 
     Attributes:
@@ -32,13 +35,16 @@ class ReceivedMap:
         refusals: How many could not be used.
     """
 
-    def __init__(self, problems: Problems, frame: str, *, binding: bool) -> None:
+    def __init__(
+        self, problems: Problems, frame: str, lss: Callable[[], LssConfig], *, binding: bool
+    ) -> None:
         self.cells: CellMap | None = None
         self.frame = self._configured = frame
         self.arrivals = Arrivals()
         self.refused = ""
         self.refusals = 0
         self._problems = problems
+        self._lss = lss
         self._binding = binding
         self._halves: dict[str, Any] = {}
         self._whole: tuple[Any, Any, float] | None = None
@@ -75,7 +81,7 @@ class ReceivedMap:
         try:
             if self._binding:
                 check_frame(frame, self._configured, "map/cells")
-            self.cells = map_from_messages(cells, observed)
+            self.cells = map_from_messages(cells, observed, self._lss())
         except (MapMessageError, MessageError) as error:
             self.refusals += 1
             self.refused = f"the newest map cannot be used: {error}"

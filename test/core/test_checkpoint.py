@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 import dataclasses
+import io
+import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -202,3 +205,52 @@ def test_other_archives_are_no_checkpoints(tmp_path):
     np.save(tmp_path / "b.npy", np.arange(3))
     with pytest.raises(CheckpointError):
         from_bytes((tmp_path / "b.npy").read_bytes())
+
+
+def test_a_small_file_that_means_gigabytes_is_refused_unread(content):
+    """A stored archive cannot hold more than its size; a compressed one is none of ours."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with archive.open("leaves.npy", "w", force_zip64=True) as part:
+            for _ in range(256):
+                part.write(bytes(1 << 20))
+    bomb = out.getvalue()
+    assert len(bomb) < 3e6
+    tracemalloc.start()
+    with pytest.raises(CheckpointError, match="compressed"):
+        from_bytes(bomb)
+    assert tracemalloc.get_traced_memory()[1] < 1e7
+    tracemalloc.stop()
+
+
+def test_an_archive_that_claims_more_than_its_size_is_refused(content):
+    claimed = bytearray(content)
+    place = claimed.rindex(b"PK\x01\x02") + 24  # of the last part: its size unpacked
+    claimed[place : place + 4] = (2**31).to_bytes(4, "little")
+    with pytest.raises(CheckpointError):
+        from_bytes(bytes(claimed))
+
+
+@pytest.mark.slow
+def test_no_damage_gets_through(content):
+    """Bytes changed, cut out, doubled and exchanged, 20,000 times."""
+    rng = np.random.default_rng(17)
+    mapper = Mapper(CONFIG)
+    whole = np.frombuffer(content, dtype=np.uint8)
+    for _ in range(20_000):
+        damaged = whole.copy()
+        place = int(rng.integers(len(damaged)))
+        end = min(place + int(2 ** rng.uniform(0, 12)), len(damaged))
+        kind = rng.integers(3)
+        if kind == 0:
+            damaged[place:end] ^= rng.integers(1, 256, end - place, dtype=np.uint8)
+        elif kind == 1:
+            damaged = np.delete(damaged, slice(place, end))
+        else:
+            damaged = np.insert(damaged, place, damaged[place:end])
+        try:
+            mapper.import_state(from_bytes(damaged.tobytes()))
+        except CheckpointError as error:
+            assert str(error).isprintable()
+        else:
+            assert to_bytes(mapper.export_state()) == content

@@ -118,6 +118,11 @@ def test_odd_keys_are_configuration_errors_too(key):
         ({"frames.map": ""}, "frames.map"),
         ({"lidar.min_range": 10.0, "lidar.max_range": 10.0}, "lidar.min_range"),
         ({"domain.size": 50_000.0, "lss.grid_spacing": 0.1}, "lss.grid_spacing"),
+        ({"domain.max_level": 12}, "domain.max_level"),
+        ({"domain.max_level": 11, "domain.size": 2000.0}, "GB for a landing site pass"),
+        ({"domain.max_level": 11, "lss.grid_spacing": 0.1}, "lss.vehicle_diameter"),
+        ({"domain.size": 60.0, "domain.max_level": 10, "lss.touchdown_yaws": 360}, "yaws"),
+        ({"domain.max_level": 11, "domain.size": 900.0, "lss.sites": 1000}, "lss.sites"),
     ],
 )
 def test_contradictions_are_found(values, about):

@@ -40,7 +40,7 @@ def test_the_place_is_that_of_a_nearest_one(share):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.004, 0.05, 1.0])
-@pytest.mark.parametrize("distance", [0.0, 0.29, 0.3, 0.6, 1.0, 3.7, 50.0])
+@pytest.mark.parametrize("distance", [0.0, 0.29, 0.3, 0.6, 1.0, 3.7, 4.8, 5.1, 6.3, 50.0, 1e300])
 @pytest.mark.parametrize("short", [0.0, 0.5])
 def test_growth_takes_what_is_within_the_distance(share, distance, short):
     marked, side = some(share), 0.3

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
 from core.builders import configured, mapped, upward_normals
 
+from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.geometry import rotations
 from quadtree_lss.core.landing.sites import LandingSiteSelector
 from quadtree_lss.core.mapping.mapper import Mapper
@@ -223,3 +225,26 @@ def test_site_orientations_take_z_to_the_normal_and_x_into_the_xz_plane():
 
 def test_no_sites_have_no_orientations():
     assert maps.site_orientations(np.zeros((0, 3))).shape == (0, 4)
+
+
+def test_a_map_of_another_scale_is_refused_before_anything_is_made_of_it(cells):
+    """Well-formed, but 12 km wide: landing sites on it would take 24,000 grid points a side."""
+    records = maps.encode_cells(cells)
+    records["size"] *= 12_000.0 / cells.domain.size
+    tracemalloc.start()
+    with pytest.raises(maps.MapMessageError, match="grid points a side") as caught:
+        maps.decode_cells(records, cells.observed, 0.0, 0.0, 1, LssConfig())
+    assert tracemalloc.get_traced_memory()[1] < 1e7
+    tracemalloc.stop()
+    assert caught.value.reason == "too_large"
+    assert maps.decode_cells(records, cells.observed, 0.0, 0.0, 1).domain.size == 12_000.0
+
+
+def test_a_map_of_too_many_finest_cells_is_refused():
+    n = 1 << 12
+    records = np.zeros(1, dtype=maps.record_dtype(maps.CELL_FIELDS))
+    records["size"] = 100.0
+    observed = np.broadcast_to(np.zeros((), dtype=bool), (n, n))
+    with pytest.raises(maps.MapMessageError, match="the most") as caught:
+        maps.decode_cells(records, observed, 0.0, 0.0, 1)
+    assert caught.value.reason == "too_large"

@@ -100,6 +100,10 @@ def test_errors_are_one_line_and_exit_code_1(bag, tmp_path, capsys, arguments, w
         ["simulate", "moon", "--out", "x"],
         ["simulate", "morpheus"],
         ["evaluate", "x"],
+        ["replay", "bag", "--out", ""],
+        ["replay", ""],
+        ["info", " "],
+        ["simulate", "descent", "--out", ""],
     ],
 )
 def test_wrong_usage_is_exit_code_2(capsys, arguments):

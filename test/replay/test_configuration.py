@@ -168,3 +168,27 @@ def test_what_is_dumped_loads_again(tmp_path_factory, data):
     for comments in (False, True):
         path.write_text(dump_config(config, comments=comments))
         assert load_config([path]) == config
+
+
+LAUGHS = "a: &a [x, x, x]\n" + "".join(
+    f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join([f'*{chr(97 + k)}'] * 9)}]\n" for k in range(9)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        (LAUGHS, "aliases"),
+        (section("domain: &d {size: 10.0}", "lss: *d"), "aliases"),
+        (section("<<: {domain.size: 10.0}"), "merge"),
+        (section(f"domain.size: {'[' * 20000}"), "deep"),
+        (section(f"domain.size: {'9' * 5000}"), "digits"),
+        (section("domain.size: 2020-13-45"), "month"),
+        (section("domain.size: !!timestamp x"), "YAML"),
+        (section("? [a]", ": 3"), "YAML"),
+        (section(f"frames.map: {'m' * 2**20}"), "the most"),
+    ],
+)
+def test_yaml_that_means_more_than_it_holds_is_refused_at_once(write, text, word):
+    line = message(write(text))
+    assert word in line and len(line) < 1100

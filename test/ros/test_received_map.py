@@ -11,6 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from ros_vehicle import Vehicle, flat_map
 
+from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.ros.messages import map_messages
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.received_map import ReceivedMap
@@ -42,7 +43,7 @@ def give(received, cells):
 
 
 def test_a_refused_map_does_not_make_the_one_before_younger(cells):
-    received = ReceivedMap(Problems(Log()), "map", binding=False)
+    received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     give(received, cells)
     received.take()
     first, age = received.cells, received.arrivals.age()
@@ -57,7 +58,7 @@ def test_a_refused_map_does_not_make_the_one_before_younger(cells):
 
 
 def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells):
-    received = ReceivedMap(Problems(Log()), "map", binding=False)
+    received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     give(received, cells)
     age = received.arrivals.age
     give(received, cells)
@@ -96,3 +97,15 @@ def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
 
 def at_count(vehicle, key, number):
     return vehicle.values().get(key) == str(number)
+
+
+def test_a_map_of_another_scale_is_refused_and_the_one_before_kept(cells):
+    """Well-formed, 12 km wide: to assess it would take 5 GB."""
+    received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
+    give(received, cells)
+    received.take()
+    domain = dataclasses.replace(cells.domain, size=12_000.0)
+    give(received, dataclasses.replace(cells, domain=domain))
+    received.take()
+    assert received.refusals == 1 and "grid points a side" in received.refused
+    assert received.cells.domain == cells.domain

@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
+FAR = 16
+"""Beyond so many steps one distance transform takes less than a step at a time."""
+
 
 @dataclass(frozen=True)
 class Disc:
@@ -167,6 +170,8 @@ def grown(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mas
     square = int(min(distance / side + short, longest) ** 2) + 2
     while square > 0 and (sqrt(square) - short) * side > distance:
         square -= 1
+    if square > FAR**2:
+        return np.asarray(nearest_marked(marked)[0] <= square)
     out: Mask = marked.copy()
     run = marked.copy()
     reach, width = min(isqrt(square), len(marked) - 1), 0

@@ -84,7 +84,9 @@ def assess_points(
     radius = 0.5 * lss.vehicle_diameter
     zone = radius + lss.margin
     bits = np.where(raster.seen, features.take(raster.leaf), np.uint8(0))
-    planes = ground_planes(raster.elevation, side, 0.75 * radius)
+    # No zone fits a domain smaller than itself: none needs sums over more than that.
+    widest = 0.5 * cells.domain.size
+    planes = ground_planes(raster.elevation, side, 0.75 * min(radius, widest))
     slope = np.arctan(np.sqrt(planes.slope_x**2 + planes.slope_y**2))
     hazard = touching(bits)
     if lss.assessment == "touchdown":
@@ -107,7 +109,7 @@ def assess_points(
     safe &= inside >= zone - 1e-9
     near = np.minimum(np.minimum(near, inside), lss.hazard_distance_cap)
     hazard |= (touching((~raster.seen).view(np.uint8)) > 0) * np.uint8(hazards.UNSEEN)
-    over = disc(zone, side)
+    over = disc(min(zone, widest), side)
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = np.nan_to_num(cells.roughness / cells.size**2)
     of_leaves += lss.weight_roughness * rough
@@ -170,7 +172,11 @@ def _surrounded(marked: Mask) -> Mask:
 def greatest_in_zones(values: Array, over: Disc, rows: Index, columns: Index) -> Array:
     """Greatest value (K,) of the cells (n, n) in the disc about grid points (K,) in the domain."""
     last = len(values) - 1
-    row = np.clip(rows[:, None] + over.row, 0, last)
-    column = np.clip(columns[:, None] + over.column, 0, last)
-    out: Array = values[row, column].max(axis=1)
+    out = np.empty(len(rows))
+    for k in range(len(rows)):  # all at once they would be many arrays of zones
+        row, column = (
+            np.clip(rows[k] + over.row, 0, last),
+            np.clip(columns[k] + over.column, 0, last),
+        )
+        out[k] = values[row, column].max()
     return out

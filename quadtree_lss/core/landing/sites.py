@@ -175,9 +175,10 @@ class LandingSiteSelector:
     def _fails_at_touchdown(self, raster: TerrainRaster, inside: Array) -> Mask:
         """Where the lander fails, (n + 1, n + 1), of where all ground under it is seen."""
         lss = self.config.lss
-        if lss.assessment != "touchdown":
+        candidates = inside >= 0.5 * lss.vehicle_diameter - 1e-9
+        if lss.assessment != "touchdown" or not candidates.any():
             return np.zeros(inside.shape, dtype=np.bool_)
-        return self._touchdown.unsafe(raster, inside >= 0.5 * lss.vehicle_diameter - 1e-9)
+        return self._touchdown.unsafe(raster, candidates)
 
     def _rank(
         self,

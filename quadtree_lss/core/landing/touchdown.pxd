@@ -32,7 +32,9 @@ cdef class Lander:
         double[:, ::1] slope_y,
         double[:, ::1] subscale,
     )
-    cpdef void judge(self, const unsigned char[:, ::1] due, signed char[:, ::1] verdict)
+    cpdef void judge(
+        self, const unsigned char[:, ::1] due, signed char[:, ::1] verdict, Py_ssize_t block
+    )
     cdef void judge_block(
         self,
         const unsigned char[:, ::1] due,

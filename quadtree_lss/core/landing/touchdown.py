@@ -72,7 +72,9 @@ class TouchdownCheck:
             self._verdict = np.full(candidates.shape, UNKNOWN, dtype=np.int8)
         layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
         self._lander.stand_on(*layers)
-        self._lander.judge(candidates.view(np.uint8), self._verdict)
+        due = candidates.view(np.uint8)
+        for block in range(self._lander.blocks):  # between them a signal can end it
+            self._lander.judge(due, self._verdict, block)
         return np.asarray(candidates & (self._verdict == FAILS))
 
 
@@ -173,19 +175,20 @@ class Lander:
                     self.ground[0, i, j], self.ground[1, i, j] = pad, x
                     self.ground[2, i, j], self.ground[3, i, j] = y, top
 
-    def judge(self, due: NDArray[np.uint8], verdict: NDArray[np.int8]) -> None:
-        """Bring the verdict on grid points up to date after ``stand_on``.
+    def judge(
+        self, due: NDArray[np.uint8], verdict: NDArray[np.int8], block: cython.Py_ssize_t
+    ) -> None:
+        """Bring the verdict on a row of blocks up to date after ``stand_on``.
 
         Args:
             due: (n + 1, n + 1) points that need one.
             verdict: (n + 1, n + 1) ``UNKNOWN``, 0 if it stands, or ``FAILS``, changed in place.
+            block: Number of the row, from the south.
         """
-        i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         with cython.nogil:
-            for i in range(self.blocks):
-                for j in range(self.blocks):
-                    self.judge_block(due, verdict, i * BLOCK, j * BLOCK)
+            for j in range(self.blocks):
+                self.judge_block(due, verdict, block * BLOCK, j * BLOCK)
 
     def judge_block(
         self,

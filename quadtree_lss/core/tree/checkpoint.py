@@ -8,6 +8,7 @@ damaged is refused. Reading and writing files is the caller's.
 from __future__ import annotations
 
 import io
+import zipfile
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -41,11 +42,28 @@ def from_bytes(content: bytes) -> State:
         CheckpointError: damaged, cut short or something else.
     """
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            _check_sizes(archive, len(content))
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except CheckpointError:
+        raise
     except Exception as error:  # zipfile and NumPy raise a dozen kinds on damaged bytes
         msg = f"is no checkpoint, or a damaged one ({type(error).__name__})"
         raise CheckpointError(msg) from None
+
+
+def _check_sizes(archive: zipfile.ZipFile, size: int) -> None:
+    """See that an archive of ``size`` bytes unpacks to no more than these.
+
+    Raises:
+        CheckpointError: something in it is compressed, or it claims more than there is.
+    """
+    parts = archive.infolist()
+    packed = any(part.compress_type != zipfile.ZIP_STORED for part in parts)
+    if packed or sum(part.file_size for part in parts) > size:
+        msg = "is no checkpoint: its content is compressed or larger than itself"
+        raise CheckpointError(msg)
 
 
 def identified(state: State, domain: Domain) -> State:
