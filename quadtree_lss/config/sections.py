@@ -423,10 +423,21 @@ class DiagnosticsConfig:
 
 
 @dataclass(frozen=True)
+class FilesConfig:
+    """Where a node may read and write."""
+
+    root: str = _p(
+        "",
+        "folder below which all files of a node must lie, links followed; relative paths are from "
+        "it. Empty = wherever the paths given at the start lead",
+    )
+
+
+@dataclass(frozen=True)
 class MapFileConfig:
     """Where the services ``~/save_map`` and ``~/load_map`` keep a map."""
 
-    path: str = _p("", "file of the services save_map and load_map; empty = none", live=True)
+    path: str = _p("", "file of the services save_map and load_map; empty = none")
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from quadtree_lss.config.sections import (
     DiagnosticsConfig,
     DomainConfig,
     FeaturesConfig,
+    FilesConfig,
     FramesConfig,
     LidarConfig,
     LssConfig,
@@ -33,6 +34,7 @@ __all__ = [
     "DiagnosticsConfig",
     "DomainConfig",
     "FeaturesConfig",
+    "FilesConfig",
     "FramesConfig",
     "LidarConfig",
     "LssConfig",
@@ -68,6 +70,7 @@ class Config:
     qos: QosConfig = field(default_factory=QosConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
+    files: FilesConfig = field(default_factory=FilesConfig)
     map_file: MapFileConfig = field(default_factory=MapFileConfig)
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
 

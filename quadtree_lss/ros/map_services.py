@@ -10,7 +10,8 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.ros.map_files import MapFileError, load, save
+from quadtree_lss.ros.files import MapFileError
+from quadtree_lss.ros.map_files import load, save
 
 
 class MapServices:
@@ -19,7 +20,7 @@ class MapServices:
     Args:
         node: Owner.
         mapper: Whose map it is.
-        path: Gives the parameter ``map_file.path``.
+        path, root: Parameters ``map_file.path`` and ``files.root``.
         changed: Called after a map was loaded.
         reset: Called after the map was emptied.
     """
@@ -29,13 +30,14 @@ class MapServices:
         node: Node,
         mapper: Mapper,
         *,
-        path: Callable[[], str],
+        path: str,
+        root: str,
         changed: Callable[[], None],
         reset: Callable[[], None],
     ) -> None:
         self._logger = node.get_logger()
         self._mapper = mapper
-        self._path = path
+        self._path, self._root = path, root
         self._on_change, self._on_reset = changed, reset
         for name, work in (
             ("reset", self._reset),
@@ -51,21 +53,20 @@ class MapServices:
 
     def _save(self) -> str:
         path = self._file()
-        save(path, self._mapper)
+        save(path, self._mapper, self._root)
         return f"{self._mapper.leaves.count} leaves saved to {path}"
 
     def _load(self) -> str:
         path = self._file()
-        load(path, self._mapper)
+        load(path, self._mapper, self._root)
         self._on_change()
         return f"{self._mapper.leaves.count} leaves loaded from {path}"
 
     def _file(self) -> Path:
-        path = self._path()
-        if not path:
+        if not self._path:
             msg = "parameter map_file.path is not set"
             raise MapFileError(msg)
-        return Path(path).absolute()
+        return Path(self._root, self._path).absolute()
 
     def _answering(
         self, work: Callable[[], str]

@@ -28,8 +28,9 @@ from quadtree_lss.messages.intake import (
     unused_points_text,
 )
 from quadtree_lss.ros.announce import announce
+from quadtree_lss.ros.checkpoints import Checkpoints
 from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
-from quadtree_lss.ros.map_files import Checkpoints, MapFileError
+from quadtree_lss.ros.files import MapFileError
 from quadtree_lss.ros.map_services import MapServices
 from quadtree_lss.ros.map_stamps import MapStamps
 from quadtree_lss.ros.markers import MarkerPublisher, cell_markers
@@ -115,11 +116,12 @@ class MappingNode(Node):
         )
         self._stamps = MapStamps()
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
-        self._checkpoints = self._take_up_checkpoint(config.checkpoint.path)
+        self._checkpoints = self._take_up_checkpoint()
         self._map_services = MapServices(
             self,
             self._mapper,
-            path=lambda: self._settings.config.map_file.path,
+            path=config.map_file.path,
+            root=config.files.root,
             changed=self._after_load,
             reset=self._after_reset,
         )
@@ -128,13 +130,12 @@ class MappingNode(Node):
         self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
         announce(self, config)
 
-    def destroy_node(self) -> None:
-        """Before the node ends, what the checkpoint lacks is written."""
+    def finish(self) -> None:
+        """Before the node ends in good order, what the checkpoint lacks is written."""
         if self._checkpoints is not None:
             error = self._checkpoints.close(self._mapper)
             if error is not None:
                 self.get_logger().error(f"{error}; what it lacks is lost")
-        super().destroy_node()
 
     def _subscribe(self) -> None:
         qos = self._settings.config.qos
@@ -152,10 +153,11 @@ class MappingNode(Node):
             )
             self._ahead.append((gimbal, self._take_gimbal))
 
-    def _take_up_checkpoint(self, path: str) -> Checkpoints | None:
-        if not path:
+    def _take_up_checkpoint(self) -> Checkpoints | None:
+        config = self._settings.config
+        if not config.checkpoint.path:
             return None
-        checkpoints = Checkpoints(Path(path))
+        checkpoints = Checkpoints(Path(config.checkpoint.path), config.files.root)
         try:
             self.get_logger().info(checkpoints.take_up(self._mapper))
         except MapFileError as error:
@@ -296,6 +298,8 @@ class MappingNode(Node):
         )
         if self._checkpoints is not None:
             status.add({"checkpoints": self._checkpoints.written})
+            if self._checkpoints.foreign:
+                status.note(WARN, self._checkpoints.foreign)
         if report is None:
             status.note(OK, "no scan mapped since the start, a reset or load")
             return

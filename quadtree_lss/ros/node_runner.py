@@ -8,6 +8,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -40,6 +41,14 @@ What a killed process leaves behind in shared memory can keep its successor, whi
 port, from hearing the sensors for ten seconds or for good. The kernel cuts the size to what
 net.core.rmem_max allows; docs/onboard.md says what was measured.
 """
+
+
+@runtime_checkable
+class Finishing(Protocol):
+    """A node that has something to do before it ends in good order."""
+
+    def finish(self) -> None:
+        """Called once, but not after an exception: what the node holds may be broken then."""
 
 
 def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | None = None) -> int:
@@ -86,10 +95,11 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
         node = _made(make_node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while rclpy.ok() and not stop.asked:
-            executor.spin_once(timeout_sec=STOP_PERIOD_S)
-    except ExternalShutdownException:
-        return 0
+        with contextlib.suppress(ExternalShutdownException):
+            while rclpy.ok() and not stop.asked:
+                executor.spin_once(timeout_sec=STOP_PERIOD_S)
+        if isinstance(node, Finishing):
+            node.finish()
     except QuadtreeLssError as error:
         print(f"error: {error}", file=sys.stderr)
         return WRONG_CONFIGURATION if isinstance(error, ConfigError) else 1

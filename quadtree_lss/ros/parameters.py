@@ -6,6 +6,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -28,6 +29,7 @@ from quadtree_lss.config.settings import (
     parameters,
     values_from_config,
 )
+from quadtree_lss.ros.files import is_below
 
 #: Parameters that every ROS node has, whatever its package.
 ROS_OWN = ("use_sim_time", "start_type_description_service")
@@ -201,14 +203,21 @@ def _converted(changes: list[RosParameter]) -> list[RosParameter]:
 
 
 def _checked(config: Config) -> Config:
-    """The same, if paths are those of files.
+    """The same, if paths are those of files below ``files.root``.
 
     Raises:
         ConfigError: one is not.
     """
+    root = config.files.root
+    if "\0" in root:
+        msg = f"files.root = {root!r} is no name of a folder"
+        raise ConfigError(msg)
     paths = {"map_file.path": config.map_file.path, "checkpoint.path": config.checkpoint.path}
     for name, path in paths.items():
         if path and (path.rpartition("/")[2] in ("", ".", "..") or "\0" in path):
             msg = f"{name} = {path!r} is no name of a file"
+            raise ConfigError(msg)
+        if path and root and not is_below(Path(path), root):
+            msg = f"{name} = {path!r} is not below files.root = {root!r}"
             raise ConfigError(msg)
     return config

@@ -7,21 +7,45 @@ import functools
 import resource
 import shutil
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from ros.conftest import at_least, has
 from ros_scene import Sensors
 
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.ros.map_files import MapFileError, load
+from quadtree_lss.ros.files import MapFileError
+from quadtree_lss.ros.map_files import load
 
 pytestmark = pytest.mark.xdist_group("ros_checkpoints")
 
 SCANS = 4
 TEN_SECONDS_NS = 10**10
+FAULTY = """
+import sys
+import quadtree_lss.core.mapping.mapper as mapper
+from quadtree_lss.ros.mapping_node import main
+
+whole = mapper.Mapper.update
+left = [3]
+
+def update(self, *scan):
+    left[0] -= 1
+    if left[0] < 0:
+        self.leaves.plant()
+        self.stamp_ns = 1
+        raise ValueError("math domain error")
+    return whole(self, *scan)
+
+mapper.Mapper.update = update
+sys.exit(main())
+"""
+"""A node that maps three scans and dies of the fourth, after it has spoilt the map."""
 SMALL = {
     "domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6},
 }
@@ -149,6 +173,55 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     assert mapping.stop() == 0
     assert "is lost" in mapping.output().splitlines()[-1]
     assert "[ERROR]" in mapping.output().splitlines()[-1]
+
+
+def test_a_node_that_dies_of_an_exception_leaves_its_checkpoint_alone(ros):
+    """Whatever it was, the map that it happened to may be half written."""
+    path = ros.folder / "checkpoint.map"
+    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params), *args]
+    with (
+        ros.listen() as listener,
+        subprocess.Popen(
+            command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE, text=True
+        ) as faulty,
+    ):
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        good = sensors.publish(SCANS - 1)
+        assert listener.wait_for(lambda: _stamp_in(path) == good)
+        sensors.publish(1, offset_ns=TEN_SECONDS_NS)
+        _, errors = faulty.communicate(timeout=20.0)
+    assert faulty.returncode == 1 and "ValueError: math domain error" in errors
+    assert _stamp_in(path) == good
+    again = ros.start("mapping_node", *args)
+    with ros.listen() as listener:
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == good), again.output()
+
+
+def test_two_nodes_on_one_checkpoint(ros):
+    path = ros.folder / "checkpoint.map"
+    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    first = ros.start("mapping_node", *args)
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        stamp = sensors.publish(SCANS)
+        assert listener.wait_for(lambda: _stamp_in(path) == stamp), first.output()
+        second = ros.start("mapping_node", *args, "-r", "__node:=second")
+        told = functools.partial(_warned, listener, "second", "another node keeps")
+        assert listener.wait_for(told), second.output()
+        assert "newest scan" not in second.output()
+        stored = path.stat()
+        assert second.stop() == 0
+        assert path.stat() == stored
+        stamp = sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS)
+        assert listener.wait_for(lambda: _stamp_in(path) == stamp), first.output()
+
+
+def _warned(listener, node, words):
+    status = listener.diagnostics.get(node)
+    return status is not None and status.level == DiagnosticStatus.WARN and words in status.message
 
 
 @pytest.mark.slow

@@ -11,18 +11,16 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from ros_scene import COVARIANCE, POSITION, ROTATION, SCAN_NS, events
 
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.ros.map_files import (
-    Checkpoints,
-    MapFileError,
-    WrongContentError,
-    load,
-    save,
-    write_atomically,
-)
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.ros.checkpoints import Checkpoints
+from quadtree_lss.ros.files import MapFileError, write_atomically
+from quadtree_lss.ros.map_files import WrongContentError, load, save
 
 SMALL = {
     "domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6},
@@ -33,7 +31,7 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     path, part = tmp_path / "map", tmp_path / "map.part"
     program = (
         "from pathlib import Path; import sys\n"
-        "from quadtree_lss.ros.map_files import write_atomically\n"
+        "from quadtree_lss.ros.files import write_atomically\n"
         "while True:\n"
         "    for letter in (b'a', b'b'):\n"
         "        write_atomically(Path(sys.argv[1]), letter * 30_000_000)\n"
@@ -146,3 +144,139 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_bytes() == b"old" and os.listdir(tmp_path) == ["map"]
+
+
+def kept(path, scans):
+    """A keeper of checkpoints, after writing one for each of so many scans; and its mapper."""
+    mapper = Mapper(load_config(overrides=SMALL))
+    checkpoints = Checkpoints(path)
+    for event in events(scans):
+        if event.points_lidar is not None:
+            pose = Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE)
+            mapper.update(event.points_lidar, pose)
+            checkpoints.changed()
+            assert checkpoints.close(mapper) is None
+    return checkpoints, mapper
+
+
+def test_the_checkpoint_before_is_kept_and_taken_up_when_the_newest_is_damaged(tmp_path):
+    path, before = tmp_path / "map", tmp_path / "map.previous"
+    kept(path, 3)
+    newest = Mapper(load_config(overrides=SMALL))
+    load(path, newest)
+    assert sorted(os.listdir(tmp_path)) == ["map", "map.previous"]
+    path.write_bytes(path.read_bytes()[:-1000])
+    mapper = Mapper(load_config(overrides=SMALL))
+    with pytest.raises(MapFileError, match="map: .*set aside as map.refused; .*previous taken up"):
+        Checkpoints(path).take_up(mapper)
+    assert mapper.stamp_ns == newest.stamp_ns - SCAN_NS and not path.exists()
+    assert "map.previous taken up" in Checkpoints(path).take_up(mapper), "nothing wrong: no newer"
+    before.write_bytes(b"damaged")
+    (tmp_path / "map.refused").unlink()
+    empty = Mapper(load_config(overrides=SMALL))
+    with pytest.raises(MapFileError, match="previous: is no checkpoint.*starting with an empty"):
+        Checkpoints(path).take_up(empty)
+    assert empty.stamp_ns == 0
+    checkpoints, _ = kept(path, 2)
+    checkpoints.forget()
+    assert not os.listdir(tmp_path), "a reset forgets both"
+
+
+@pytest.mark.parametrize("name", ["range_part", "pose_part"])
+@pytest.mark.parametrize("value", [-1.0, np.nan, "indefinite"])
+def test_a_broken_map_never_replaces_a_good_checkpoint(tmp_path, name, value):
+    path = tmp_path / "map"
+    checkpoints, mapper = kept(path, 2)
+    good = path.read_bytes()
+    row = int(np.flatnonzero(mapper.leaves.rows["known"][: mapper.leaves.count] == 3)[0])
+    covariance = mapper.leaves.rows[name][row].reshape(3, 3)
+    if value == "indefinite":  # the small variances alone: a large one beside must not hide it
+        covariance[2, 2] = 1e6
+        covariance[0, 1] = covariance[1, 0] = 1.01 * np.sqrt(covariance[0, 0] * covariance[1, 1])
+    else:
+        covariance[1, 1] = value
+    checkpoints.changed()
+    error = checkpoints.close(mapper)
+    assert error is not None and "not written" in error and "impossible plane" in error
+    with pytest.raises(MapFileError, match="impossible plane"):
+        save(path, mapper)
+    assert path.read_bytes() == good and checkpoints.written == 2
+    assert sorted(os.listdir(tmp_path)) == ["map", "map.previous"]
+
+
+def test_a_second_keeper_of_one_checkpoint_is_told_and_writes_nothing(tmp_path):
+    path = tmp_path / "map"
+    mapper, other = (Mapper(load_config(overrides=SMALL)) for _ in range(2))
+    first, second, third = Checkpoints(path), Checkpoints(path), Checkpoints(path)
+    for checkpoints in (first, second):
+        assert "no checkpoint" in checkpoints.take_up(mapper), "nobody has one yet"
+    for error in write_once(first, mapper), write_once(first, mapper):
+        assert error is None
+    stored = path.stat()
+    assert "another node keeps" in write_once(second, other)
+    with pytest.raises(MapFileError, match="another node keeps.*starting with an empty map"):
+        third.take_up(other)
+    for checkpoints in (second, third):
+        assert "another node keeps" in checkpoints.foreign
+        assert write_once(checkpoints, other) is None and checkpoints.written == 0
+        checkpoints.forget()
+    assert path.stat() == stored and (tmp_path / "map.previous").exists()
+    assert first.close(mapper) is None
+    assert "taken up" in Checkpoints(path).take_up(other), "free once the first has ended"
+
+
+def write_once(checkpoints, mapper):
+    """What became of one checkpoint."""
+    checkpoints.changed()
+    errors = [checkpoints.work(mapper, 0.0)]
+    for _ in range(500):
+        if checkpoints._thread is None or not checkpoints._thread.is_alive():
+            break
+        time.sleep(0.01)
+    errors.append(checkpoints.work(mapper, 1e9))
+    return next((error for error in errors if error), None)
+
+
+def test_nothing_below_the_names_used_is_followed_or_waited_for(tmp_path):
+    """The ``.part`` file could be a link, which would be overwritten, or a pipe, which hangs."""
+    path, part, secret = tmp_path / "map", tmp_path / "map.part", tmp_path / "secret"
+    secret.write_text("precious")
+    part.symlink_to(secret)
+    write_atomically(path, b"one")
+    os.mkfifo(part)
+    write_atomically(path, b"two")
+    assert path.read_bytes() == b"two" and secret.read_text() == "precious"
+    part.mkdir()
+    with pytest.raises(MapFileError, match="cannot be written"):
+        write_atomically(path, b"three")
+    part.rmdir()
+
+    def meanwhile(content):
+        """Another program begins to write the same file."""
+        part.unlink()
+        part.write_bytes(b"half")
+
+    with pytest.raises(MapFileError, match="another program"):
+        write_atomically(path, b"four", verify=meanwhile)
+    assert path.read_bytes() == b"two"
+
+
+def test_files_lie_below_the_root_wherever_links_lead(tmp_path):
+    root, outside = tmp_path / "root", tmp_path / "outside"
+    for folder in (root, outside):
+        folder.mkdir()
+    mapper = Mapper(load_config(overrides=SMALL))
+    (root / "away").symlink_to(outside)
+    (root / "map").symlink_to(outside / "map")
+    for path in ("away/map", "map", "../outside/map", str(outside / "map"), ".", str(root)):
+        for use in (save, load):
+            with pytest.raises(MapFileError, match="files.root"):
+                use(Path(path), mapper, str(root))
+        checkpoints = Checkpoints(Path(path), str(root))
+        with pytest.raises(MapFileError, match="files.root"):
+            checkpoints.take_up(mapper)
+        assert "files.root" in write_once(checkpoints, mapper)
+    assert not list(outside.iterdir())
+    save(Path("inside"), mapper, str(root))
+    load(root / "inside", mapper, str(root))
+    assert (root / "inside").exists()

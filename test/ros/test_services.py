@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import SetParameters
 from ros.conftest import status_values
 from ros_scene import Sensors
@@ -91,24 +91,29 @@ def test_reset_save_and_load(ros):
 
 def test_services_without_a_path_or_a_folder_say_so(ros):
     mapping = ros.start("mapping_node")
+    nowhere = ros.start(
+        "mapping_node", "-p", f"map_file.path:={ros.folder}/none/a.map", "-r", "__node:=nowhere"
+    )
     with ros.listen() as listener:
         for service in ("save_map", "load_map"):
             answer = ros.call(listener, f"/mapping_node/{service}")
             assert not answer.success and "map_file.path" in answer.message
-        value = ParameterValue(
-            type=ParameterType.PARAMETER_STRING, string_value=str(ros.folder / "none" / "a.map")
-        )
-        assert set_parameter(listener, "/mapping_node", "map_file.path", value).successful
-        answer = ros.call(listener, "/mapping_node/save_map")
+        answer = ros.call(listener, "/nowhere/save_map")
         assert not answer.success and "No such file" in answer.message
-        refused = set_parameter(
-            listener,
-            "/mapping_node",
-            "domain.size",
-            ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=50.0),
-        )
-        assert not refused.successful
     mapping.check()
+    nowhere.check()
+
+
+def test_no_peer_can_say_where_a_node_writes(ros):
+    """Whoever may set parameters could overwrite any file that the node may."""
+    mapping = ros.start("mapping_node", "-p", f"map_file.path:={ros.folder}/a.map")
+    with ros.listen() as listener:
+        for name in ("map_file.path", "checkpoint.path", "files.root"):
+            answer = ros.set(listener, "mapping_node", name, str(ros.folder / "elsewhere"))
+            assert not answer.successful and "read-only" in answer.reason
+        assert not ros.set(listener, "mapping_node", "domain.size", 50.0).successful
+        assert ros.call(listener, "/mapping_node/save_map").success, mapping.output()
+    assert not (ros.folder / "elsewhere").exists()
 
 
 def set_parameter(listener, node, name, value):

@@ -21,6 +21,11 @@ from quadtree_lss.errors import QuadtreeLssError
 FORMAT = 3
 """Goes up whenever the arrays of `Mapper.export_state` change their meaning."""
 
+ROUNDING = 1e-6
+"""By how much a correlation may be off by rounding."""
+TINY = 1e-30
+"""In place of a variance that is zero: what is correlated with it is no rounding."""
+
 State: TypeAlias = dict[str, NDArray[Any]]
 
 
@@ -131,9 +136,30 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     for name in LEAF.names or ():
         if not name.startswith("feature"):
             whole &= np.isfinite(planes[name]).all()
-    if not whole or (planes["range_part"][:, ::4] <= 0.0).any():
+    if not whole or (planes["range_part"][:, ::4] <= 0.0).any() or not _covariances(planes):
         msg = "has a leaf with an impossible plane"
         raise CheckpointError(msg)
+
+
+def _covariances(planes: NDArray[Any]) -> bool:
+    """True if the covariances of finite planes are symmetric and positive semi-definite.
+
+    Judged as correlations, so that a large variance does not hide what a small one lacks.
+    """
+    for name in ("range_part", "pose_part"):
+        covariance = planes[name].reshape(-1, 3, 3)
+        variance = covariance.diagonal(axis1=1, axis2=2)
+        deviation = np.sqrt(np.where(variance > 0.0, variance, TINY))
+        correlation = covariance / (deviation[:, :, None] * deviation[:, None, :])
+        # No principal minor is negative, nor NaN.
+        u, v, w = np.sign(variance).T
+        a, b, c = correlation[:, 0, 1], correlation[:, 0, 2], correlation[:, 1, 2]
+        minors = [u, v, w, u * v - a * a, u * w - b * b, v * w - c * c]
+        minors.append(u * minors[5] - a * (a * w - b * c) + b * (a * c - b * v))
+        skew = np.abs(correlation - correlation.transpose(0, 2, 1))
+        if not all((minor >= -ROUNDING).all() for minor in [*minors, -skew]):
+            return False
+    return True
 
 
 def _identity(domain: Domain) -> NDArray[np.float64]:
