@@ -63,12 +63,23 @@ class FramesConfig:
     """Names of coordinate frames."""
 
     map: str = _p("map", "planet-fixed frame of poses and map, z up")
+    body: str = _p(
+        "",
+        "what poses are of: must be an odometry's child frame, and is where the way to the lidar "
+        "begins with mount.tf; empty takes an odometry's first child frame",
+    )
 
 
 @dataclass(frozen=True)
 class PoseConfig:
     """How a scan finds the pose at its stamp."""
 
+    source: str = _p(
+        "pose",
+        "poses come on nav/pose (PoseWithCovarianceStamped) or nav/odometry (Odometry); in a bag"
+        " that has this type not, the other is taken",
+        choices=("pose", "odometry"),
+    )
     max_wait: float = _p(
         1.0, "a scan waits this long after arrival for its pose", unit="s", low=0.0, high=60.0
     )
@@ -127,6 +138,17 @@ class MountConfig:
         unit="deg",
         low=-360.0,
         high=360.0,
+    )
+    axes: str = _p(
+        "same",
+        "from the cloud's axes to the lidar's as pose or mount have them: flu_to_optical for clouds"
+        " with x forward, y left, z up (REP 103) and the pose of an optical frame (z forward,"
+        " x right, y down); optical_to_flu for the opposite",
+        choices=("same", "flu_to_optical", "optical_to_flu"),
+    )
+    tf: bool = _p(
+        False,
+        "the mount comes from /tf_static, from the body's frame (frames.body) to that of the scans",
     )
     gimbal: bool = _p(
         False, "the mount comes from the topic lidar/gimbal, interpolated to each scan"

@@ -175,8 +175,14 @@ def _check_together(config: Config) -> None:
             f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
         )
         raise ConfigError(msg)
-    if config.mount.gimbal and config.mount != MountConfig(gimbal=True):
-        msg = "mount.gimbal takes the mount from lidar/gimbal: leave mount.x ... mount.yaw_deg at 0"
+    mount = config.mount
+    if mount.gimbal and mount.tf:
+        msg = "mount.gimbal and mount.tf: the mount comes from lidar/gimbal or from /tf_static"
+        raise ConfigError(msg)
+    elsewhere = MountConfig(gimbal=mount.gimbal, tf=mount.tf, axes=mount.axes)
+    if (mount.gimbal or mount.tf) and mount != elsewhere:
+        name, topic = ("gimbal", "lidar/gimbal") if mount.gimbal else ("tf", "/tf_static")
+        msg = f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
         raise ConfigError(msg)
     ages = config.diagnostics
     if ages.warn_age > ages.error_age:

@@ -5,22 +5,20 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import Config
-from quadtree_lss.core.mapping.mapper import ScanReport
 from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.sensing.mount import MountedPoses, fixed_mount
-from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, PoseBuffer, seconds
+from quadtree_lss.core.sensing.mount import MountedPoses
+from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, PoseBuffer
 from quadtree_lss.core.sensing.scan_queue import Drop, ScanQueue
 from quadtree_lss.core.sensing.sweep import Sweep, poses_during, sweep
-from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import MessageError, Points, points_from_cloud, stamp_ns
+from quadtree_lss.messages.extrinsics import Extrinsics
 from quadtree_lss.messages.poses import (
     has_unknown_covariance,
     mount_from_message,
@@ -61,12 +59,14 @@ class _Cloud(NamedTuple):
 class Intake:
     """Decodes messages, lets scans wait for poses, counts what cannot be used.
 
-    Call `on_pose`, `on_cloud`, `on_gimbal` with each message as it comes, then `ready`. No call
-    raises on bad input: it is counted in ``rejected`` or ``queue.dropped`` and told by `notices`.
+    Call `on_pose`, `on_cloud`, `on_gimbal`, `on_transforms` with each message as it comes, then
+    `ready`. No call raises on bad input: it is counted in ``rejected`` or ``queue.dropped`` and
+    told by `notices`.
 
     Args:
         config: Of which ``pose``, ``frames``, ``mount`` and ``lidar.deskew`` matter: with a
-            mount, poses are the body's; with ``mount.gimbal`` the mount comes by `on_gimbal`.
+            mount, poses are the body's; with ``mount.gimbal`` the mount comes by `on_gimbal`, with
+            ``mount.tf`` by `on_transforms`.
         scan_topic, pose_topic, gimbal_topic: Names for messages to the user.
 
     Attributes:
@@ -89,9 +89,14 @@ class Intake:
         self._deskew = config.lidar.deskew
         self._body = self._buffer()
         self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
-        held = self._gimbal if self._gimbal is not None else fixed_mount(config.mount)
+        self._extrinsics = Extrinsics(config)
+        held = self._gimbal if self._gimbal is not None else self._extrinsics.mount
+        self._mounted: MountedPoses | None = None
+        if held is not None or self._extrinsics.tf:
+            lack = self._extrinsics.lack
+            self._mounted = MountedPoses(self._body, held, gimbal_topic, lack)
         self.queue = ScanQueue(
-            self._body if held is None else MountedPoses(self._body, held, gimbal_topic),
+            self._body if self._mounted is None else self._mounted,
             max_scans=config.pose.queue,
             max_wait_ns=round(config.pose.max_wait * SECOND_NS),
             scan_topic=scan_topic,
@@ -109,9 +114,15 @@ class Intake:
         return {**clouds, **self.queue.dropped}
 
     def on_pose(self, msg: Any) -> None:
-        """Takes a ``PoseWithCovarianceStamped`` of the lidar, or of the body with a mount."""
+        """Takes a pose of the lidar, or of the body with a mount.
+
+        Args:
+            msg: ``PoseWithCovarianceStamped``, or ``Odometry``, whose child frame is then checked.
+        """
         limits = self._pose_config
         try:
+            if hasattr(msg, "child_frame_id"):
+                self._extrinsics.check_body(msg.child_frame_id)
             pose = pose_from_message(
                 msg,
                 self._map_frame,
@@ -133,15 +144,29 @@ class Intake:
             )
         self._add(self._body, pose, "pose")
         self.poses_taken += 1
+        self._mount()
 
     def on_gimbal(self, msg: Any) -> None:
         """Takes a ``TransformStamped`` body to lidar."""
         if self._gimbal is None:
             return
         try:
-            self._add(self._gimbal, mount_from_message(msg), "gimbal")
+            mount = self._extrinsics.turned(mount_from_message(msg))
+            self._add(self._gimbal, mount, "gimbal")
         except MessageError as error:
             self.reject("gimbal", error)
+
+    def on_transforms(self, msg: Any) -> None:
+        """Takes a ``TFMessage`` of ``/tf_static``, which matters with ``mount.tf``."""
+        try:
+            self._extrinsics.on_transforms(msg)
+        except MessageError as error:
+            self.reject("transform", error)
+        self._mount()
+
+    def _mount(self) -> None:
+        if self._extrinsics.tf and self._mounted is not None:
+            self._mounted.mount = self._extrinsics.mount
 
     def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
         """Takes a ``PointCloud2``; ``arrival_ns`` is of any steady clock, see `ready`.
@@ -151,6 +176,7 @@ class Intake:
         """
         try:
             points, stamp = points_from_cloud(msg), stamp_ns(msg.header)
+            self._extrinsics.check_lidar(msg.header.frame_id)
         except MessageError as error:
             self.reject("cloud", error)
             return None
@@ -164,6 +190,7 @@ class Intake:
             except MessageError as error:
                 self.reject("times", error)
         self.scans += 1
+        self._mount()
         jumps = self.queue.jumps
         span_ns = (0, 0) if times is None else times[1]
         self.queue.push_scan(stamp, _Cloud(points, times), arrival_ns, span_ns)
@@ -223,54 +250,6 @@ class Intake:
 
     def _tell(self, drops: list[Drop]) -> None:
         self._notices += [Notice(drop.reason, drop.text) for drop in drops]
-
-
-NO_POINTS_USED = "no_points_used"
-"""Key of the notice that `unused_points_text` is the text of."""
-
-REASONS = {
-    "no_return": "without a return",
-    "range": "out of range (lidar.min_range, lidar.max_range)",
-    "isolated": "isolated (lidar.outlier_gate)",
-    "outside": "outside the domain",
-}
-"""What became of points that did not enter the map, by the keys of ``ScanReport.dropped``."""
-
-
-def unused_points_text(report: ScanReport, domain: Domain) -> str | None:
-    """Why not one point of a scan entered the map, in one line; None if one did.
-
-    For the one notice `NO_POINTS_USED` that a flight may need: the domain is named with the scan's
-    middle if points missed it.
-    """
-    if report.points_used:
-        return None
-    text = f"no point of scan {seconds(report.stamp_ns)} entered the map: "
-    text += lost_points_text(report.dropped)
-    if report.dropped["outside"]:
-        text += f"; {domain_text(domain)}"
-        if report.centre is not None:
-            text += f", the scan's middle is at x {report.centre[0]:.1f}, y {report.centre[1]:.1f}"
-    return text
-
-
-def lost_points_text(lost: Mapping[str, int]) -> str:
-    """``16384 outside the domain, 3 without a return``: counts by reason, the largest first.
-
-    Args:
-        lost: By the keys of `REASONS`.
-    """
-    told = sorted(((n, key) for key, n in lost.items() if n), reverse=True)
-    return ", ".join(f"{n} {REASONS[key]}" for n, key in told)
-
-
-def domain_text(domain: Domain) -> str:
-    """Extent of the domain with the parameters that set it."""
-    x, y, size = domain.xmin, domain.ymin, domain.size
-    return (
-        f"the domain is x {x:g} ... {x + size:g}, y {y:g} ... {y + size:g} m"
-        " (domain.xmin, domain.ymin, domain.size)"
-    )
 
 
 def noise_notice(ratio: float, config: Config) -> Notice | None:

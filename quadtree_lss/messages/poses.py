@@ -46,7 +46,8 @@ def pose_from_message(
     (see `has_unknown_covariance`).
 
     Args:
-        msg: Like ``geometry_msgs/PoseWithCovarianceStamped``; covariance of (x, y, z, rotation
+        msg: Like ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which
+            the velocity is not used; covariance of (x, y, z, rotation
             about the fixed axes X, Y, Z of the header's frame), m and rad.
         map_frame: Name the header's frame must have; a leading slash does not matter.
         unknown_position_sigma: m, each axis.
@@ -74,7 +75,7 @@ def has_unknown_covariance(msg: Any) -> bool:
     return _content(msg.pose.covariance) == _UNKNOWN
 
 
-def mount_from_message(msg: Any) -> Pose:
+def mount_from_message(msg: Any, what: str = "gimbal") -> Pose:
     """Pose of the lidar in body axes from a ``geometry_msgs/TransformStamped`` body to lidar.
 
     The transform is ROS's: header frame the body, child frame the lidar, translation the lidar's
@@ -83,8 +84,8 @@ def mount_from_message(msg: Any) -> Pose:
     Raises:
         MessageError: with reason ``stamp``, ``position`` or ``quaternion``.
     """
-    position = _position(msg.transform.translation, "gimbal translation")
-    rotation = _rotation(msg.transform.rotation, "gimbal rotation")
+    position = _position(msg.transform.translation, f"{what} translation")
+    rotation = _rotation(msg.transform.rotation, f"{what} rotation")
     return Pose(stamp_ns(msg.header), position, rotation, np.zeros((6, 6)))
 
 

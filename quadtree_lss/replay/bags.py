@@ -21,22 +21,37 @@ from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.replay.parts import Part, of_one_time
 from quadtree_lss.replay.rescue import RawMessage
-from quadtree_lss.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, typestore
+from quadtree_lss.replay.types import (
+    GIMBAL_TYPE,
+    ODOMETRY_TYPE,
+    POSE_TYPE,
+    POSE_TYPES,
+    SCAN_TYPE,
+    TRANSFORMS_TYPE,
+    typestore,
+)
 
 __all__ = [
     "GIMBAL_TOPIC",
     "GIMBAL_TYPE",
+    "ODOMETRY_TOPIC",
+    "ODOMETRY_TYPE",
     "POSE_TOPIC",
     "POSE_TYPE",
+    "POSE_TYPES",
     "SCAN_TOPIC",
     "SCAN_TYPE",
+    "TRANSFORMS_TOPIC",
+    "TRANSFORMS_TYPE",
     "Bag",
     "BagError",
     "Topic",
+    "choose_pose_topic",
     "choose_topic",
 ]
 
 SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
+ODOMETRY_TOPIC, TRANSFORMS_TOPIC = "/nav/odometry", "/tf_static"
 
 OUTPUT_CLOUDS = ("/map/cells", "/landing/site_table")
 """How topics end that are clouds by type, but our own output and no scans."""
@@ -252,3 +267,25 @@ def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option
         raise BagError(msg)
     msg = f"{bag.path}: several topics of type {msgtype}: choose one by {option}: {candidates}"
     raise BagError(msg)
+
+
+def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str]:
+    """Topic and type of the poses: of the type preferred, of the other if there is none of it.
+
+    Args:
+        bag: An open bag.
+        asked: Topic that the user named, or None.
+        source: ``pose`` or ``odometry``, as ``pose.source`` has it.
+
+    Raises:
+        BagError: lists the candidates.
+    """
+    kinds = [(POSE_TOPIC, POSE_TYPE), (ODOMETRY_TOPIC, ODOMETRY_TYPE)]
+    if source == "odometry":
+        kinds.reverse()
+    names = set() if asked is None else {asked, f"/{asked}"}
+    for default, kind in kinds:
+        there = [t.name for t in bag.topics if t.type == kind and t.count]
+        if there and (asked is None or names & set(there)):
+            return choose_topic(bag, asked, default, kind, "--pose-topic"), kind
+    return choose_topic(bag, asked, kinds[0][0], kinds[0][1], "--pose-topic"), kinds[0][1]

@@ -16,7 +16,8 @@ from quadtree_lss.core.sensing.register import register
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
-from quadtree_lss.replay.bags import POSE_TYPE, SCAN_TYPE, Bag, BagError
+from quadtree_lss.messages.lost_points import likely_reason
+from quadtree_lss.replay.bags import POSE_TYPES, SCAN_TYPE, Bag, BagError
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.points import points_line, points_warning
 from quadtree_lss.replay.rescue import RawMessage
@@ -159,7 +160,7 @@ def inspect_bag(
 
 def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
     """Of the clouds and poses that are not read: what they may be chosen by."""
-    spans = {t.name: Span() for t in info.topics if t.type in (SCAN_TYPE, POSE_TYPE)}
+    spans = {t.name: Span() for t in info.topics if t.type in (SCAN_TYPE, *POSE_TYPES)}
     for topic in info.topics:
         if topic.first_stamp_ns is not None:
             spans.pop(topic.name, None)
@@ -178,11 +179,12 @@ def _read(
     domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
     dropped: Counter[str] = Counter()
     missed_at: tuple[float, float] | None = None
+    why = ""
     seen = {topic.name: _Stamps() for topic in info.topics}
     texts: dict[str, str] = {}
     shown = time.monotonic()
     for message in stream.messages(bag):
-        kind = SCAN_TYPE if message.topic == stream.scans else POSE_TYPE
+        kind = SCAN_TYPE if message.topic == stream.scans else stream.pose_type
         if message.topic != stream.gimbal:
             seen[message.topic].add(bag, message, kind)
         stream.take(bag, intake, message)
@@ -193,6 +195,7 @@ def _read(
             dropped.update(lost)
             if missed_at is None and not len(scan.key):
                 missed_at = scan.centre
+                why = likely_reason(ready.points_lidar, ready.pose, config)
         for notice in intake.notices():
             texts.setdefault(notice.reason, notice.text)
         if progress is not None and time.monotonic() - shown > 0.2:
@@ -202,7 +205,7 @@ def _read(
     for notice in intake.notices():
         texts.setdefault(notice.reason, notice.text)
     info.scans_dropped, info.points_dropped = dict(intake.dropped), dict(dropped)
-    warning = points_warning(info.points, dropped, domain, missed_at)
+    warning = points_warning(info.points, dropped, domain, missed_at, why)
     if warning is not None:
         (info.notes if info.points > dropped.total() else info.problems).append(warning)
     for topic in info.topics:

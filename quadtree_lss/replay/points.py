@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from quadtree_lss.core.tree.domain import Domain
-from quadtree_lss.messages.intake import REASONS, domain_text, lost_points_text
+from quadtree_lss.messages.lost_points import REASONS, domain_text, lost_points_text
 
 
 def points_line(points: int, dropped: Mapping[str, int]) -> str:
@@ -14,7 +14,7 @@ def points_line(points: int, dropped: Mapping[str, int]) -> str:
 
     Args:
         points: Of all mapped scans.
-        dropped: Those of them that are not in the map, by the keys of `intake.REASONS`.
+        dropped: Those of them that are not in the map, by the keys of `lost_points.REASONS`.
     """
     used = points - sum(dropped.values())
     text = f"points {used} of {points} used"
@@ -30,6 +30,7 @@ def points_warning(
     dropped: Mapping[str, int],
     domain: Domain,
     missed_at: tuple[float, float] | None = None,
+    why: str = "",
 ) -> str | None:
     """Why less than half of the points enter the map, in one line; None if more do.
 
@@ -37,6 +38,7 @@ def points_warning(
         points, dropped: As for `points_line`.
         domain: Is named, with its place, when points missed it.
         missed_at: Middle of a scan that missed it, x and y in the map frame, m.
+        why: Of `lost_points.likely_reason` for that scan.
     """
     used = points - sum(dropped.values())
     if not points or 2 * used >= points:
@@ -47,7 +49,7 @@ def points_warning(
         text += f"; {domain_text(domain)}"
         if missed_at is not None:
             text += f", the middle of the first scan that missed it is at x {missed_at[0]:.1f},"
-            text += f" y {missed_at[1]:.1f}"
+            text += f" y {missed_at[1]:.1f}{'; ' if why else ''}{why}"
     return text
 
 

@@ -14,6 +14,7 @@ from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
+from quadtree_lss.messages.lost_points import likely_reason
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.map_messages import MapPairs
@@ -65,6 +66,7 @@ class Run:
         self._texts: dict[str, str] = {}
         self._decode_ms: dict[int, float] = {}
         self._missed_at: tuple[float, float] | None = None
+        self._missed_why = ""
         self._shown_ns = 0
 
     def map_scans(self, bag: Bag, stream: Stream) -> CellMap:
@@ -136,7 +138,8 @@ class Run:
         """Why less than half of the points entered the map; None if more did."""
         d = self.config.domain
         domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
-        return points_warning(self.points, self.points_dropped, domain, self._missed_at)
+        lost = self.points_dropped
+        return points_warning(self.points, lost, domain, self._missed_at, self._missed_why)
 
     def warnings(self) -> list[str]:
         """One line per kind of trouble, most frequent first."""
@@ -176,6 +179,7 @@ class Run:
         self.points_dropped.update(report.dropped)
         if not report.points_used and report.dropped["outside"] and self._missed_at is None:
             self._missed_at = report.centre
+            self._missed_why = likely_reason(scan.points_lidar, scan.pose, self.config)
         self.refused_divisions += report.refused_divisions
         self.noise_ratio = report.noise_ratio
         self.timings.append(

@@ -8,14 +8,22 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.intake import Intake, ReadyScan
-from quadtree_lss.replay.bags import GIMBAL_TOPIC, POSE_TOPIC, SCAN_TOPIC, Bag, choose_topic
+from quadtree_lss.replay.bags import (
+    GIMBAL_TOPIC,
+    SCAN_TOPIC,
+    TRANSFORMS_TOPIC,
+    Bag,
+    choose_pose_topic,
+    choose_topic,
+)
 from quadtree_lss.replay.rescue import RawMessage
-from quadtree_lss.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE
+from quadtree_lss.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, TRANSFORMS_TYPE
 
 SECOND_NS = 1_000_000_000
 
@@ -56,6 +64,7 @@ class Stream:
     Attributes:
         bag: Path of the bag, absolute.
         scans, poses, gimbal: Topics that are read; the last is empty without a gimbal.
+        pose_type: Type of the poses' messages.
         start_ns, stop_ns: Times of reception: start_ns <= t < stop_ns.
         seconds: Length of the part.
     """
@@ -67,11 +76,13 @@ class Stream:
     bag: str = field(default="", init=False)
     scans: str = field(default="", init=False)
     poses: str = field(default="", init=False)
+    pose_type: str = field(default=POSE_TYPE, init=False)
     gimbal: str = field(default="", init=False)
     start_ns: int = field(default=0, init=False)
     stop_ns: int = field(default=0, init=False)
     seconds: float = field(default=0.0, init=False)
     _stamps: dict[str, Span] = field(default_factory=dict, init=False)
+    _transforms: list[Any] = field(default_factory=list, init=False)
 
     def resolve(self, bag: Bag, config: Config) -> None:
         """Finds topics and limits in an open bag.
@@ -82,9 +93,15 @@ class Stream:
         """
         self.limit(bag)
         self.scans = choose_topic(bag, self.scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic")
-        self.poses = choose_topic(bag, self.pose_topic, POSE_TOPIC, POSE_TYPE, "--pose-topic")
+        self.poses, self.pose_type = choose_pose_topic(bag, self.pose_topic, config.pose.source)
         if config.mount.gimbal:
             self.gimbal = choose_topic(bag, None, GIMBAL_TOPIC, GIMBAL_TYPE, "mount.gimbal")
+        if config.mount.tf:
+            # Of all the bag: latched, they stand at its beginning, whatever part is replayed.
+            topic = choose_topic(bag, None, TRANSFORMS_TOPIC, TRANSFORMS_TYPE, "mount.tf")
+            for message in bag.messages([topic]):
+                with contextlib.suppress(MessageError):
+                    self._transforms.append(bag.decode(message.raw, TRANSFORMS_TYPE))
 
     def limit(self, bag: Bag) -> None:
         """The limits in time alone."""
@@ -109,16 +126,19 @@ class Stream:
 
     def intake(self, config: Config) -> Intake:
         """What turns the messages into scans with their pose."""
-        return Intake(
+        intake = Intake(
             config,
             scan_topic=self.scans,
             pose_topic=self.poses,
             gimbal_topic=self.gimbal or GIMBAL_TOPIC,
         )
+        for message in self._transforms:
+            intake.on_transforms(message)
+        return intake
 
     def take(self, bag: Bag, intake: Intake, message: RawMessage) -> int | None:
         """Gives one message to ``intake``; the stamp if it is a usable scan."""
-        names = {self.scans: ("cloud", SCAN_TYPE), self.poses: ("pose", POSE_TYPE)}
+        names = {self.scans: ("cloud", SCAN_TYPE), self.poses: ("pose", self.pose_type)}
         what, kind = names.get(message.topic, ("gimbal", GIMBAL_TYPE))
         try:
             msg = bag.decode(message.raw, kind)

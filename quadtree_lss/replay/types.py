@@ -14,7 +14,10 @@ from quadtree_lss.messages.outputs import CLOUD_TYPE, GRID_TYPE, POSES_TYPE
 
 SCAN_TYPE = CLOUD_TYPE
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+POSE_TYPES = (POSE_TYPE, ODOMETRY_TYPE)
 GIMBAL_TYPE = "geometry_msgs/msg/TransformStamped"
+TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
 
 _HEADER = """
 MSG: std_msgs/Header
@@ -69,6 +72,22 @@ MSG: geometry_msgs/Transform
 geometry_msgs/Vector3 translation
 geometry_msgs/Quaternion rotation
 """
+_TRANSFORM_STAMPED = """
+MSG: geometry_msgs/TransformStamped
+std_msgs/Header header
+string child_frame_id
+geometry_msgs/Transform transform
+"""
+_TWIST_WITH_COVARIANCE = """
+MSG: geometry_msgs/TwistWithCovariance
+geometry_msgs/Twist twist
+float64[36] covariance
+"""
+_TWIST = """
+MSG: geometry_msgs/Twist
+geometry_msgs/Vector3 linear
+geometry_msgs/Vector3 angular
+"""
 _POINT, _VECTOR = _TRIPLE.format(name="Point"), _TRIPLE.format(name="Vector3")
 _DEFINITIONS: dict[str, tuple[str, ...]] = {
     SCAN_TYPE: (
@@ -90,6 +109,24 @@ bool is_dense
         _POSE_WITH_COVARIANCE,
         _POSE,
         _POINT,
+        _QUATERNION,
+    ),
+    ODOMETRY_TYPE: (
+        "std_msgs/Header header\nstring child_frame_id\n"
+        "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n",
+        _POSE_WITH_COVARIANCE,
+        _POSE,
+        _POINT,
+        _QUATERNION,
+        _TWIST_WITH_COVARIANCE,
+        _TWIST,
+        _VECTOR,
+    ),
+    TRANSFORMS_TYPE: (
+        "geometry_msgs/TransformStamped[] transforms\n",
+        _TRANSFORM_STAMPED,
+        _TRANSFORM,
+        _VECTOR,
         _QUATERNION,
     ),
     GIMBAL_TYPE: (

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
-from nav_msgs.msg import OccupancyGrid
-from rclpy.callback_groups import CallbackGroup
+from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -20,17 +19,13 @@ from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.core.sensing.pose_buffer import seconds
-from quadtree_lss.messages.intake import (
-    NO_POINTS_USED,
-    Intake,
-    ReadyScan,
-    noise_notice,
-    unused_points_text,
-)
+from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
+from quadtree_lss.messages.lost_points import NO_POINTS_USED, likely_reason, unused_points_text
 from quadtree_lss.ros.announce import announce
 from quadtree_lss.ros.checkpoints import Checkpoints
 from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
 from quadtree_lss.ros.files import MapFileError
+from quadtree_lss.ros.inputs import WhenWanted, transforms_type
 from quadtree_lss.ros.map_services import MapServices
 from quadtree_lss.ros.map_stamps import MapStamps
 from quadtree_lss.ros.markers import MarkerPublisher, cell_markers
@@ -45,31 +40,9 @@ from quadtree_lss.ros.rate_limit import ChangePublisher
 from quadtree_lss.ros.scan_gaps import ScanGaps
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
+ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"
 LOOK_PERIOD_S = 0.1
 """How often poses are taken and waiting scans looked at while nothing wakes the node."""
-
-
-class WhenWanted(CallbackGroup):
-    """Subscriptions that wake the node only while their messages are wanted.
-
-    A scan takes along what arrived before it, so only one that waits needs the next pose at once;
-    each wake-up costs as much as taking several messages.
-    """
-
-    def __init__(self, wanted: Callable[[], bool]) -> None:
-        super().__init__()
-        self._wanted = wanted
-
-    def can_execute(self, entity: Any) -> bool:
-        """Asked by the executor before it waits and after it woke."""
-        return self._wanted()
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Nothing to keep account of in a single thread."""
-        return True
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing either."""
 
 
 class MappingNode(Node):
@@ -81,7 +54,10 @@ class MappingNode(Node):
         config = self._settings.config
         self._frame = config.frames.map
         self._mapper = Mapper(config)
-        self._topics = {name: self.resolve_topic_name(name) for name in (SCANS, POSES, GIMBAL)}
+        odometry = config.pose.source == "odometry"
+        self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
+        names = {SCANS: SCANS, POSES: ODOMETRY if odometry else POSES, GIMBAL: GIMBAL}
+        self._topics = {name: self.resolve_topic_name(topic) for name, topic in names.items()}
         self._intake = Intake(
             config,
             scan_topic=self._topics[SCANS],
@@ -143,15 +119,19 @@ class MappingNode(Node):
         pose_qos = stream(qos.pose_depth, reliable=True)
         subscribe(self, PointCloud2, SCANS, self._on_scan, scan_qos, self._gaps.on_publishers)
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
-        pose = subscribe(
-            self, PoseWithCovarianceStamped, POSES, self._on_pose, pose_qos, group=ahead
-        )
+        poses = self._topics[POSES]
+        pose = subscribe(self, self._pose_kind, poses, self._on_pose, pose_qos, group=ahead)
         self._ahead = [(pose, self._take_pose)]
         if self._settings.config.mount.gimbal:
             gimbal = subscribe(
                 self, TransformStamped, GIMBAL, self._on_gimbal, pose_qos, group=ahead
             )
             self._ahead.append((gimbal, self._take_gimbal))
+        if self._settings.config.mount.tf:
+            # As tf2's own listeners: every broadcaster keeps its transforms for whoever comes late.
+            kept = latched()
+            kept.depth = 100
+            subscribe(self, transforms_type(), TRANSFORMS, self._on_transforms, kept)
 
     def _take_up_checkpoint(self) -> Checkpoints | None:
         config = self._settings.config
@@ -182,6 +162,10 @@ class MappingNode(Node):
     def _on_gimbal(self, message: Any) -> None:
         self._take_gimbal(message)
         self._take_ahead()
+        self._work()
+
+    def _on_transforms(self, message: Any) -> None:
+        self._intake.on_transforms(message)
         self._work()
 
     def _take_pose(self, message: Any) -> None:
@@ -236,7 +220,9 @@ class MappingNode(Node):
             )
         self._divisions_refused += report.refused_divisions
         self._points_dropped.update(report.dropped)
-        unused = unused_points_text(report, self._mapper.domain)
+        config = self._settings.config
+        why = "" if report.points_used else likely_reason(scan.points_lidar, scan.pose, config)
+        unused = unused_points_text(report, self._mapper.domain, why)
         if unused is not None:
             self._problems.report(NO_POINTS_USED, unused)
         self._map_changed(report.points_used > 0)
@@ -282,6 +268,10 @@ class MappingNode(Node):
         for what, name in (("scan", SCANS), ("pose", POSES), ("gimbal", GIMBAL)):
             if what in self._arrived:
                 status.judge_age(what, self._topics[name], self._arrived[what], config.diagnostics)
+        other = "pose" if config.pose.source == "odometry" else "odometry"
+        if not self._arrived["pose"].count and self.count_publishers(f"nav/{other}"):
+            topic = self.resolve_topic_name(f"nav/{other}")
+            status.note(WARN, f"'{topic}' is published: pose.source: {other} takes it")
         status.add(
             {
                 "scans": self._scans,

@@ -108,3 +108,167 @@ def test_a_scan_without_gimbal_is_told_as_such():
 def test_a_gimbal_and_a_fixed_mount_contradict():
     with pytest.raises(ConfigError, match=r"mount\.gimbal"):
         config_from_values({"mount.gimbal": True, "mount.x": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("axes", "rpy"), [("flu_to_optical", (90, -90, 0)), ("optical_to_flu", (-90, 0, -90))]
+)
+def test_axes_have_names_for_the_usual_turns(axes, rpy):
+    """A cloud's x, y, z are forward, left, up, or right, down, forward."""
+    roll, pitch, yaw = rpy
+    named = fixed_mount(MountConfig(axes=axes)).rotation_map_lidar
+    turned = fixed_mount(MountConfig(roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw))
+    np.testing.assert_allclose(named, turned.rotation_map_lidar, atol=1e-15)
+    forward, left, up = np.eye(3)
+    if axes == "flu_to_optical":
+        right_down_forward = np.array([-left, -up, forward])
+        np.testing.assert_array_equal(named, right_down_forward)
+    else:
+        np.testing.assert_array_equal(named @ np.eye(3), np.array([-left, -up, forward]).T)
+
+
+def test_axes_turn_the_cloud_under_every_mount():
+    """Points with x forward of a lidar that an optical frame describes: the same place."""
+    flu = np.array([[7.0, -1.0, -2.0]])
+    optical = np.array([[1.0, 2.0, 7.0]])
+    rotation = exp([0.3, -0.2, 0.9])
+
+    def mapped(points, **mount):
+        values = {f"mount.{key}": value for key, value in mount.items()}
+        config = config_from_values({**values, "frames.body": "body"})
+        intake = Intake(config)
+        intake.on_pose(pose(0, (10.0, 20.0, 30.0)))
+        if config.mount.gimbal:
+            intake.on_gimbal(transform(0, (1.0, 0.0, 0.0), rotation))
+        if config.mount.tf:
+            intake.on_transforms(SimpleNamespace(transforms=[transform(0, (1, 0, 0), rotation)]))
+        intake.on_cloud(cloud(points, stamp_ns=0), 0)
+        (ready,) = intake.ready(0)
+        return ready.points_lidar @ ready.pose.rotation_map_lidar.T + ready.pose.position
+
+    for mount in (
+        {},
+        {"x": 2.0, "pitch_deg": 30.0},
+        {"gimbal": True},
+        {"tf": True},
+    ):
+        np.testing.assert_allclose(
+            mapped(flu, axes="flu_to_optical", **mount), mapped(optical, **mount), atol=1e-6
+        )
+
+
+def tf_intake(**more):
+    return Intake(config_from_values({"mount.tf": True, "frames.body": "base_link", **more}))
+
+
+def chain(*links):
+    """Static transforms, each (parent, child, translation, rotation)."""
+    items = []
+    for parent, child, translation, rotation in links:
+        item = transform(0, translation, rotation)
+        item.header.frame_id, item.child_frame_id = parent, child
+        items.append(item)
+    return SimpleNamespace(transforms=items)
+
+
+def test_the_mount_follows_static_transforms_up_and_down():
+    first, second, third = exp([0.1, 0.2, 0.3]), exp([1.0, 0.0, -0.5]), exp([0.0, -0.7, 0.2])
+    intake = tf_intake()
+    intake.on_pose(pose(0, (10.0, 20.0, 30.0)))
+    intake.on_cloud(scan(0), 0)
+    assert not intake.ready(0)
+    up = ("/deck", "/base_link", (0.0, 1.0, 0.5), first)
+    down = ("deck", "rig", (3.0, 0.0, 0.0), second), ("rig", "lidar", (0.0, 0.0, -1.0), third)
+    intake.on_transforms(chain(up, ("elsewhere", "imu", (1.0, 1.0, 1.0), first)))
+    assert not intake.ready(0)
+    intake.on_transforms(chain(*down))
+    (ready,) = intake.ready(0)
+    body_deck = first.T
+    place = body_deck @ (np.array([3.0, 0.0, 0.0]) + second @ [0.0, 0.0, -1.0] - [0.0, 1.0, 0.5])
+    np.testing.assert_allclose(ready.pose.position, place + [10.0, 20.0, 30.0], atol=1e-12)
+    np.testing.assert_allclose(
+        ready.pose.rotation_map_lidar, body_deck @ second @ third, atol=1e-12
+    )
+
+
+def test_a_scan_without_a_chain_says_which_frames_were_heard_of():
+    intake = tf_intake()
+    for stamp_ms in (0, 50):
+        intake.on_pose(pose(stamp_ms * MS, (0.0, 0.0, 30.0)))
+    intake.on_transforms(chain(("base_link", "imu", (0.0, 0.0, 0.0), np.eye(3))))
+    intake.on_cloud(scan(0), 0)
+    assert not intake.ready(2_000 * MS)
+    assert intake.queue.dropped == {"no_mount": 1}
+    (notice,) = intake.notices()
+    for word in ("'base_link'", "'lidar'", "base_link, imu"):
+        assert word in notice.text
+
+
+def test_a_damaged_transform_is_counted_and_the_others_hold():
+    intake = tf_intake()
+    intake.on_pose(pose(0, (0.0, 0.0, 30.0)))
+    intake.on_cloud(scan(0), 0)
+    wrong = ("base_link", "imu", (np.nan, 0.0, 0.0), np.eye(3))
+    intake.on_transforms(chain(wrong, ("base_link", "lidar", (1.0, 0.0, 0.0), np.eye(3))))
+    (ready,) = intake.ready(0)
+    np.testing.assert_allclose(ready.pose.position, [1.0, 0.0, 30.0])
+    assert intake.rejected == {"transform_position": 1}
+
+
+def test_frames_in_a_loop_end():
+    intake = tf_intake()
+    turn = ((0.0, 0.0, 0.0), np.eye(3))
+    intake.on_transforms(chain(("a", "base_link", *turn), ("b", "a", *turn), ("a", "b", *turn)))
+    intake.on_pose(pose(0, (0.0, 0.0, 30.0)))
+    intake.on_cloud(scan(0), 0)
+    assert not intake.ready(0)
+
+
+def test_a_second_lidar_on_the_topic_is_refused_with_tf_alone():
+    for intake, taken in ((tf_intake(), 1), (Intake(config_from_values({})), 2)):
+        for stamp_ms, frame in ((0, "lidar"), (10, "other")):
+            message = scan(stamp_ms)
+            message.header.frame_id = frame
+            intake.on_cloud(message, 0)
+        assert intake.scans == taken
+        assert intake.rejected.get("cloud_frame", 0) == 2 - taken
+
+
+def odometry(stamp_ms, child, position=(0.0, 0.0, 30.0)):
+    message = pose(stamp_ms * MS, position)
+    message.child_frame_id = child
+    return message
+
+
+def test_odometry_is_taken_for_its_child_frame():
+    """The first, or the one that is configured; another would put the map elsewhere."""
+    for values, good in (({}, "base_link"), ({"frames.body": "/imu"}, "imu")):
+        intake = Intake(config_from_values(values))
+        intake.on_pose(odometry(0, good))
+        intake.on_pose(odometry(10, "wheel"))
+        assert intake.poses_taken == 1 and intake.rejected == {"pose_child_frame": 1}
+        (notice,) = intake.notices()
+        assert "'wheel'" in notice.text and f"'{good}'" in notice.text
+
+
+def test_a_mount_from_tf_begins_at_the_odometrys_child_frame():
+    intake = Intake(config_from_values({"mount.tf": True}))
+    intake.on_transforms(chain(("base_link", "lidar", (1.0, 0.0, 0.0), np.eye(3))))
+    intake.on_cloud(scan(0), 0)
+    intake.on_pose(odometry(0, "base_link"))
+    (ready,) = intake.ready(0)
+    np.testing.assert_allclose(ready.pose.position, [1.0, 0.0, 30.0])
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"mount.tf": True, "mount.x": 1.0},
+        {"mount.gimbal": True, "mount.pitch_deg": 1.0},
+        {"mount.tf": True, "mount.gimbal": True},
+        {"mount.axes": "ned"},
+    ],
+)
+def test_two_sources_of_a_mount_contradict(values):
+    with pytest.raises(ConfigError, match=r"mount\."):
+        config_from_values(values)

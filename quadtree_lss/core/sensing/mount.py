@@ -3,12 +3,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import MountConfig
 from quadtree_lss.core.geometry.rotations import exp, skew
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import PoseBuffer
+
+#: What takes a cloud's axes to those of the lidar's pose, by the choices of ``mount.axes``.
+#: FLU: x forward, y left, z up (REP 103); optical: z forward, x right, y down (Eq. 14).
+OPTICAL_FROM_FLU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+AXES = {"same": np.eye(3), "flu_to_optical": OPTICAL_FROM_FLU, "optical_to_flu": OPTICAL_FROM_FLU.T}
 
 
 class MountedPoses:
@@ -16,16 +24,23 @@ class MountedPoses:
 
     Args:
         body: Poses of the body in the map frame (``rotation_map_lidar`` is then map from body).
-        mount: Pose of the lidar in body axes, or a buffer of such poses (a gimbal).
+        mount: Pose of the lidar in body axes, or a buffer of such poses (a gimbal); None until
+            it is known.
         gimbal_topic: Where the latter come from, for texts.
+        lack: Says why it is not known.
     """
 
     def __init__(
-        self, body: PoseBuffer, mount: Pose | PoseBuffer, gimbal_topic: str = "lidar/gimbal"
+        self,
+        body: PoseBuffer,
+        mount: Pose | PoseBuffer | None,
+        gimbal_topic: str = "lidar/gimbal",
+        lack: Callable[[], str] = str,
     ) -> None:
         self.body = body
         self.mount = mount
         self.gimbal_topic = gimbal_topic
+        self.lack = lack
 
     @property
     def jumps(self) -> int:
@@ -42,7 +57,7 @@ class MountedPoses:
     def range_ns(self) -> tuple[int, int] | None:
         """Oldest and newest stamp for which both may have an answer."""
         body = self.body.range_ns
-        if body is None or isinstance(self.mount, Pose):
+        if body is None or not isinstance(self.mount, PoseBuffer):
             return body
         mount = self.mount.range_ns
         return None if mount is None else (max(body[0], mount[0]), min(body[1], mount[1]))
@@ -55,9 +70,9 @@ class MountedPoses:
 
     def covers(self, stamp_ns: int) -> bool:
         """True if ``at`` has an answer."""
-        return self.body.covers(stamp_ns) and (
-            isinstance(self.mount, Pose) or self.mount.covers(stamp_ns)
-        )
+        if self.mount is None or not self.body.covers(stamp_ns):
+            return False
+        return isinstance(self.mount, Pose) or self.mount.covers(stamp_ns)
 
     def between(self, first_ns: int, last_ns: int) -> list[int]:
         """Stamps of the poses of either that lie between, both ends excluded."""
@@ -75,13 +90,17 @@ class MountedPoses:
         return reason
 
     def lacking(self, stamp_ns: int) -> str:
-        """``no_pose`` of the body, or ``gimbal_no_pose``."""
+        """``no_pose`` of the body, ``no_mount`` or ``gimbal_no_pose``."""
+        if self.body.covers(stamp_ns) and self.mount is None:
+            return "no_mount"
         if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
             return f"gimbal_{self.mount.lacking(stamp_ns)}"
         return self.body.lacking(stamp_ns)
 
     def explain(self, stamp_ns: int, topic: str) -> str:
-        """As of the body, unless it is the gimbal that is missing."""
+        """As of the body, unless it is the mount or the gimbal that is missing."""
+        if self.body.covers(stamp_ns) and self.mount is None:
+            return self.lack()
         if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
             return self.mount.explain(stamp_ns, self.gimbal_topic)
         return self.body.explain(stamp_ns, topic)
@@ -105,10 +124,16 @@ def mounted(body: Pose, mount: Pose) -> Pose:
     )
 
 
+def cloud_turn(config: MountConfig) -> NDArray[np.float64]:
+    """(3, 3) takes the cloud's axes to the lidar's, as which pose and mount have them."""
+    return AXES[config.axes]
+
+
 def fixed_mount(config: MountConfig) -> Pose | None:
-    """Pose of the lidar in body axes from the parameters; None if poses are the lidar's own."""
+    """Pose of the cloud's axes in body axes from the parameters; None if poses are their own."""
     if config == MountConfig(gimbal=config.gimbal):
         return None
     roll, pitch, yaw = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
     rotation = exp([0.0, 0.0, yaw]) @ exp([0.0, pitch, 0.0]) @ exp([roll, 0.0, 0.0])
-    return Pose(0, np.array([config.x, config.y, config.z]), rotation, np.zeros((6, 6)))
+    place = np.array([config.x, config.y, config.z])
+    return Pose(0, place, rotation @ cloud_turn(config), np.zeros((6, 6)))

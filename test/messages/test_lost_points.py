@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scan that misses the domain: the usual mistakes about axes and frames are recognised."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.core.geometry.rotations import exp
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.sensing.mount import OPTICAL_FROM_FLU
+from quadtree_lss.messages.lost_points import likely_reason
+
+DOMAIN = {"domain.xmin": -32.0, "domain.ymin": -32.0, "domain.size": 64.0}
+GLIDE = np.radians(30.0)
+BORESIGHT = np.array([np.cos(GLIDE), 0.0, -np.sin(GLIDE)])
+RIGHT = np.array([0.0, -1.0, 0.0])
+ROTATION = np.column_stack([RIGHT, np.cross(BORESIGHT, RIGHT), BORESIGHT])
+"""Takes optical axes to the map's, of a lidar on a glide slope toward the east."""
+PLACE = -450.0 * BORESIGHT
+
+
+def optical_points(rotation=ROTATION, place=PLACE):
+    """Some ground in the middle of the domain, in optical axes."""
+    x, y = np.meshgrid(np.linspace(-15.0, 15.0, 12), np.linspace(-15.0, 15.0, 12))
+    points_map = np.stack([x, y, 0.02 * x], axis=-1)
+    return (points_map - place) @ rotation
+
+
+def reason(points, rotation=ROTATION, place=PLACE, **values):
+    config = config_from_values({**DOMAIN, **values})
+    return likely_reason(points, Pose(0, place, rotation, np.zeros((6, 6))), config)
+
+
+def test_axes_are_told():
+    assert "mount.axes: flu_to_optical" in reason(optical_points() @ OPTICAL_FROM_FLU)
+    flu_pose = ROTATION @ OPTICAL_FROM_FLU
+    assert "mount.axes: optical_to_flu" in reason(optical_points(), flu_pose)
+    wrong = {"mount.axes": "flu_to_optical"}
+    turned = reason(optical_points(), ROTATION @ OPTICAL_FROM_FLU, **wrong)
+    assert "mount.axes: same (100 % of its points)" in turned
+
+
+def test_an_inverted_orientation_is_told():
+    tilted = exp([0.0, 0.0, 0.8]) @ ROTATION
+    place = exp([0.0, 0.0, 0.8]) @ PLACE
+    text = reason(optical_points(tilted, place), tilted.T, place)
+    assert "takes the lidar's axes to the map's" in text
+
+
+def test_the_pose_of_a_level_body_is_told():
+    down, place = np.diag([1.0, -1.0, -1.0]), np.array([5.0, 3.0, 80.0])
+    text = reason(optical_points(down, place), np.eye(3), place)
+    assert "mount.roll_deg 180" in text
+
+
+def test_poses_in_ned_are_told():
+    ned = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    assert "x east, y north, z up" in reason(optical_points(), ned @ ROTATION, ned @ PLACE)
+
+
+def test_a_cloud_in_the_maps_frame_is_told():
+    text = reason(optical_points() @ ROTATION.T + PLACE)
+    assert "this one is in the map's frame already" in text
+
+
+@pytest.mark.parametrize("points", [np.full((4, 3), np.nan), np.zeros((0, 3))])
+def test_nothing_is_made_up(points):
+    assert reason(points) == ""
+    assert reason(optical_points() + [0.0, 0.0, 5e4]) == ""

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of a bag as Odometry, mounts from its /tf_static: the same map as told the other way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from replay.recordings import GROUND, POSE, START, Recorder, flight
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.replay.bags import BagError
+from quadtree_lss.replay.info import inspect_bag
+from quadtree_lss.replay.replay import replay
+
+ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+
+
+class OdometryRecorder(Recorder):
+    """Writes poses of these topics as odometry of ``base_link``."""
+
+    odometry: tuple[str, ...] = ()
+
+    def write(self, topic, message, kind, received_ns):
+        if kind == POSE and topic in self.odometry:
+            zero = self.type("geometry_msgs/msg/Vector3")(0.0, 0.0, 0.0)
+            twist = self.type("geometry_msgs/msg/TwistWithCovariance")(
+                self.type("geometry_msgs/msg/Twist")(zero, zero), np.zeros(36)
+            )
+            message = self.type(ODOMETRY)(message.header, "base_link", message.pose, twist)
+            kind = ODOMETRY
+        super().write(topic, message, kind, received_ns)
+
+    def transform(self, parent, child, translation, received_ns):
+        held = self.type("geometry_msgs/msg/Transform")(
+            self.type("geometry_msgs/msg/Vector3")(*translation),
+            self.type("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 1.0),
+        )
+        item = self.type("geometry_msgs/msg/TransformStamped")(
+            self.header(START, parent), child, held
+        )
+        self.write("/tf_static", self.type(TRANSFORMS)([item]), TRANSFORMS, received_ns)
+
+
+def write(path, *, odometry=(), pose_topics=("/nav/pose",), transforms=(), ros1=False):
+    """A flight whose poses on some topics are odometry; transforms are (parent, child, place)."""
+    writer = (
+        Ros1Writer(path) if ros1 else Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    )
+    with writer:
+        recorder = OdometryRecorder(writer, ros1)
+        recorder.odometry = odometry
+        for link in transforms:
+            recorder.transform(*link, START)
+        flight(recorder, pose_topics=pose_topics)
+    return path
+
+
+def mapped(bag, **options):
+    values = {key.replace("__", "."): value for key, value in options.pop("values", {}).items()}
+    return replay(bag, None, config_from_values({**GROUND, **values}), report=False, **options)
+
+
+def same(first, second):
+    return all(
+        np.array_equal(getattr(first.cells, name), getattr(second.cells, name), equal_nan=True)
+        for name in ("level", "z", "normal", "covariance")
+    )
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+def test_odometry_is_found_by_type_and_gives_the_map_of_poses(tmp_path, ros1):
+    ending = ".bag" if ros1 else ""
+    told = write(tmp_path / f"poses{ending}", ros1=ros1)
+    topics = ("/odometry/filtered",)
+    as_odometry = write(
+        tmp_path / f"odometry{ending}", odometry=topics, pose_topics=topics, ros1=ros1
+    )
+    result = mapped(as_odometry)
+    assert result.summary["pose_topic"] == topics[0] and result.summary["scans"] == 10
+    assert same(result, mapped(told))
+    info = inspect_bag(as_odometry, config_from_values(GROUND))
+    assert info.pose_topic == topics[0] and info.scans_with_pose == 10 and not info.problems
+
+
+def test_of_both_types_the_configured_one_is_taken(tmp_path):
+    topics = ("/ekf/pose", "/odom")
+    bag = write(tmp_path / "bag", odometry=topics[1:], pose_topics=topics)
+    assert mapped(bag).summary["pose_topic"] == "/ekf/pose"
+    by_odometry = mapped(bag, values={"pose__source": "odometry"})
+    assert by_odometry.summary["pose_topic"] == "/odom"
+    assert mapped(bag, pose_topic="odom").summary["pose_topic"] == "/odom"
+    with pytest.raises(BagError, match="no geometry_msgs.*candidates"):
+        mapped(bag, pose_topic="/nothing")
+
+
+def test_several_odometries_are_ambiguous(tmp_path):
+    topics = ("/a", "/b")
+    bag = write(tmp_path / "bag", odometry=topics, pose_topics=topics)
+    with pytest.raises(BagError, match="several topics of type nav_msgs.*/a, /b"):
+        mapped(bag)
+    default = (*topics, "/nav/odometry")
+    bag = write(tmp_path / "default", odometry=default, pose_topics=default)
+    assert mapped(bag).summary["pose_topic"] == "/nav/odometry"
+
+
+def test_a_mount_from_tf_static_is_that_of_the_parameters(tmp_path):
+    """Wherever the part that is replayed begins: it stands at the start of the bag."""
+    links = (("base_link", "rig", (1.0, 0.0, 0.0)), ("rig", "lidar", (0.0, 0.5, -0.25)))
+    bag = write(tmp_path / "bag", odometry=("/nav/pose",), transforms=links)
+    values = {"mount__x": 1.0, "mount__y": 0.5, "mount__z": -0.25}
+    for start in (0.0, 0.3):
+        told = mapped(bag, values=values, start=start)
+        found = mapped(bag, values={"mount__tf": True}, start=start)
+        assert found.summary["scans"] == told.summary["scans"] > 5 and same(found, told)
+    assert not same(mapped(bag), mapped(bag, values=values))
+
+
+def test_without_tf_static_in_the_bag_one_line_says_so(tmp_path):
+    bag = write(tmp_path / "bag")
+    with pytest.raises(BagError, match="no messages of type tf2_msgs/msg/TFMessage"):
+        mapped(bag, values={"mount__tf": True, "frames__body": "base_link"})

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses as odometry, and a mount from /tf_static, of a running mapping_node."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pytest
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
+from ros_scene import Sensors, cloud, level_body, pose
+
+from quadtree_lss.ros.node_runner import WRONG_CONFIGURATION
+from quadtree_lss.ros.qos import latched, stream
+
+pytestmark = pytest.mark.xdist_group("ros")
+has_tf = importlib.util.find_spec("tf2_msgs") is not None
+
+
+def odometry(stamp_ns: int, held=pose) -> Odometry:
+    """The same pose, of ``base_link``."""
+    message = held(stamp_ns)
+    return Odometry(header=message.header, child_frame_id="base_link", pose=message.pose)
+
+
+class OdometrySensors(Sensors):
+    """As Sensors, with poses as odometry."""
+
+    def __init__(self, listener) -> None:
+        super().__init__(listener)
+        listener.node.destroy_publisher(self.poses)
+        profile = stream(100, reliable=True)
+        self.poses = listener.node.create_publisher(Odometry, "odometry/filtered", profile)
+
+
+def test_odometry_is_taken_where_it_is_configured(ros):
+    options = ("-p", "pose.source:=odometry", "-r", "nav/odometry:=odometry/filtered")
+    mapping = ros.start("mapping_node", *options)
+    with ros.listen() as listener:
+        sensors = OdometrySensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(4, make_pose=odometry)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+    assert "/odometry/filtered (reliable, 200)" in mapping.output()
+
+
+def test_a_node_that_waits_for_the_other_type_says_so(ros):
+    mapping = ros.start("mapping_node", "-r", "nav/odometry:=odometry/filtered")
+    with ros.listen() as listener:
+        OdometrySensors(listener)
+        hint = "'/odometry/filtered' is published: pose.source: odometry takes it"
+        said = lambda: hint in listener.diagnostics["mapping_node"].message  # noqa: E731
+        assert listener.wait_for(lambda: "mapping_node" in listener.diagnostics and said())
+    assert mapping.stop() == 0
+
+
+@pytest.mark.skipif(has_tf, reason="tf2_msgs is there")
+def test_a_mount_from_tf_without_tf2_msgs_is_an_error_of_configuration(ros):
+    node = ros.start("mapping_node", "-p", "mount.tf:=true")
+    assert node.process.wait(30.0) == WRONG_CONFIGURATION
+    assert node.output().startswith("error: mount.tf needs tf2_msgs")
+
+
+@pytest.mark.skipif(not has_tf, reason="tf2_msgs comes with ROS, not with its wheels")
+def test_a_mount_comes_from_tf_static(ros):
+    from tf2_msgs.msg import TFMessage
+
+    mapping = ros.start("mapping_node", "-p", "mount.tf:=true", "-p", "frames.body:=base_link")
+    with ros.listen() as listener:
+        link = TransformStamped(child_frame_id="lidar")
+        link.header.frame_id = "base_link"
+        link.transform.translation.z, link.transform.rotation.x = -2.0, 1.0
+        link.transform.rotation.w = 0.0
+        tf = listener.node.create_publisher(TFMessage, "/tf_static", latched())
+        tf.publish(TFMessage(transforms=[link]))
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        last = sensors.publish(4, make_pose=lambda stamp_ns: level_body(stamp_ns, 2.0))
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+
+
+def test_a_cloud_with_other_axes_says_what_would_help(ros):
+    mapping = ros.start("mapping_node")
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+
+        def forward(stamp_ns, points):
+            right, down, ahead = points[..., 0], points[..., 1], points[..., 2]
+            points = points.copy()
+            points[..., 0], points[..., 1], points[..., 2] = ahead, -right, -down
+            return cloud(stamp_ns, points)
+
+        sensors.publish(3, make_cloud=forward)
+        told = "it would lie inside with mount.axes: flu_to_optical (100 % of its points)"
+        assert listener.wait_for(lambda: told in mapping.output()), mapping.output()
