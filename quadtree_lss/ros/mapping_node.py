@@ -269,9 +269,9 @@ class MappingNode(Node):
             if what in self._arrived:
                 status.judge_age(what, self._topics[name], self._arrived[what], config.diagnostics)
         other = "pose" if config.pose.source == "odometry" else "odometry"
-        if not self._arrived["pose"].count and self.count_publishers(f"nav/{other}"):
-            topic = self.resolve_topic_name(f"nav/{other}")
-            status.note(WARN, f"'{topic}' is published: pose.source: {other} takes it")
+        unused = self.resolve_topic_name(f"nav/{other}")
+        if not self._arrived["pose"].count and self.count_publishers(unused):
+            status.note(WARN, f"'{unused}' is published: pose.source: {other} takes it")
         status.add(
             {
                 "scans": self._scans,
