@@ -382,9 +382,18 @@ class LssConfig:
         high=1e5,
         live=True,
     )
+    switch_margin: float = _p(
+        0.08,
+        "the target gives way to a site whose score is lower by more than this: 0.08 buys 4 m more "
+        "room to the nearest hazard, or 4.6 degrees less slope",
+        low=0.0,
+        high=1e6,
+        live=True,
+    )
     hysteresis: float = _p(
         0.0,
-        "a new first site must score better than the last by this; 0 is off",
+        "each ranked site keeps its rank unless another scores better by this; 0 is off: the list "
+        "follows from the map alone",
         low=0.0,
         high=1e6,
         live=True,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -30,7 +31,8 @@ def best_points(
     y: Array,
     count: int,
     separation: float,
-    first: tuple[int, int] | None = None,
+    last: Sequence[tuple[int, int]] = (),
+    hysteresis: float = 0.0,
 ) -> tuple[Index, Index]:
     """Rows and columns of the ``count`` lowest scores, each ``separation`` from those before.
 
@@ -39,17 +41,18 @@ def best_points(
         x, y: (nx,), (ny,) of the grid points, m.
         count: Most points wanted.
         separation: Least distance of any two, m.
-        first: A point to begin with whatever its score, or None.
+        last: The last ranking: each keeps its rank ...
+        hysteresis: ... unless another scores better by more than this.
     """
     left = np.where(np.isnan(score), np.inf, score)
     rows: list[int] = []
     columns: list[int] = []
     while len(rows) < count:
         row, column = divmod(int(np.argmin(left)), left.shape[1])
-        if not rows and first is not None:
-            row, column = first
         if not np.isfinite(left[row, column]):
             break
+        if len(rows) < len(last) and left[last[len(rows)]] <= left[row, column] + hysteresis:
+            row, column = last[len(rows)]
         rows.append(row)
         columns.append(column)
         near_y = np.flatnonzero(np.abs(y - y[row]) <= separation)

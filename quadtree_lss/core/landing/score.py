@@ -86,7 +86,7 @@ def assess_points(
     bits = np.where(raster.seen, features.take(raster.leaf), np.uint8(0))
     # No zone fits a domain smaller than itself: none needs sums over more than that.
     widest = 0.5 * cells.domain.size
-    planes = ground_planes(raster.elevation, side, 0.75 * min(radius, widest))
+    planes = ground_planes(raster.elevation, side, min(ground_radius(lss), widest))
     slope = np.arctan(np.sqrt(planes.slope_x**2 + planes.slope_y**2))
     hazard = touching(bits)
     if lss.assessment == "touchdown":
@@ -130,6 +130,11 @@ def assess_points(
         reach,
         ~raster.firm,
     )
+
+
+def ground_radius(lss: LssConfig) -> float:
+    """Radius of the ground at the lander's scale, m."""
+    return 0.75 * 0.5 * lss.vehicle_diameter
 
 
 def seen_about(raster: TerrainRaster) -> Array:

@@ -49,6 +49,7 @@ class Offset:
         scan: What of it is the scan's error, to take out of the scan, m.
         map: What of it is the map's, to lift the map by, m.
         since: Mean time of the first scan in the planes that the scan was compared with, s.
+        variance: Of ``height``, m^2.
     """
 
     height: float

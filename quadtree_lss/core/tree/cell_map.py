@@ -37,6 +37,10 @@ class CellMap:
         feature: (M, 5) A, k, mu_x, mu_y (about the centre), sigma of Eq. 51; NaN for none. k^2 is
             the volume, k^2 / (2 pi sigma^2) the height (``bump.as_boulder``).
         observed: (n, n) [iy, ix], True for finest cells in which a point fell.
+        offset_z: By how much the ground of the newest scan that could be compared with the map lay
+            over it by its pose: the map's height plus this is the height by navigation, m. NaN if
+            none could be compared.
+        offset_variance: Of ``offset_z``, m^2.
     """
 
     stamp_ns: int
@@ -54,6 +58,8 @@ class CellMap:
     exception_fraction: Array
     feature: Array
     observed: Mask
+    offset_z: float = float("nan")
+    offset_variance: float = float("nan")
 
     @property
     def size(self) -> Array:

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an assessment of a map says: sites, the target, and the grid they were found on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.config.settings import LssConfig
+from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.target import Reason
+
+Array = NDArray[np.float64]
+Bits = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Ranked sites, best first; K rows, map frame.
+
+    Attributes:
+        position: (K, 3) on the plane of the ground at the lander's scale, where its pads rest, m.
+        normal: (K, 3) of that plane.
+        score: (K,) mean score density over the zone (Eq. 59), lower is better.
+        slope_deg: (K,) at the lander's scale.
+        roughness: (K,) greatest mean deviation from the plane beyond noise in the zone: Eq. 55's
+            volume over the leaf's area, m.
+        hazard_distance: (K,) how far the zone may move in any direction until it touches a hazard
+            or unseen ground, m; see ``score.room_about``.
+        subscale_height: (K,) greatest height of a subscale feature in the zone, m.
+        id: (K,) number of its place, which lasts as long as landing there is permitted (see
+            ``target.Places``).
+        reasons: A sentence for each.
+    """
+
+    position: Array
+    normal: Array
+    score: Array
+    slope_deg: Array
+    roughness: Array
+    hazard_distance: Array
+    subscale_height: Array
+    id: NDArray[np.uint32]
+    reasons: tuple[str, ...]
+
+    def of(self, rows: slice) -> Sites:
+        """Some of them."""
+        return Sites(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The target to fly to, or why there is none.
+
+    Attributes:
+        reason: Why it is this one, or why there is none.
+        site: One row, none if there is no target.
+        covariance: (6, 6) of x, y, z and rotations about fixed axes, map frame; see
+            ``covariance.ground_covariance``. NaN if there is no target.
+    """
+
+    reason: Reason
+    site: Sites
+    covariance: Array
+
+    @property
+    def id(self) -> int:
+        """Number of its place, 0 if there is no target."""
+        return int(self.site.id[0]) if len(self.site.id) else 0
+
+    @property
+    def position(self) -> Array:
+        """(3,) m, NaN if there is no target."""
+        return self.site.position[0] if self.id else np.full(3, np.nan)
+
+
+@dataclass(frozen=True)
+class LandingAssessment:
+    """Where the map allows landing.
+
+    Attributes:
+        stamp_ns: The map's stamp.
+        answer: Number of the assessment, from 1: no two of a selector have the same.
+        selected: The target that holds from assessment to assessment.
+        pending: There is no target, but another assessment, be it of the same map, would give one.
+        sites: Ranked sites, none if no ground is safe.
+        x, y: (nx,), (ny,) of the grid points, m.
+        elevation: (ny, nx) height of the map's own planes at the grid point, m, NaN if unseen.
+        plane_elevation: (ny, nx) of the plane at the lander's scale there, m, NaN if unseen.
+        slope_deg: (ny, nx) slope at the lander's scale, NaN if unseen.
+        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 128 unseen.
+        safe: (ny, nx) landing centred here is allowed by the ground itself.
+        score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
+        explanation: Why there are no sites, or how many grid points are safe.
+    """
+
+    stamp_ns: int
+    answer: int
+    selected: Selected
+    pending: bool
+    sites: Sites
+    x: Array
+    y: Array
+    elevation: Array
+    plane_elevation: Array
+    slope_deg: Array
+    hazard: Bits
+    safe: Mask
+    score: Array
+    explanation: str
+
+
+def with_reasons(sites: Sites, lss: LssConfig) -> Sites:
+    """A sentence for each site: its figures, and the slope limit that decided."""
+    lines = []
+    touchdown = lss.assessment == "touchdown"
+    limit = lss.touchdown_slope_deg if touchdown else lss.max_slope_deg
+    for k in range(len(sites.score)):
+        clear = sites.hazard_distance[k]
+        nearest = f"{clear:.1f} m clear of hazards and unseen ground"
+        feature = sites.subscale_height[k]
+        lines.append(
+            f"slope {sites.slope_deg[k]:.1f} deg of {limit:g}, {nearest}, "
+            f"roughness {sites.roughness[k]:.3f} m, "
+            + (f"features up to {feature:.2f} m" if feature >= 0.005 else "no subscale feature")
+        )
+    return replace(sites, reasons=tuple(lines))
+
+
+def no_target(reason: Reason) -> Selected:
+    """There is none."""
+    return Selected(reason, no_sites(), np.full((6, 6), np.nan))
+
+
+def no_sites() -> Sites:
+    """Not one."""
+    none = np.zeros(0)
+    number = np.zeros(0, dtype=np.uint32)
+    return Sites(np.zeros((0, 3)), np.zeros((0, 3)), none, none, none, none, none, number, ())
+
+
+def nothing_mapped(
+    stamp_ns: int, answer: int, reason: Reason, x: Array, y: Array, explanation: str
+) -> LandingAssessment:
+    """The assessment of a map without a measurement."""
+    shape = (len(y), len(x))
+    return LandingAssessment(
+        stamp_ns=stamp_ns,
+        answer=answer,
+        selected=no_target(reason),
+        pending=False,
+        sites=no_sites(),
+        x=x,
+        y=y,
+        elevation=np.full(shape, np.nan),
+        plane_elevation=np.full(shape, np.nan),
+        slope_deg=np.full(shape, np.nan),
+        hazard=np.full(shape, hazards.UNSEEN, dtype=np.uint8),
+        safe=np.zeros(shape, dtype=np.bool_),
+        score=np.full(shape, np.nan),
+        explanation=explanation,
+    )

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well the ground at a site is known: covariance of its height and tilt from the leaves'."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.geometry.sphere import tangent_basis
+from quadtree_lss.core.landing.lattice import disc
+from quadtree_lss.core.landing.raster import TerrainRaster
+from quadtree_lss.core.tree.cell_map import CellMap
+
+Array = NDArray[np.float64]
+
+#: Any heading is as good as another: variance of an angle of which nothing is known, rad^2.
+ANY_HEADING = np.pi**2 / 3.0
+
+
+def ground_covariance(
+    cells: CellMap, raster: TerrainRaster, x: float, y: float, radius: float
+) -> Array:
+    """Covariance (6, 6) of the ground's plane at the lander's scale, about a place of the map.
+
+    Order and axes are those of ``PoseWithCovariance``: x, y, z in m, rotations about the map's
+    fixed axes in rad. The place in x and y is one of the map, and has no error of its own: its rows
+    are 0. Height and tilt are those of the least-squares plane over the leaves' planes in a disc
+    (see ``lattice.ground_planes``). Range noise is another one in each leaf; the error of the poses
+    is common to all of the map nearby, and enters as that of one plane. Slopes are taken for small.
+
+    Args:
+        cells, raster: The map.
+        x, y: The place, map frame, m.
+        radius: Of the disc, m.
+    """
+    domain = raster.domain
+    side, last = domain.finest_size, domain.finest_count - 1
+    over = disc(radius, side)
+    at_x, at_y = (x - domain.xmin) / side, (y - domain.ymin) / side
+    row = np.clip(int(np.rint(at_y)) + over.row, 0, last)
+    column = np.clip(int(np.rint(at_x)) + over.column, 0, last)
+    leaf = raster.leaf[row, column]
+    known = cells.measured[leaf]
+    if not known.any():
+        return np.full((6, 6), np.nan)
+    # Height, dz/dx and dz/dy of the plane from the heights in the disc.
+    share = np.stack([np.full(len(over.x), 1.0 / len(over.x)), over.x, over.y])
+    share[1:] /= np.sum(over.x**2)
+    place = np.column_stack([x + over.x, y + over.y])
+    centre = np.column_stack([cells.x, cells.y])
+    out = np.zeros((3, 3))
+    for k in np.unique(leaf[known]):
+        mine = leaf == k
+        of_leaf = share[:, mine] @ _heights(cells.normal[k], place[mine] - centre[k])
+        out += of_leaf @ cells.covariance_range[k] @ of_leaf.T
+    nearest = leaf[np.argmin(np.where(known, np.hypot(over.x, over.y), np.inf))]
+    common = share @ _heights(cells.normal[nearest], place - centre[nearest])
+    out += common @ cells.covariance_pose[nearest] @ common.T
+    # Ground that rises along y is turned about x, ground that rises along x about -y.
+    turn = np.zeros((6, 3))
+    turn[2, 0], turn[3, 2], turn[4, 1] = 1.0, 1.0, -1.0
+    covariance = turn @ out @ turn.T
+    covariance[5, 5] = ANY_HEADING
+    return np.asarray(covariance)
+
+
+def _heights(normal: Array, across: Array) -> Array:
+    """Derivative (K, 3) of a plane's heights by its error (Eq. 2), ``across`` (K, 2) from it."""
+    rise = -(across @ normal[:2]) / normal[2]
+    tilt = np.column_stack([across, rise]) @ tangent_basis(normal)
+    return np.asarray(np.column_stack([-tilt, np.ones(len(across))]) / normal[2])

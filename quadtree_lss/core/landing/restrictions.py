@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is left of the ground where somebody says where landing is wanted and where not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadtree_lss.config.settings import LssConfig
+from quadtree_lss.core.geometry.polygons import signed_distance
+from quadtree_lss.core.landing.target import Reason
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Restrictions:
+    """Where landing is wanted and where not, map frame, m; None for no such restriction.
+
+    Attributes:
+        area: (V, 2) polygon that the landing zone must lie in.
+        keep_out: (V, 2) polygon that the zone must not touch.
+        target: (2,) or (3,) place to be near to.
+        withheld: Why no site may be given out, however safe the ground; empty if nothing speaks
+            against it.
+    """
+
+    area: ArrayLike | None = None
+    keep_out: ArrayLike | None = None
+    target: ArrayLike | None = None
+    withheld: str = ""
+
+    def apply(self, score: Array, x: Array, y: Array, lss: LssConfig) -> str:
+        """Exclude grid points (ny, nx), and add what the way to the target costs.
+
+        Returns:
+            Why no site may be given out and all is excluded, empty if that is not so.
+        """
+        why = self.withheld
+        try:
+            self._exclude(score, x, y, lss)
+        except (TypeError, ValueError) as error:
+            why = why or str(error)
+        if why:
+            score[...] = np.nan
+        return why
+
+    def wish(self) -> tuple[list[object] | None, ...]:
+        """Area and target: another one asks for another choice."""
+        return tuple(
+            None if given is None else np.ravel(np.asarray(given, dtype=object)).tolist()
+            for given in (self.area, self.target)
+        )
+
+    def why_not(self, x: float, y: float, lss: LssConfig) -> Reason:
+        """Why a zone on safe ground is excluded."""
+        place = np.array([x]), np.array([y])
+        if self.area is not None and signed_distance(self.area, *place)[0] < _zone(lss):
+            return Reason.OUTSIDE_AREA
+        return Reason.KEEP_OUT
+
+    def _exclude(self, score: Array, x: Array, y: Array, lss: LssConfig) -> None:
+        """Does as `apply` says.
+
+        Raises:
+            ValueError, TypeError: a polygon with fewer than three finite vertices, a target that is
+                not finite, or not numbers.
+        """
+        if self.area is None and self.keep_out is None and self.target is None:
+            return
+        grid_x, grid_y = np.meshgrid(x, y)
+        if self.area is not None:
+            score[signed_distance(self.area, grid_x, grid_y) < _zone(lss)] = np.nan
+        if self.keep_out is not None:
+            score[signed_distance(self.keep_out, grid_x, grid_y) > -_zone(lss)] = np.nan
+        if self.target is not None:
+            goal = np.asarray(self.target, dtype=np.float64)
+            if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
+                msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
+                raise ValueError(msg)
+            score += lss.weight_target * np.hypot(grid_x - goal[0], grid_y - goal[1])
+
+
+def _zone(lss: LssConfig) -> float:
+    return 0.5 * lss.vehicle_diameter + lss.margin

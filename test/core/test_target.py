@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The target: it stays while landing there is permitted; a number lasts as long as its place."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from core.builders import configured, flat, mapped
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadtree_lss.core.geometry import sphere
+from quadtree_lss.core.landing.covariance import ground_covariance
+from quadtree_lss.core.landing.lattice import ground_planes
+from quadtree_lss.core.landing.raster import rasterise
+from quadtree_lss.core.landing.sites import LandingSiteSelector
+from quadtree_lss.core.landing.target import Choice, Ground, Reason, TargetKeeper
+
+NAN = np.nan
+AXIS = np.arange(4.0)
+
+
+def ground(merit, safe=None, axis=AXIS):
+    """A grid of one row."""
+    merit = np.array([merit], dtype=np.float64)
+    return Ground(
+        axis, np.zeros(1), np.isfinite(merit) if safe is None else np.array([safe]), merit
+    )
+
+
+def choose(keeper: TargetKeeper, *seen: Ground, margin: float = 0.5) -> Choice:
+    """The last choice over some assessments."""
+    for each in seen:
+        choice = keeper.choose(
+            each,
+            margin=margin,
+            reach=0.9,
+            why_not=lambda row, column: Reason.HAZARD,
+            why_none=Reason.NO_SITE,
+        )
+    return choice
+
+
+def test_ground_seen_for_the_first_time_is_no_target_yet():
+    keeper = TargetKeeper()
+    assert choose(keeper, ground([1, 2, 3, NAN])) == Choice(None, 0, Reason.UNCONFIRMED)
+    first = choose(keeper, ground([1, 2, NAN, 9]))
+    assert first == Choice((0, 1), 1, Reason.FIRST), "the best of what was safe before"
+
+
+def test_it_stays_until_another_is_better_by_the_margin():
+    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
+    assert choose(keeper, seen, seen).place == (0, 1)
+    assert choose(keeper, ground([1, 2, 1, 2.5])).reason is Reason.HOLDS
+    assert choose(keeper, ground([1, 1.9, 1, 2.5])) == Choice((0, 3), 2, Reason.BETTER)
+    assert choose(keeper, ground([1, 1.9, 1, 1.5])).place == (0, 3), "nor does it go back"
+
+
+def test_newly_seen_ground_does_not_take_it_over_at_once():
+    keeper, seen = TargetKeeper(), ground([1, 2, NAN, NAN])
+    choose(keeper, seen, seen)
+    assert choose(keeper, ground([1, 2, 9, NAN])).reason is Reason.HOLDS
+    assert choose(keeper, ground([1, 2, 9, NAN])) == Choice((0, 2), 2, Reason.BETTER)
+
+
+def test_a_lost_one_is_withdrawn_before_another_comes():
+    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
+    choose(keeper, seen, seen)
+    assert choose(keeper, ground([1, NAN, 1, 3])) == Choice(None, 0, Reason.HAZARD)
+    assert choose(keeper, ground([1, NAN, 1, 3])) == Choice((0, 3), 2, Reason.FIRST)
+    assert choose(keeper, ground([NAN] * 4)).reason is Reason.HAZARD
+    assert choose(keeper, ground([NAN] * 4)).reason is Reason.NO_SITE
+    assert choose(keeper, seen, seen).id == 3, "a number is never given twice"
+
+
+def test_a_map_without_its_grid_point_loses_it():
+    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
+    choose(keeper, seen, seen)
+    assert choose(keeper, ground([1, 1, 1, 1], axis=AXIS + 0.5)).reason is Reason.OUTSIDE_MAP
+
+
+def test_a_released_one_gives_way_to_the_best():
+    keeper, seen = TargetKeeper(), ground([1, 2, 1, 2.2])
+    choose(keeper, ground([1, 2, 1, 1]), ground([1, 2, 1, 1]), seen)
+    keeper.release()
+    assert choose(keeper, seen) == Choice((0, 3), 2, Reason.RELEASED)
+    assert choose(keeper, seen).reason is Reason.HOLDS
+
+
+def test_a_place_excluded_by_wish_keeps_its_number():
+    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
+    before = choose(keeper, seen, seen)
+    kept_out = ground([1, NAN, 1, 1], safe=[True] * 4)
+    choose(keeper, kept_out, kept_out)
+    keeper.release()
+    assert choose(keeper, seen) == Choice(before.place, before.id, Reason.RELEASED)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.lists(st.sampled_from([NAN, 0.0, 0.3, 0.6, 0.9, 2.0]), min_size=4, max_size=4)))
+def test_no_change_without_cause(merits):
+    """Whatever the ground does: held while permitted, changed for the margin, told when lost."""
+    keeper, last = TargetKeeper(), Choice(None, 0, Reason.UNCONFIRMED)
+    for merit in merits:
+        choice = choose(keeper, ground(merit))
+        assert (choice.place is None) == (choice.reason >= 16) == (choice.id == 0)
+        if choice.place is not None:
+            assert np.isfinite(merit[choice.place[1]])
+        if last.place is not None:
+            held = merit[last.place[1]]
+            if np.isnan(held):
+                assert choice.place is None
+            elif choice.place != last.place:
+                assert choice.place is not None and merit[choice.place[1]] - held > 0.5
+            else:
+                assert choice.id == last.id
+        last = choice
+
+
+# ---- of the selector
+
+
+def small(**lss):
+    values = {"vehicle_diameter": 1.9, "min_separation": 2.0, "grid_spacing": 0.5, **lss}
+    return configured(
+        domain={"size": 16.0, "min_level": 1, "max_level": 5},
+        lidar={"range_noise": 0.02},
+        lss=values,
+    )
+
+
+def block(x, y):
+    """One, a metre high, in the middle."""
+    return 1.0 * ((np.abs(x - 8.0) < 1.0) & (np.abs(y - 8.0) < 1.0))
+
+
+@pytest.fixture(scope="module")
+def level_ground():
+    return mapped(small(), flat(3.0), density=60.0).snapshot()
+
+
+@pytest.fixture(scope="module")
+def with_block():
+    return mapped(small(), block, density=100.0).snapshot()
+
+
+def around(place, half):
+    x, y = place[:2]
+    return [(x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)]
+
+
+def target_of(selector, cells, **where):
+    """The target once the ground is confirmed."""
+    first = selector.assess(cells, **where)
+    assert first.selected.reason is Reason.UNCONFIRMED and first.pending
+    second = selector.assess(cells, **where)
+    assert second.selected.reason is Reason.FIRST and not second.pending
+    return second
+
+
+def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground):
+    selector = LandingSiteSelector(small())
+    found = target_of(selector, level_ground)
+    np.testing.assert_array_equal(found.selected.position, found.sites.position[0])
+    assert found.selected.id == found.sites.id[0] > 0
+    assert len(set(found.sites.id.tolist())) == len(found.sites.id)
+    again = selector.assess(level_ground)
+    assert again.selected.reason is Reason.HOLDS
+    assert (found.answer, again.answer) == (2, 3) and found.stamp_ns == again.stamp_ns
+    np.testing.assert_array_equal(again.sites.id, found.sites.id)
+
+
+def test_a_preference_for_another_place_does_not_move_the_target_by_a_little(level_ground):
+    selector = LandingSiteSelector(small(weight_target=0.1))
+    before = target_of(selector, level_ground, target=(5.0, 5.0)).selected
+    after = selector.assess(level_ground, target=(5.0, 5.0)).selected
+    assert (after.id, after.reason) == (before.id, Reason.HOLDS)
+    # Asked for another place, it goes there.
+    moved = selector.assess(level_ground, target=(11.0, 11.0)).selected
+    assert moved.reason is Reason.RELEASED and np.hypot(*(moved.position[:2] - 11.0)) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("where", "reason", "pending"),
+    [
+        ({"keep_out": "around"}, Reason.KEEP_OUT, True),
+        ({"withheld": "the map is too old"}, Reason.WITHHELD, False),
+        ({"keep_out": [(0.0, 0.0)]}, Reason.WITHHELD, False),
+    ],
+)
+def test_a_withdrawn_target_says_why(level_ground, where, reason, pending):
+    selector = LandingSiteSelector(small())
+    place = target_of(selector, level_ground).selected.position
+    if where.get("keep_out") == "around":
+        where = {"keep_out": around(place, 1.0)}
+    found = selector.assess(level_ground, **where)
+    assert (found.selected.id, found.selected.reason) == (0, reason)
+    assert found.pending is pending
+    assert np.isnan(found.selected.position).all() and np.isnan(found.selected.covariance).all()
+    if pending:
+        again = selector.assess(level_ground, **where).selected
+        assert again.reason is Reason.FIRST and np.hypot(*(again.position - place)[:2]) > 1.0
+
+
+def test_a_new_area_asks_for_a_target_in_it(level_ground):
+    selector = LandingSiteSelector(small())
+    target_of(selector, level_ground)
+    area = around((12.0, 12.0), 3.0)
+    found = selector.assess(level_ground, area=area).selected
+    assert found.reason is Reason.RELEASED and (np.abs(found.position[:2] - 12.0) < 2.1).all()
+    nowhere = selector.assess(level_ground, area=around((12.0, 12.0), 0.5))
+    assert nowhere.selected.reason is Reason.NO_SITE and not nowhere.pending
+
+
+def test_ground_that_turns_out_a_hazard_withdraws_the_target(level_ground, with_block):
+    selector = LandingSiteSelector(small())
+    held = target_of(selector, level_ground, target=(8.0, 8.0)).selected
+    found = selector.assess(with_block, target=(8.0, 8.0))
+    assert found.selected.reason is Reason.HAZARD
+    assert held.id not in found.sites.id
+    empty = dataclasses.replace(with_block, observed=np.zeros_like(with_block.observed))
+    assert selector.assess(empty).selected.reason is Reason.NOTHING_MAPPED
+
+
+def test_unseen_ground_withdraws_the_target(level_ground):
+    selector = LandingSiteSelector(small())
+    held = target_of(selector, level_ground, target=(5.0, 5.0)).selected.position
+    observed = level_ground.observed.copy()
+    observed[int(held[1] / 0.5) - 3 :, :] = False
+    found = selector.assess(dataclasses.replace(level_ground, observed=observed), target=(5.0, 5.0))
+    assert found.selected.reason is Reason.UNSEEN
+
+
+def test_other_limits_do_not_release_the_target(level_ground):
+    selector = LandingSiteSelector(small())
+    held = target_of(selector, level_ground).selected
+    selector.configure(small(sites=2))
+    assert selector.assess(level_ground).selected.id == held.id
+    selector.release()
+    assert selector.assess(level_ground).selected.reason is Reason.RELEASED
+
+
+def test_a_ranked_site_keeps_its_rank_with_hysteresis(level_ground):
+    selector = LandingSiteSelector(small(hysteresis=1.0, weight_target=0.1))
+    first = selector.assess(level_ground, target=(5.0, 5.0)).sites
+    second = selector.assess(level_ground, target=(6.0, 6.0)).sites
+    np.testing.assert_array_equal(second.position, first.position)
+    np.testing.assert_array_equal(second.id, first.id)
+
+
+def test_covariance_is_that_of_drawn_maps():
+    """Leaves drawn from their covariance, laid out and fitted again, scatter as it says."""
+    cells = mapped(small(), lambda x, y: 0.1 * x - 0.05 * y, density=30.0).snapshot()
+    x, y, radius = 6.5, 7.0, 1.5
+    rng = np.random.default_rng(4)
+    root = np.linalg.cholesky(cells.covariance_range)
+    drawn = []
+    for _ in range(1500):
+        error = np.einsum("kij,kj->ki", root, rng.standard_normal((len(cells.z), 3)))
+        normal = np.array([sphere.plus(n, e[:2]) for n, e in zip(cells.normal, error, strict=True)])
+        moved = dataclasses.replace(cells, normal=normal, z=cells.z + error[:, 2] / normal[:, 2])
+        planes = ground_planes(rasterise(moved, 1.0).elevation, 0.5, radius)
+        at = int(y / 0.5), int(x / 0.5)
+        drawn.append([planes.elevation[at], planes.slope_y[at], -planes.slope_x[at]])
+    pose_free = dataclasses.replace(cells, covariance_pose=np.zeros_like(cells.covariance_pose))
+    claimed = ground_covariance(pose_free, rasterise(cells, 1.0), x, y, radius)
+    np.testing.assert_allclose(
+        np.cov(np.array(drawn).T).diagonal(), claimed[2:5, 2:5].diagonal(), rtol=0.15
+    )
+    assert not claimed[:2].any()
+
+
+def test_an_error_of_the_poses_moves_the_whole_ground():
+    """It does not average out over the leaves under the lander."""
+    cells = mapped(small(), flat(3.0), density=60.0).snapshot()
+    common = np.zeros((len(cells.z), 3, 3))
+    common[:, 2, 2] = 0.2**2
+    common[:, 0, 0] = 0.01**2
+    cells = dataclasses.replace(
+        cells, covariance_pose=common, covariance_range=np.zeros_like(common)
+    )
+    claimed = ground_covariance(cells, rasterise(cells, 1.0), 7.0, 7.0, 1.5)
+    assert claimed[2, 2] == pytest.approx(0.2**2, rel=0.1)
+    assert claimed[4, 4] == pytest.approx(0.01**2, rel=0.1)
+    assert claimed[3, 3] < 1e-8
