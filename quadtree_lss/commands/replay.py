@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from quadtree_lss.commands.common import (
     DONE,
@@ -28,6 +29,7 @@ from quadtree_lss.commands.console import (
     say,
     warn,
 )
+from quadtree_lss.commands.places import place, polygon
 from quadtree_lss.errors import QuadtreeLssError
 
 TEXT = "Map a recorded bag and rank landing sites, offline and deterministically."
@@ -39,6 +41,8 @@ EXAMPLES = """examples:
   quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
   quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes; space bar pauses)
   quadtree-lss replay products --publish                (a bag of maps, for lss_node alone)
+  quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points
+  quadtree-lss replay flight_bag --area='-9,-9 9,-9 9,9 -9,9' --keep-out=none --target=3,-4
 
 Ctrl-C ends the replay there: the results are those of what was processed so far. Once more
 stops at once.
@@ -59,6 +63,18 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--no-report", action="store_true", help="no figures and no report.html")
     add("--record", metavar="BAG", type=named, help="write what the nodes would publish, as mcap")
     add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
+    for name, what in (("area", "land inside"), ("keep-out", "never land in")):
+        text = f"{what} this polygon, map frame, m; none lifts the bag's (default: the bag's topic)"
+        add(f"--{name}", metavar="'X,Y X,Y X,Y ...'", type=polygon, help=text)
+    add("--target", metavar="X,Y", type=place, help="land near this place, or none; as --area")
+    add("--namespace", metavar="NS", help="of the topics that --publish sends")
+    add(
+        "--remap",
+        metavar="FROM:=TO",
+        action="append",
+        default=[],
+        help="another name for a topic that --publish sends, as of ros2 run; may be repeated",
+    )
     add("--rate", metavar="R", type=positive, help="speed of --publish (default 1)")
     add_json(parser)
 
@@ -68,6 +84,8 @@ def _run(options: argparse.Namespace) -> int:
         return _publish(options)
     if options.rate is not None:
         options.parser.error("--rate is for --publish: without it a replay is as fast as it can")
+    if options.namespace is not None or options.remap:
+        options.parser.error("--namespace and --remap are for --publish: nothing is sent without")
     from quadtree_lss.replay.replay import replay
     from quadtree_lss.replay.results import link_latest, new_folder
 
@@ -84,6 +102,7 @@ def _run(options: argparse.Namespace) -> int:
             duration=options.duration,
             report=not options.no_report,
             record=options.record,
+            landing=_landing(options),
             progress=bar.update,
             stop=interruption.asked,
         )
@@ -106,8 +125,14 @@ def _run(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _landing(options: argparse.Namespace) -> dict[str, Any]:
+    """What the options say of landing, by name."""
+    given = {"area": options.area, "keep_out": options.keep_out, "target": options.target}
+    return {name: value[0] for name, value in given.items() if value is not None}
+
+
 def _publish(options: argparse.Namespace) -> int:
-    offline = ("out", "config", "set", "no_report", "record")
+    offline = ("out", "config", "set", "no_report", "record", "area", "keep_out", "target")
     given = ", ".join(f"--{name.replace('_', '-')}" for name in offline if getattr(options, name))
     if given:
         text = "goes" if "," not in given else "go"
@@ -125,6 +150,8 @@ def _publish(options: argparse.Namespace) -> int:
             pose_topic=options.pose_topic,
             start=options.start,
             duration=options.duration,
+            namespace=options.namespace or "",
+            remap=options.remap,
             progress=bar.update,
         )
     sent = f"{report.scans} scans and {report.poses} poses"

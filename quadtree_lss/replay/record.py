@@ -54,6 +54,9 @@ class Recorder:
         config: Rates, frame and everything about landing sites.
         maps: Write maps too; not for a bag that holds them already.
 
+    Attributes:
+        restrictions: Gives what is asked of landing, as keywords of ``assess``.
+
     Raises:
         ReplayError: ``path`` exists or cannot be written.
     """
@@ -68,6 +71,7 @@ class Recorder:
         self._map = _Clock(config.publish.rate)
         self._landing = _Clock(config.publish.lss_rate)
         self._cells: CellMap | None = None
+        self.restrictions: Callable[[], dict[str, Any]] = dict
 
     def __enter__(self) -> Recorder:
         return self
@@ -80,6 +84,10 @@ class Recorder:
     def changed(self) -> None:
         """There is a new map."""
         self._map.changed = True
+
+    def landing_changed(self) -> None:
+        """Something else is asked of landing: ``restrictions`` tells what."""
+        self._landing.changed = True
 
     def tick(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
         """Writes what is due at a time of the bag."""
@@ -122,7 +130,8 @@ class Recorder:
     def _write_landing(self, now_ns: int) -> None:
         self._landing.sent(now_ns)
         if self._cells is not None:
-            for topic, message in self._messages.of_landing(self._selector.assess(self._cells)):
+            found = self._selector.assess(self._cells, **self.restrictions())
+            for topic, message in self._messages.of_landing(found):
                 self._write(topic, message, now_ns)
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:

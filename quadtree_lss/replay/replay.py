@@ -5,18 +5,24 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace as changed
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from quadtree_lss.config.loading import dump_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.messages.landing_inputs import LandingWishes
 from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.landing import LandingTopics
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.points import points_line
 from quadtree_lss.replay.record import Recorder
@@ -39,6 +45,7 @@ def replay(
     duration: float | None = None,
     report: bool = True,
     record: str | Path | None = None,
+    landing: Mapping[str, ArrayLike | None] | None = None,
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> ReplayResult:
@@ -57,6 +64,9 @@ def replay(
         duration: Seconds to process, None for all.
         report: Also draw figures and ``report.html``.
         record: New bag for what the nodes would have published (see `record.Recorder`).
+        landing: By ``area``, ``keep_out`` (V, 2) and ``target`` (2,), map frame, m, or None for
+            none: what holds whatever the bag says. Those not in it are read from the topics
+            ``landing/…`` of the bag.
         progress: See `run.Progress`.
         stop: Asked after each message; True ends the replay there, and the results are those of
             what was processed.
@@ -76,10 +86,14 @@ def replay(
             stream.resolve(opened, config)
         else:
             stream.limit(opened)
+        fixed = {name: None if v is None else np.asarray(v) for name, v in (landing or {}).items()}
+        wishes = LandingWishes(config.frames.map, fixed)
+        run.landing = LandingTopics(wishes, opened, stream.start_ns)
         made = _make_folder(folder)
         try:
             if record is not None:
                 recorder = Recorder(Path(record), config, maps=pairs is None)
+                recorder.restrictions = wishes.arguments
                 run.recorder = stack.enter_context(recorder)
             cells = (
                 run.map_scans(opened, stream)
@@ -96,7 +110,7 @@ def replay(
         losses = tuple(opened.losses)
     if progress is not None and not run.interrupted:
         progress(stream.seconds, stream.seconds)
-    decoded, assessment, lss_ms = assess(cells, config)
+    decoded, assessment, lss_ms = assess(cells, config, **wishes.arguments())
     if not decoded.observed.any():
         assessment = changed(assessment, explanation=_why_nothing(run))
     seconds = stream.seconds
@@ -122,6 +136,7 @@ def replay(
         "messages_rejected": dict(run.intake.rejected),
         "range_noise_ratio": run.noise_ratio,
         "refused_divisions": run.refused_divisions,
+        "landing": wishes.as_lists(),
         "explanation": assessment.explanation,
         "interrupted": run.interrupted,
         "losses": losses,
@@ -146,15 +161,22 @@ def replay(
     return result
 
 
-def assess(cells: CellMap, config: Config) -> tuple[CellMap, LandingAssessment, float]:
+def assess(
+    cells: CellMap, config: Config, **restrictions: Any
+) -> tuple[CellMap, LandingAssessment, float]:
     """Landing sites on the map as its message gives it to ``lss_node``.
+
+    Args:
+        cells: The map.
+        config: Of which ``lss`` matters.
+        restrictions: As of ``LandingSiteSelector.assess``.
 
     Returns:
         The decoded map, the assessment, and what the assessment took in ms.
     """
     decoded = round_trip(cells)
     began = time.perf_counter()
-    assessment = LandingSiteSelector(config).assess(decoded)
+    assessment = LandingSiteSelector(config).assess(decoded, **restrictions)
     return decoded, assessment, 1e3 * (time.perf_counter() - began)
 
 

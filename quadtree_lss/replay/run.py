@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -17,8 +17,10 @@ from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
 from quadtree_lss.messages.lost_points import likely_reason
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.landing import LandingTopics
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.points import points_warning
+from quadtree_lss.replay.rescue import RawMessage
 from quadtree_lss.replay.results import ScanTiming
 from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
 
@@ -38,6 +40,7 @@ class Run:
         progress: See `Progress`.
         stop: Asked after each message; True ends the run there.
         recorder: Gets the maps as they come, or None.
+        landing: Hears areas, keep-outs and targets as they come, or None.
 
     Attributes:
         interrupted: True if ``stop`` ended it.
@@ -52,6 +55,7 @@ class Run:
     progress: Progress | None = None
     stop: Callable[[], bool] | None = None
     recorder: Recorder | None = None
+    landing: LandingTopics | None = None
     interrupted: bool = False
     done_ns: int = 0
     timings: list[ScanTiming] = field(default_factory=list)
@@ -78,7 +82,7 @@ class Run:
         """
         self.intake = stream.intake(self.config)
         mapper = Mapper(self.config)
-        for message in stream.messages(bag):
+        for message in self._messages(bag, stream.topics, stream):
             began = time.perf_counter()
             stamp_ns = stream.take(bag, self.intake, message)
             if stamp_ns is not None:
@@ -105,7 +109,7 @@ class Run:
             KeyboardInterrupt: stopped before there was one.
         """
         last: CellMap | None = None
-        for message in bag.messages(pairs.topics, stream.start_ns, stream.stop_ns):
+        for message in self._messages(bag, pairs.topics, stream):
             try:
                 found = pairs.take(bag, message, self.config.lss)
             except MapMessageError as error:
@@ -115,6 +119,7 @@ class Run:
                 last, self.maps = found, self.maps + 1
                 if self.recorder is not None:
                     self.recorder.changed()
+            self._note()
             if self.recorder is not None and last is not None:
                 newest = last
                 self.recorder.tick(message.received_ns, lambda: newest)  # noqa: B023
@@ -123,6 +128,16 @@ class Run:
         self._need(last is not None, bag, "no map can be read", "no cells with observed cells")
         assert last is not None
         return last
+
+    def _messages(self, bag: Bag, topics: Iterable[str], stream: Stream) -> Iterator[RawMessage]:
+        """Those of the topics; what is asked of landing goes where it is heard."""
+        landing = self.landing
+        wanted = [*topics, *(landing.names if landing is not None else ())]
+        for message in bag.messages(wanted, stream.start_ns, stream.stop_ns):
+            if landing is None or not landing.take(bag, message):
+                yield message
+            elif self.recorder is not None:
+                self.recorder.landing_changed()
 
     @property
     def points(self) -> int:
@@ -194,7 +209,11 @@ class Run:
         )
 
     def _note(self) -> None:
-        for notice in self.intake.notices():
+        told = self.intake.notices()
+        if self.landing is not None:
+            told += self.landing.notices
+            self.landing.notices.clear()
+        for notice in told:
             self._tell(notice.reason, notice.text)
 
     def _tell(self, reason: str, text: str) -> None:

@@ -119,10 +119,14 @@ class Stream:
             self.stop_ns = min(self.stop_ns, self.start_ns + round(self.duration * SECOND_NS))
         self.seconds = (min(self.stop_ns, bag.end_ns) - self.start_ns) / SECOND_NS
 
+    @property
+    def topics(self) -> list[str]:
+        """Those that are read."""
+        return [name for name in (self.scans, self.poses, self.gimbal) if name]
+
     def messages(self, bag: Bag) -> Iterator[RawMessage]:
         """The messages, in the order of the bag."""
-        topics = [name for name in (self.scans, self.poses, self.gimbal) if name]
-        return bag.messages(topics, self.start_ns, self.stop_ns)
+        return bag.messages(self.topics, self.start_ns, self.stop_ns)
 
     def intake(self, config: Config) -> Intake:
         """What turns the messages into scans with their pose."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from quadtree_lss.messages.landing_inputs import POINT_TYPE, POLYGON_TYPE
 from quadtree_lss.messages.outputs import CLOUD_TYPE, GRID_TYPE, POSES_TYPE
 
 SCAN_TYPE = CLOUD_TYPE
@@ -142,6 +143,12 @@ bool is_dense
         _POINT,
         _QUATERNION,
     ),
+    POLYGON_TYPE: (
+        "std_msgs/Header header\ngeometry_msgs/Polygon polygon\n",
+        "\nMSG: geometry_msgs/Polygon\ngeometry_msgs/Point32[] points\n",
+        "\nMSG: geometry_msgs/Point32\nfloat32 x\nfloat32 y\nfloat32 z\n",
+    ),
+    POINT_TYPE: ("std_msgs/Header header\ngeometry_msgs/Point point\n", _POINT),
     POSES_TYPE: (
         "std_msgs/Header header\ngeometry_msgs/Pose[] poses\n",
         _POSE,

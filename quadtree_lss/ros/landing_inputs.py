@@ -15,19 +15,16 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.timer import Timer
 
-from quadtree_lss.core.geometry.polygons import FARTHEST
 from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.messages.poses import check_frame
+from quadtree_lss.messages.landing_inputs import (
+    BINDING,
+    polygon_from_message,
+    target_from_message,
+)
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.qos import latched, stream, subscribe
 
 Array = NDArray[np.float64]
-
-BINDING = ("area", "keep_out")
-"""Topics without regard to which no site may be given out."""
-
-MAX_VERTICES = 1000
-"""More are taken for a damaged message."""
 
 JOIN_S = 3.0
 """How long after the node has come it may well not know another, whose latched messages are waiting
@@ -46,41 +43,6 @@ QUIET_S = 0.2
 """A publisher may have kept more than its last message: they come at once, oldest first."""
 
 LOOK_S = 0.05
-
-
-def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Vertices (V, 2) in the map frame, m; None if the message has none: no restriction.
-
-    Raises:
-        MessageError: with reason ``frame`` or ``polygon``.
-    """
-    check_frame(msg.header.frame_id, map_frame, "polygon")
-    corners = np.array([(p.x, p.y) for p in msg.polygon.points], dtype=np.float64)
-    if not len(corners):
-        return None
-    if not 3 <= len(corners) <= MAX_VERTICES or not (np.abs(corners) <= FARTHEST).all():
-        text = (
-            f"polygon of {len(corners)} vertices is not usable: 3 to {MAX_VERTICES} finite ones"
-            f" within {FARTHEST:g} m, or none to lift the restriction"
-        )
-        raise MessageError("polygon", text)
-    return corners
-
-
-def target_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Place (2,) in the map frame, m; None if x and y are both NaN: no target.
-
-    Raises:
-        MessageError: with reason ``frame`` or ``point``.
-    """
-    check_frame(msg.header.frame_id, map_frame, "target")
-    place = np.array([msg.point.x, msg.point.y], dtype=np.float64)
-    if np.isnan(place).all():
-        return None
-    if not (np.abs(place) <= FARTHEST).all():
-        text = f"target ({place[0]:g}, {place[1]:g}) is not finite or not of this world"
-        raise MessageError("point", text)
-    return place
 
 
 class _Input:

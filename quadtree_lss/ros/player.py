@@ -13,51 +13,60 @@ from typing import Any
 
 import rclpy
 import zstandard
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
-from nav_msgs.msg import OccupancyGrid
+from geometry_msgs.msg import (
+    PointStamped,
+    PolygonStamped,
+    PoseWithCovarianceStamped,
+    TransformStamped,
+)
+from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.outputs import CELLS, OBSERVED
 from quadtree_lss.replay.bags import (
     GIMBAL_TOPIC,
     GIMBAL_TYPE,
+    ODOMETRY_TOPIC,
+    ODOMETRY_TYPE,
     POSE_TOPIC,
-    POSE_TYPE,
     SCAN_TOPIC,
     SCAN_TYPE,
     Bag,
+    choose_pose_topic,
     choose_topic,
 )
+from quadtree_lss.replay.landing import landing_topics
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.rescue import RawMessage
 from quadtree_lss.replay.stream import Stream
 from quadtree_lss.ros.keyboard import Keyboard
+from quadtree_lss.ros.play_peers import PlayError, player_node, wait_for_subscribers
 from quadtree_lss.ros.play_time import SECOND_NS, PlayTime
 from quadtree_lss.ros.qos import latched, stream
 
-MATCH_PAUSE_S = 0.5
-"""After a publisher sees its match the subscriber may not be ready yet."""
 DEPTH = 200
 BAR_S = 0.2
 """Between two changes of the progress bar."""
 KINDS = {
     SCAN_TOPIC: PointCloud2,
     POSE_TOPIC: PoseWithCovarianceStamped,
+    ODOMETRY_TOPIC: Odometry,
     GIMBAL_TOPIC: TransformStamped,
+    "/landing/area": PolygonStamped,
+    "/landing/keep_out": PolygonStamped,
+    "/landing/target": PointStamped,
     f"/{CELLS}": PointCloud2,
     f"/{OBSERVED}": OccupancyGrid,
 }
+LANDING_TOPICS = ("/landing/area", "/landing/keep_out", "/landing/target")
+OPTIONAL = (GIMBAL_TOPIC, *LANDING_TOPICS)
+"""Played though nobody may listen."""
 MAP_TOPICS = (f"/{CELLS}", f"/{OBSERVED}")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-
-
-class PlayError(QuadtreeLssError):
-    """The bag cannot be played, or nobody listens."""
 
 
 @dataclass(frozen=True)
@@ -88,15 +97,18 @@ def play(
     duration: float | None = None,
     wait: float = 15.0,
     namespace: str = "",
+    remap: Sequence[str] = (),
     domain_id: int | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> PlayReport:
     """Plays a ROS 2 bag on ``lidar/points`` and ``nav/pose``, as fast as it was recorded.
 
-    ``lidar/gimbal`` is played if it was recorded. A bag that holds maps and no scans is played on
-    ``map/cells`` and ``map/observed``, latched. Waits until all but the gimbal have a subscriber,
-    and at the end until all was acknowledged. The services ``/bag_player/pause``, ``…/resume`` and
-    ``…/toggle_paused`` hold it up, as does the space bar of the terminal it runs in.
+    Odometry goes out on ``nav/odometry`` instead. ``lidar/gimbal`` and latched ``landing/area``,
+    ``landing/keep_out`` and ``landing/target`` are played if they were recorded, the last three
+    with what was said before the part that is played. A bag that holds maps and no scans is played
+    on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses, or maps, have a
+    subscriber, and at the end until all was acknowledged. The services ``/bag_player/pause``,
+    ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of the terminal it runs in.
 
     Args:
         bag: Directory or single file.
@@ -106,6 +118,7 @@ def play(
         start, duration: Part of the bag, s from its first message.
         wait: How long to wait for subscribers, s.
         namespace: Of the topics published on.
+        remap: Other names for them, each ``FROM:=TO`` as after ``-r`` of a node.
         domain_id: ROS domain, that of the environment if None.
         progress: Called with the seconds of the bag that are played and those to play.
 
@@ -128,11 +141,18 @@ def play(
         part.limit(source)
         rclpy.init(context=context, domain_id=domain_id)
         try:
-            node = Node("bag_player", context=context, namespace=namespace)
+            node = player_node(context, namespace, remap, names.values())
             publishers = _publishers(node, names)
-            needed = [p for recorded, p in publishers.items() if names[recorded] != GIMBAL_TOPIC]
-            _wait_for_subscribers(needed, wait)
-            messages = source.messages(list(names), part.start_ns, part.stop_ns)
+            needed = [p for recorded, p in publishers.items() if names[recorded] not in OPTIONAL]
+            wait_for_subscribers(node, needed, wait)
+            wishes = [recorded for recorded, name in names.items() if name in LANDING_TOPICS]
+            messages: Iterable[RawMessage] = source.messages(
+                list(names), part.start_ns, part.stop_ns
+            )
+            if wishes:
+                before = source.messages(wishes, 0, part.start_ns)
+                for message in before:
+                    publishers[message.topic].publish(_plain(message.raw))
             with Keyboard() as keyboard:
                 times = PlayTime(node, rate, clock=clock, pressed=keyboard.pressed)
                 began = time.monotonic()
@@ -144,7 +164,7 @@ def play(
             counts = {name: sent[recorded] for recorded, name in names.items()}
             return PlayReport(
                 counts.get(SCAN_TOPIC, 0),
-                counts.get(POSE_TOPIC, 0),
+                counts.get(POSE_TOPIC, 0) + counts.get(ODOMETRY_TOPIC, 0),
                 seconds,
                 tuple(source.losses),
                 counts.get(MAP_TOPICS[0], 0),
@@ -158,10 +178,12 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
     pairs = MapPairs.alone(bag) if scan_topic is None else None
     if pairs is not None:
         return dict(zip(pairs.topics, MAP_TOPICS, strict=True))
+    poses, kind = choose_pose_topic(bag, pose_topic, "pose")
     names = {
         choose_topic(bag, scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic"): SCAN_TOPIC,
-        choose_topic(bag, pose_topic, POSE_TOPIC, POSE_TYPE, "--pose-topic"): POSE_TOPIC,
+        poses: ODOMETRY_TOPIC if kind == ODOMETRY_TYPE else POSE_TOPIC,
     }
+    names |= {topic: f"/landing/{name}" for topic, name in landing_topics(bag).items()}
     if any((t.name, t.type) == (GIMBAL_TOPIC, GIMBAL_TYPE) for t in bag.topics):
         names[GIMBAL_TOPIC] = GIMBAL_TOPIC
     return names
@@ -186,18 +208,25 @@ def _send(
     times: PlayTime,
 ) -> dict[str, int]:
     counts = dict.fromkeys(publishers, 0)
-    newest = dict.fromkeys(names.values(), 0)
+    newest = {name: 0 for name in names.values() if name not in LANDING_TOPICS}
     scans = SCAN_TOPIC in newest
     for topic, received_ns, raw in messages:
         # A scan that waits for the pose after it during a pause would be dropped by the node.
         served = not scans or min(newest.values()) == newest[SCAN_TOPIC]
         times.wait_until(received_ns, may_pause=served)
-        if raw[:4] == ZSTD_MAGIC:
-            raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
-        publishers[topic].publish(bytes(raw))
+        raw = _plain(raw)
+        publishers[topic].publish(raw)
         counts[topic] += 1
-        newest[names[topic]] = max(newest[names[topic]], _stamp_ns(raw))
+        if names[topic] in newest:
+            newest[names[topic]] = max(newest[names[topic]], _stamp_ns(raw))
     return counts
+
+
+def _plain(raw: Any) -> bytes:
+    """A message as it is serialised, whether or not the bag compresses each."""
+    if raw[:4] == ZSTD_MAGIC:
+        raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
+    return bytes(raw)
 
 
 def _stamp_ns(raw: Any) -> int:
@@ -215,17 +244,7 @@ def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
         recorded: node.create_publisher(
             KINDS[name],
             name.lstrip("/"),
-            latched() if name in MAP_TOPICS else stream(DEPTH, reliable=True),
+            latched() if name in (*MAP_TOPICS, *LANDING_TOPICS) else stream(DEPTH, reliable=True),
         )
         for recorded, name in names.items()
     }
-
-
-def _wait_for_subscribers(publishers: Sequence[Publisher], wait: float) -> None:
-    deadline = time.monotonic() + wait
-    while missing := [p.topic_name for p in publishers if not p.get_subscription_count()]:
-        if time.monotonic() > deadline:
-            msg = f"nobody subscribed to {', '.join(missing)} within {wait:g} s: are nodes running?"
-            raise PlayError(msg)
-        time.sleep(0.05)
-    time.sleep(MATCH_PAUSE_S)

@@ -24,6 +24,10 @@ GROUND = {
 }
 """Configuration that fits the ground these bags show."""
 
+POLYGON, POINT = "geometry_msgs/msg/PolygonStamped", "geometry_msgs/msg/PointStamped"
+KEEP_OUT = [(0.0, -15.0), (15.0, -15.0), (15.0, 15.0), (0.0, 15.0)]
+"""The eastern half of this ground."""
+
 LOOKING_DOWN = (1.0, 0.0, 0.0, 0.0)  # quaternion of a half turn about x: z down, y south
 
 
@@ -116,6 +120,21 @@ def descent(recorder):
             points = np.stack([right * depth, down * depth, depth], axis=-1)
             cloud = recorder.cloud(stamp, points, late)
             recorder.write("/lidar/points", cloud, CLOUD, stamp + 90_000_000)
+
+
+class LandingRecorder(Recorder):
+    """Writes what may be asked of landing as well."""
+
+    def polygon(self, topic, corners, received_ns, frame="map"):
+        points = [self.type("geometry_msgs/msg/Point32")(x, y, 0.0) for x, y in corners]
+        polygon = self.type("geometry_msgs/msg/Polygon")(points)
+        message = self.type(POLYGON)(self.header(received_ns, frame), polygon)
+        self.write(topic, message, POLYGON, received_ns)
+
+    def target(self, topic, x, y, received_ns):
+        place = self.type("geometry_msgs/msg/Point")(x, y, 0.0)
+        message = self.type(POINT)(self.header(received_ns, "map"), place)
+        self.write(topic, message, POINT, received_ns)
 
 
 def write_ros2(path, *, plugin="mcap", compression=None, **options):

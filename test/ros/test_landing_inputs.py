@@ -13,13 +13,12 @@ from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from ros_vehicle import Vehicle, flat_map
 
 from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.ros.landing_inputs import (
-    JOIN_S,
+from quadtree_lss.messages.landing_inputs import (
     MAX_VERTICES,
-    UNHEARD_S,
     polygon_from_message,
     target_from_message,
 )
+from quadtree_lss.ros.landing_inputs import JOIN_S, UNHEARD_S
 from quadtree_lss.ros.messages import header_message, map_messages
 
 pytestmark = pytest.mark.xdist_group("ros_landing")

@@ -11,9 +11,12 @@ import termios
 
 import pytest
 from geometry_msgs.msg import PoseArray
+from replay.recordings import KEEP_OUT, START, LandingRecorder, flight
 from ros.conftest import status_values
-from ros_scene import write_bag
+from ros_scene import last_scan_ns, write_bag
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.replay.bags import Bag
@@ -34,6 +37,54 @@ def test_player_says_who_is_missing(ros):
         play(ros.folder / "flight", wait=0.2, domain_id=ros.domain)
     with pytest.raises(PlayError, match="rate"):
         play(ros.folder / "flight", rate=0.0)
+
+
+def test_player_names_what_is_subscribed_and_reaches_it_by_namespace_and_name(ros):
+    bag = ros.folder / "flight"
+    write_bag(bag, 3)
+    mapping = ros.start("mapping_node", "-r", "__ns:=/lander", "-r", "nav/pose:=/ekf/pose")
+    with ros.listen({"/lander/map/cells": PointCloud2}) as listener:
+        ready = lambda: "lander/mapping_node" in listener.diagnostics  # noqa: E731
+        assert listener.wait_for(ready), mapping.output()
+        with pytest.raises(PlayError, match=r"/lidar/points, /nav/pose .*/ekf/pose, /lander/lidar"):
+            play(bag, wait=4.0, domain_id=ros.domain)
+        options = ["--namespace", "lander", "--remap", "nav/pose:=/ekf/pose", "--rate", "5"]
+        command = [str(program("replay_bag")), str(bag), "--publish", *options]
+        done = subprocess.run(command, env=ros.env, capture_output=True, text=True, check=False)
+        assert done.returncode == 0 and "3 scans" in done.stdout, done.stderr
+        last = last_scan_ns(3)
+        assert listener.wait_for(lambda: listener.stamp("/lander/map/cells") == last)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"remap": ["lidar/point:=/x"]}, "FROM is one of lidar/points, nav/pose"),
+        ({"remap": ["lidar/points"]}, "--remap"),
+        ({"namespace": "no space"}, "--namespace"),
+    ],
+)
+def test_names_that_are_none_are_refused_in_one_line(ros, options, words):
+    write_bag(ros.folder / "flight", 1)
+    with pytest.raises(PlayError, match=words) as caught:
+        play(ros.folder / "flight", wait=0.2, domain_id=ros.domain, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_was_asked_of_landing_is_played_latched(ros):
+    bag = ros.folder / "flight"
+    writer = Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP)
+    with writer:
+        recorder = LandingRecorder(writer)
+        recorder.polygon("/landing/keep_out", KEEP_OUT, START)
+        flight(recorder)
+    ros.start("mapping_node", "-p", "mapping.max_cells:=4096")
+    lss = ros.start("lss_node")
+    with ros.listen() as listener:
+        told = play(bag, start=0.1, rate=2.0, domain_id=ros.domain)
+        assert told.scans == 9
+        held = lambda: status_values(listener, "lss_node").get("landing.keep_out")  # noqa: E731
+        assert listener.wait_for(lambda: held() == "True"), lss.output()
 
 
 def test_pause_by_keyboard_and_by_service_loses_no_scan(ros):

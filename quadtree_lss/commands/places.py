@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Polygons and places on the command line.
+
+A value is a tuple of one, so that ``none``, which lifts what a bag says, differs from no option.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+
+def polygon(text: str) -> tuple[list[list[float]] | None]:
+    """``'0,0 9,0 9,9'``, or ``none``."""
+    corners = _numbers(text)
+    if corners is not None and len(corners) < 3:
+        msg = f"'{text}' has {len(corners)} corners; a polygon has three or more"
+        raise argparse.ArgumentTypeError(msg)
+    return (corners,)
+
+
+def place(text: str) -> tuple[list[float] | None]:
+    """``3,-4``, or ``none``."""
+    corners = _numbers(text)
+    if corners is not None and len(corners) != 1:
+        msg = f"'{text}' is no place X,Y"
+        raise argparse.ArgumentTypeError(msg)
+    return (None if corners is None else corners[0],)
+
+
+def _numbers(text: str) -> list[list[float]] | None:
+    if text.strip() == "none":
+        return None
+    try:
+        corners = [[float(v) for v in pair.split(",")] for pair in text.split()]
+    except ValueError:
+        corners = []
+    good = all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in corners)
+    if not corners or not good:
+        msg = f"'{text}' does not consist of pairs X,Y of numbers in m, apart by blanks"
+        raise argparse.ArgumentTypeError(msg)
+    return corners
