@@ -108,7 +108,7 @@ def play(
     with what was said before the part that is played. A bag that holds maps and no scans is played
     on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses, or maps, have a
     subscriber, and at the end until all was acknowledged. The services ``/bag_player/pause``,
-    ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of the terminal it runs in.
+    ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of its terminal.
 
     Args:
         bag: Directory or single file.

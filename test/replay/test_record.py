@@ -99,9 +99,9 @@ def test_halves_of_different_maps_are_not_joined(recorded):
     with Bag(recorded[1]) as bag:
         pairs = MapPairs.find(bag)
         cells, observed = (list(bag.messages([topic])) for topic in pairs.topics)
-        assert pairs.take(bag, cells[0]) is None
-        assert pairs.take(bag, observed[1]) is None
-        assert pairs.take(bag, cells[1]) is not None
+        assert pairs.take(bag, cells[0], CONFIG.lss) is None
+        assert pairs.take(bag, observed[1], CONFIG.lss) is None
+        assert pairs.take(bag, cells[1], CONFIG.lss) is not None
 
 
 def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
