@@ -409,6 +409,12 @@ class QosConfig:
         "best effort matches any publisher; reliable loses no scan",
         choices=("best_effort", "reliable"),
     )
+    overload: str = _p(
+        "newest",
+        "when scans come faster than they can be mapped: leave out old ones, so that the map stays "
+        "younger than diagnostics.warn_age, or map all, however late",
+        choices=("newest", "all"),
+    )
     scan_depth: int = _p(50, "scans the middleware may queue", low=1, high=1000)
     pose_depth: int = _p(200, "poses the middleware may queue", low=100, high=100000)
 

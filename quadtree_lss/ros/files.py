@@ -71,8 +71,8 @@ def error_text(path: Path, done: str, error: Exception) -> str:
     return f"{path}: cannot be {done}: {reason or str(error).removeprefix(f'{path}: ')}"
 
 
-def read_file(path: Path, root: str = "") -> bytes:
-    """Content of a regular file.
+def read_file(path: Path, root: str, most: int) -> bytes:
+    """Content of a regular file, of which no more than ``most`` bytes.
 
     Raises:
         MapFileError: it is none or cannot be read.
@@ -80,7 +80,7 @@ def read_file(path: Path, root: str = "") -> bytes:
     target = regular_file(path, root)
     try:
         with open(os.open(target, READ), "rb") as file:
-            return file.read()
+            return file.read(most)
     except OSError as error:
         raise MapFileError(error_text(path, "read", error)) from None
 

@@ -169,13 +169,16 @@ class LssNode(Node):
         self._map.take()
         limits = self._settings.config.diagnostics
         status.judge_age("map", self._map_topic, self._map.arrivals, limits)
+        latency = self._latency_ms.take()
+        text = "by the map's stamp and this node's clock, sites are sent after"
+        status.judge_delay(text, latency, limits)
         status.add(
             {
                 "map.refused": self._map.refusals,
                 "map.publishers": self._map_publishers.number,
                 "assessments": self._assessments,
                 "lss_ms": self._lss_ms.take(),
-                "latency_ms": self._latency_ms.take(),
+                "latency_ms": latency,
             }
         )
         status.add({f"landing.{name}": state for name, state in self._inputs.states().items()})

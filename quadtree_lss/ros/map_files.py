@@ -9,7 +9,11 @@ from typing import Any
 
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.tree.checkpoint import CheckpointError, check, from_bytes, to_bytes
+from quadtree_lss.core.tree.leaves import LEAF
 from quadtree_lss.ros.files import MapFileError, read_file, write_atomically
+
+OVERHEAD = 1_000_000
+"""Of an archive, in bytes, over the leaves and the mask of what was observed."""
 
 
 class WrongContentError(MapFileError):
@@ -62,7 +66,11 @@ def load(path: Path, mapper: Mapper, root: str = "") -> None:
         MapFileError: not readable; the mapper is then unchanged.
         WrongContentError: damaged, of another domain; the mapper is then unchanged.
     """
-    content = read_file(path, root)
+    most = mapper.config.mapping.max_cells * LEAF.itemsize + 4**mapper.domain.max_level + OVERHEAD
+    content = read_file(path, root, most + 1)
+    if len(content) > most:
+        msg = f"{path}: is larger than any map of this configuration, {most} bytes"
+        raise WrongContentError(msg)
     try:
         mapper.import_state(from_bytes(content))
     except CheckpointError as error:

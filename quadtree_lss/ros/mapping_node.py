@@ -32,6 +32,7 @@ from quadtree_lss.ros.markers import MarkerPublisher, cell_markers
 from quadtree_lss.ros.messages import header_message, map_messages
 from quadtree_lss.ros.monitor import Arrivals, Durations
 from quadtree_lss.ros.node_runner import run
+from quadtree_lss.ros.overload import Overload
 from quadtree_lss.ros.parameters import NodeParameters
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.publishers import Publishers
@@ -41,6 +42,7 @@ from quadtree_lss.ros.scan_gaps import ScanGaps
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
 ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"
+MAP_LATE = "by the scans' stamps and this node's clock, maps are sent after"
 LOOK_PERIOD_S = 0.1
 """How often poses are taken and waiting scans looked at while nothing wakes the node."""
 
@@ -66,6 +68,7 @@ class MappingNode(Node):
         )
         self._problems = Problems(self.get_logger())
         self._gaps = ScanGaps(self._topics[SCANS], self._problems)
+        self._overload = Overload(self._topics[SCANS], self._problems)
         effect = "they are taken as one's; scans are mapped between poses of different ones"
         self._pose_publishers = Publishers(
             self._topics[POSES], "pose_publishers", effect, self._problems
@@ -151,7 +154,9 @@ class MappingNode(Node):
         self._arrived["scan"].add()
         self._gaps.on_scan(info["publication_sequence_number"])
         self._take_ahead()
-        self._intake.on_cloud(message, arrival_ns)
+        work_ms = self._map_ms.last + self._publish_ms.last
+        if self._overload.takes(info["received_timestamp"], self._settings.config, work_ms):
+            self._intake.on_cloud(message, arrival_ns)
         self._work()
 
     def _on_pose(self, message: Any) -> None:
@@ -272,18 +277,23 @@ class MappingNode(Node):
         unused = self.resolve_topic_name(f"nav/{other}")
         if not self._arrived["pose"].count and self.count_publishers(unused):
             status.note(WARN, f"'{unused}' is published: pose.source: {other} takes it")
+        wait, latency = self._overload.waits.take(), self._latency_ms.take()
+        status.judge_delay("scans wait to be mapped for", wait, config.diagnostics)
+        status.judge_delay(MAP_LATE, latency, config.diagnostics)
+        dropped = {**self._intake.dropped, "overload": self._overload.dropped}
         status.add(
             {
                 "scans": self._scans,
                 "scans.waiting": len(self._intake.queue),
-                **{f"scans.dropped.{key}": n for key, n in self._intake.dropped.items()},
+                **{f"scans.dropped.{key}": n for key, n in dropped.items()},
                 **{f"points.dropped.{key}": n for key, n in self._points_dropped.items()},
                 "map.stamp_ns": self._mapper.stamp_ns,
                 "map.leaves": self._mapper.leaves.count,
                 "map.refused_divisions": self._divisions_refused,
                 "map_ms": self._map_ms.take(),
                 "publish_ms": self._publish_ms.take(),
-                "latency_ms": self._latency_ms.take(),
+                "wait_ms": wait,
+                "latency_ms": latency,
             }
         )
         if self._checkpoints is not None:

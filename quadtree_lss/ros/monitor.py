@@ -52,14 +52,20 @@ class Span(NamedTuple):
 
 
 class Durations:
-    """Durations since they were last asked for."""
+    """Durations since they were last asked for.
+
+    Attributes:
+        last: The last one, ms.
+    """
 
     def __init__(self) -> None:
+        self.last = 0.0
         self._sum = self._worst = 0.0
         self._count = 0
 
     def add(self, milliseconds: float) -> None:
         """One more."""
+        self.last = milliseconds
         self._worst = milliseconds if self._count == 0 else max(self._worst, milliseconds)
         self._sum += milliseconds
         self._count += 1

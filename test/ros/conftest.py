@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,16 @@ def has(listener: Listener, key: str, number: int, node: str = "mapping_node") -
 def at_least(listener: Listener, key: str, number: int, node: str = "mapping_node") -> bool:
     """True if a diagnostic value is this number or more."""
     return int(status_values(listener, node).get(key, 0)) >= number
+
+
+@contextmanager
+def process(command: list[str], **how: Any) -> Iterator[subprocess.Popen[str]]:
+    """A program that ends with the context, whatever happens."""
+    with subprocess.Popen(command, text=True, **how) as running:
+        try:
+            yield running
+        finally:
+            running.kill()
 
 
 class Ros:

@@ -14,7 +14,7 @@ import time
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from ros.conftest import at_least, has
+from ros.conftest import at_least, has, process
 from ros_scene import Sensors
 
 from quadtree_lss.config.loading import load_config
@@ -182,9 +182,7 @@ def test_a_node_that_dies_of_an_exception_leaves_its_checkpoint_alone(ros):
     command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params), *args]
     with (
         ros.listen() as listener,
-        subprocess.Popen(
-            command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE, text=True
-        ) as faulty,
+        process(command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE) as faulty,
     ):
         sensors = Sensors(listener)
         sensors.wait_for_subscribers()

@@ -146,6 +146,14 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path):
     assert path.read_bytes() == b"old" and os.listdir(tmp_path) == ["map"]
 
 
+def test_a_file_larger_than_any_map_is_not_read_into_memory(tmp_path):
+    path = tmp_path / "map"
+    with path.open("wb") as file:
+        file.truncate(10**12)
+    with pytest.raises(WrongContentError, match="larger than any map"):
+        load(path, Mapper(load_config(overrides=SMALL)))
+
+
 def kept(path, scans):
     """A keeper of checkpoints, after writing one for each of so many scans; and its mapper."""
     mapper = Mapper(load_config(overrides=SMALL))

@@ -42,6 +42,12 @@ def status_values(listener, name):
     return {} if status is None else {item.key: item.value for item in status.values}
 
 
+def agree(listener, keys):
+    """True if both nodes say the same of what both know."""
+    one, other = (status_values(listener, name) for name in ("mapping_node", "lss_node"))
+    return all(one.get(key) == other.get(key, "") for key in keys)
+
+
 def has_stamp(listener, topic, stamp):
     """True if the newest message of a topic carries this stamp."""
     return listener.stamp(topic) == stamp
@@ -60,8 +66,9 @@ def test_scans_and_poses_become_ranked_sites(ros):
         newest = dict(listener.newest)
         counts = functools.partial(status_values, listener, "mapping_node")
         assert listener.wait_for(lambda: counts().get("scans") == str(SCANS)), counts()
-        for name in ("mapping_node", "lss_node"):
-            assert status_values(listener, name)["build"] == build.name()
+        agreed = functools.partial(agree, listener, ("build", "map.stamp_ns", "map.leaves"))
+        assert listener.wait_for(agreed), listener.diagnostics
+        assert counts()["build"] == build.name()
 
     cells = map_from_messages(newest["map/cells"], newest["map/observed"])
     assert cells.stamp_ns == last

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scans that come faster than they can be mapped: the map stays young, or it is told."""
+
+from __future__ import annotations
+
+import functools
+import sys
+import time
+
+import pytest
+from ros.conftest import process, status_values
+from ros_scene import Sensors, cloud, pose
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.messages.clouds import stamp_ns
+from quadtree_lss.ros.overload import LEAST_S, SHARE, Overload, allowance
+from quadtree_lss.ros.problems import Problems
+from quadtree_lss.ros.qos import latched
+
+pytestmark = pytest.mark.xdist_group("ros_faults")
+
+SLOW = """
+import sys
+import time
+import quadtree_lss.core.mapping.mapper as mapper
+from quadtree_lss.ros.mapping_node import main
+
+whole = mapper.Mapper.update
+
+def update(self, *scan):
+    time.sleep(0.12)
+    return whole(self, *scan)
+
+mapper.Mapper.update = update
+sys.exit(main())
+"""
+"""A node that takes four times as long for a scan as the next takes to come."""
+
+
+class Log:
+    def warning(self, message):
+        """Nobody reads it."""
+
+
+def received(waited):
+    return time.time_ns() - round(1e9 * waited)
+
+
+def test_the_allowance_leaves_time_to_map_and_publish():
+    config = load_config(overrides={"diagnostics.warn_age": 1.0, "publish.rate": 10.0})
+    assert allowance(config, 50.0) == pytest.approx(0.8)
+    assert allowance(config, 5000.0) == LEAST_S, "or no scan would ever be mapped"
+    slow = load_config(overrides={"diagnostics.warn_age": 1.0, "publish.rate": 0.1})
+    assert allowance(slow, 0.0) == pytest.approx(0.5)
+
+
+def test_a_hold_up_costs_nothing_and_an_overload_old_scans():
+    config, busy = load_config(), 50.0
+    limit = allowance(config, busy)
+    overload = Overload("scans", Problems(Log()))
+    assert overload.takes(received(0.9 * limit), config, busy)
+    assert not overload.takes(received(1.1 * limit), config, busy)
+    assert not overload.takes(received(0.9 * limit), config, busy), "overloaded now"
+    assert overload.takes(received(0.8 * SHARE * limit), config, busy)
+    assert overload.takes(0, config, busy), "the middleware does not say when it came"
+    assert overload.takes(received(-100.0), config, busy), "the clock was set back"
+    assert overload.dropped == 2 and overload.waits.take().worst < 1e3 * limit
+    every = load_config(overrides={"qos.overload": "all"})
+    assert overload.takes(received(100.0), every, busy)
+    assert overload.waits.take().worst == pytest.approx(1e5, rel=0.01)
+
+
+@pytest.mark.parametrize("policy", ["newest", "all"])
+def test_maps_of_an_overloaded_node(ros, policy):
+    args = ["--params-file", str(ros.params), "-p", f"qos.overload:={policy}"]
+    command = [sys.executable, "-c", SLOW, "--ros-args", *args]
+    ages = []
+    with (
+        ros.listen({}) as listener,
+        process(command, env=ros.env, cwd=ros.folder) as node,
+    ):
+        listener.node.create_subscription(
+            PointCloud2,
+            "map/cells",
+            lambda message: ages.append(1e-9 * (time.time_ns() - stamp_ns(message.header))),
+            latched(),
+        )
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        for _ in range(2):  # as of now
+            sensors.publish(
+                60,
+                make_cloud=lambda stamp, points: cloud(time.time_ns(), points),
+                make_pose=lambda stamp: pose(time.time_ns()),
+            )
+        values = functools.partial(status_values, listener, "mapping_node")
+        if policy == "all":
+            late = functools.partial(
+                told, listener, "scans wait to be mapped", "maps are sent after"
+            )
+            assert listener.wait_for(late), values()
+            assert max(ages) > 1.0 and values()["scans.dropped.overload"] == "0"
+        else:
+            assert listener.wait_for(functools.partial(all_accounted, values)), values()
+            assert len(ages) > 10 and max(ages) < 1.0, ages
+            assert 0 < int(values()["scans.dropped.overload"]) == int(values()["problems.overload"])
+        node.terminate()
+        assert node.wait(60.0) == 0
+
+
+def told(listener, *words):
+    status = listener.diagnostics.get("mapping_node")
+    return status is not None and all(word in status.message for word in words)
+
+
+def all_accounted(values):
+    """True if every scan that came was mapped, waits or was dropped for a reason."""
+    found = {
+        key: int(value)
+        for key, value in values().items()
+        if key.startswith("scan") and value.isdigit()
+    }
+    dropped = sum(number for key, number in found.items() if key.startswith("scans.dropped."))
+    total = found.get("scans", 0) + found.get("scans.waiting", 0) + dropped
+    return found.get("scan.received") == total == 120
