@@ -158,6 +158,7 @@ setup(
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{NAME}/rviz", sorted(glob("rviz/*.rviz"))),
         (f"share/{NAME}/foxglove", sorted(glob("foxglove/*.json"))),
+        (f"share/{NAME}/examples", sorted(glob("examples/*.py"))),
         (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
         # pip puts console scripts into bin/ only; these start them from where ROS looks, which
         # colcon itself sees to.

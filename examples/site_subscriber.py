@@ -1,66 +1,77 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps a landing target from ``landing/sites``: the example of docs/guidance.md.
+"""Follows the target of ``landing/selected``: what a guidance node does with it, and no more.
 
-The target stays as long as the ranking still offers a site within HOLD of it; otherwise the first
-site is taken. Run it beside the nodes: ``python3 examples/site_subscriber.py``.
+The target holds by itself: while landing there is permitted it stays, whatever the ranking does. So
+a guidance node flies to the last one, and has none after a message without a place (NaN) or when
+``lss_node`` is heard of no more. Run it beside the nodes: ``python3 site_subscriber.py``.
 """
 
 import math
 
 import rclpy
-from geometry_msgs.msg import PointStamped, PoseArray
+from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-HOLD = 2.0  # m, horizontal
-LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED = {
+    "depth": 1,
+    "reliability": ReliabilityPolicy.RELIABLE,
+    "durability": DurabilityPolicy.TRANSIENT_LOCAL,
+}
+DEADLINE = Duration(seconds=1.0)  # lss_node says its target again before that
 
 
-class TargetKeeper(Node):
-    """Publishes the held target on ``guidance/target``."""
+class TargetFollower(Node):
+    """Publishes the target to fly to on ``guidance/target``; NaN when there is none."""
 
     def __init__(self):
-        super().__init__("target_keeper")
+        super().__init__("target_follower")
         self._target = None
-        self._output = self.create_publisher(PointStamped, "guidance/target", LATCHED)
-        self.create_subscription(PoseArray, "landing/sites", self._on_sites, LATCHED)
+        self._output = self.create_publisher(PointStamped, "guidance/target", QoSProfile(**LATCHED))
+        self.create_subscription(
+            PoseWithCovarianceStamped,
+            "landing/selected",
+            self._on_selected,
+            QoSProfile(**LATCHED, deadline=DEADLINE),
+            event_callbacks=SubscriptionEventCallbacks(deadline=self._on_silence),
+        )
 
-    def _on_sites(self, message):
-        sites = [pose.position for pose in message.poses]
-        if not sites:
-            self._target = None
-            self.get_logger().warning("no safe site on the present map")
+    def _on_selected(self, message):
+        place = message.pose.pose.position
+        if math.isnan(place.x):
+            self._take(None, message.header, "withdrawn: landing/status tells why")
             return
-        target = choose(self._target, sites)
-        if self._target is None or distance(target, self._target) > HOLD:
-            self.get_logger().info(f"target {target.x:.2f} {target.y:.2f} {target.z:.2f} m")
-        self._target = target
-        self._output.publish(PointStamped(header=message.header, point=target))
+        sigma = math.sqrt(message.pose.covariance[14])
+        self._take(place, message.header, f"height known to {sigma:.2f} m")
 
+    def _on_silence(self, event):
+        self._take(None, None, "lss_node is not heard of")
 
-def distance(a, b):
-    """Horizontal, m."""
-    return math.hypot(a.x - b.x, a.y - b.y)
-
-
-def choose(held, sites):
-    """The site nearest to the held target if it is within HOLD, else the best one."""
-    if held is None:
-        return sites[0]
-    nearest = min(sites, key=lambda site: distance(site, held))
-    return nearest if distance(nearest, held) <= HOLD else sites[0]
+    def _take(self, place, header, remark):
+        if place == self._target:
+            return
+        self._target = place
+        output = PointStamped()
+        output.point.x = output.point.y = output.point.z = math.nan
+        if header is not None:
+            output.header = header
+        if place is None:
+            self.get_logger().warning(f"no target: {remark}")
+        else:
+            output.point = place
+            text = f"target {place.x:.2f} {place.y:.2f} {place.z:.2f} m, {remark}"
+            self.get_logger().info(text)
+        self._output.publish(output)
 
 
 def main():
     """Runs until it is told to stop."""
     rclpy.init()
-    node = TargetKeeper()
+    node = TargetFollower()
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -42,6 +42,7 @@ TOPICS = {
         "landing/sites",
         "landing/site_table",
         "landing/selected",
+        "landing/status",
         "landing/hazards",
         "landing/score",
         "landing/probability",

@@ -44,7 +44,7 @@ def test_installed_files_are_those_of_the_checkout():
         copy = installed / source.relative_to(package)
         assert copy.read_bytes() == source.read_bytes(), f"{copy} is stale: make setup"
     shared = (("launch", "*.launch.py"), ("config", "*.yaml"), ("rviz", "*.rviz"))
-    shared += (("foxglove", "*.json"),)
+    shared += (("foxglove", "*.json"), ("examples", "*.py"))
     for folder, pattern in shared:
         names = {path.name for path in (ROOT / folder).glob(pattern)}
         assert names and names == {path.name for path in (SHARE / folder).glob(pattern)}
@@ -88,6 +88,7 @@ def test_manifest_names_every_ros_package_that_is_imported():
     manifest = ElementTree.parse(ROOT / "package.xml").getroot()
     depends = {item.text for item in manifest.findall("exec_depend")}
     ours = [*(ROOT / "quadtree_lss" / "ros").glob("*.py"), *(ROOT / "launch").glob("*.py")]
+    ours += (ROOT / "examples").glob("*.py")
     imported = {name for path in ours for name in _imports(path)}
     of_ros = {n for n in imported if n.endswith(("_msgs", "_interfaces")) or n == "rclpy"}
     of_ros |= imported & {"launch", "launch_ros"}
