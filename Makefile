@@ -18,7 +18,7 @@ DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
 PACKAGE := $(VENV)/.package
 EXTRAS_wheels := [wheels,test]
 EXTRAS_sourced := [test]
-SOURCES := $(shell find quadtree_lss launch rviz foxglove config examples scripts resource -type f \
+SOURCES := $(shell find quadtree_lss launch rviz foxglove security config examples scripts resource -type f \
     -not -path '*/__pycache__/*' -not -name '*.so') package.xml pyproject.toml setup.py setup.cfg
 
 # The installed package, not the checkout, is what every target runs.

@@ -157,6 +157,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{NAME}/rviz", sorted(glob("rviz/*.rviz"))),
+        (f"share/{NAME}/security", ["security/policy.xml"]),
         (f"share/{NAME}/foxglove", sorted(glob("foxglove/*.json"))),
         (f"share/{NAME}/examples", sorted(glob("examples/*.py"))),
         (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),

@@ -59,6 +59,10 @@ def generate_launch_description() -> LaunchDescription:
         "namespace": ("", "namespace of nodes and topics"),
         "use_sim_time": ("", "true or false: time from /clock; empty leaves it as it is set"),
         "log_level": ("", "debug, info, warn, error or fatal; empty leaves it as it is set"),
+        "enclave": (
+            "",
+            "folder of the nodes' SROS 2 enclaves, as /quadtree_lss; empty = not given",
+        ),
         "respawn": ("true", "start a node that has ended again, unless its configuration is wrong"),
     }
     for topic in sorted({topic for topics in TOPICS.values() for topic in topics}):
@@ -86,6 +90,7 @@ def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     if given("nav_odometry") != "nav/odometry":
         sources = [{"pose.source": "odometry"}]
     log_level = ["--log-level", given("log_level")] if given("log_level") else []
+    enclave = given("enclave").rstrip("/")
     entities: list[LaunchDescriptionEntity] = []
     for name, topics in TOPICS.items():
         node = Node(
@@ -99,7 +104,7 @@ def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
                 for topic in topics
                 if given(_argument(topic)) != topic
             ],
-            ros_arguments=log_level,
+            ros_arguments=[*log_level, *(["--enclave", f"{enclave}/{name}"] if enclave else [])],
             output="screen",
             respawn=_truth("respawn", given("respawn")),
             respawn_delay=1.0,

@@ -112,6 +112,12 @@ def test_log_level_namespace_and_respawn(make):
         assert node.namespace == "lander" and node.respawn is False
 
 
+def test_each_node_has_an_enclave_of_its_own_if_asked_for(make):
+    nodes, _ = make(enclave="/quadtree_lss/")
+    for name, node in nodes.items():
+        assert node.ros_arguments == ["--enclave", f"/quadtree_lss/{name}"]
+
+
 @pytest.mark.parametrize(("code", "final"), [(0, False), (1, False), (-9, False), (2, True)])
 def test_a_wrong_configuration_is_not_tried_again(make, code, final):
     nodes, others = make()

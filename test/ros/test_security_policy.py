@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The SROS 2 policy names what the nodes use, no less and no more."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from quadtree_lss.ros.processes import program
+
+pytestmark = pytest.mark.xdist_group("ros_landing")
+
+POLICY = Path(__file__).parents[2] / "security" / "policy.xml"
+WAYS = (
+    {"mount.gimbal": "true", "use_sim_time": "true"},
+    {"pose.source": "odometry"},
+)
+"""Parameters by which a node subscribes to something else."""
+UNSEEN = {("subscribe", "/tf_static")}
+"""Its messages come with ROS itself, not with the wheels."""
+
+
+def allowed(name):
+    """(what, full name) of a node's profile; ``what`` as in `used`."""
+    profile = ElementTree.parse(POLICY).find(f".//profile[@node='{name}']")
+    found = set()
+    for group in profile:
+        (what,) = group.attrib
+        assert group.get(what) == "ALLOW"
+        names = (item.text.replace("~", f"/{name}") for item in group)
+        found |= {(what, item if item.startswith("/") else f"/{item}") for item in names}
+    return found
+
+
+def used(node, name):
+    """What the node of this name does, as the graph has it."""
+    ask = {
+        "publish": node.get_publisher_names_and_types_by_node,
+        "subscribe": node.get_subscriber_names_and_types_by_node,
+        "reply": node.get_service_names_and_types_by_node,
+        "request": node.get_client_names_and_types_by_node,
+    }
+    return {(what, topic) for what, names in ask.items() for topic, _ in names(name, "/")}
+
+
+def test_a_node_without_its_keys_does_not_start_unprotected(ros):
+    secure = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    env = {**ros.env, **secure, "ROS_SECURITY_KEYSTORE": str(ros.folder)}
+    command = [program("lss_node"), "--ros-args", "--enclave", "/quadtree_lss/lss_node"]
+    ended = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+    assert ended.returncode != 0 and "Traceback" not in ended.stderr
+    assert ended.stderr.splitlines()[-1].startswith("error: ") and "SECURITY" in ended.stderr
+
+
+@pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
+def test_each_node_uses_what_the_policy_allows_it(ros, name):
+    seen = set()
+    for way in WAYS:
+        args = [text for key, value in way.items() for text in ("-p", f"{key}:={value}")]
+        process = ros.start(name, *args)
+        with ros.listen({}) as listener:
+            # All of a node is announced at its start; it speaks once it has been made.
+            assert listener.wait_for(lambda: name in listener.diagnostics), process.output()
+            seen |= used(listener.node, name)
+        process.stop()
+    wanted = allowed(name)
+    assert seen - wanted == set(), "missing in security/policy.xml"
+    assert wanted - seen - UNSEEN == set(), "more than needed in security/policy.xml"
