@@ -61,21 +61,36 @@ CELL_FIELDS: tuple[tuple[str, str], ...] = (
     ("level", "u1"),
     ("min_level", "u1"),
     ("measured", "u1"),
+    ("offset_z", "f4"),
+    ("offset_variance", "f4"),
 )
 
 #: Fields of a ``landing/site_table`` point.
-SITE_FIELDS: tuple[tuple[str, str], ...] = tuple(
-    (name, "f4")
-    for name in (
-        "x",
-        "y",
-        "z",
-        "score",
-        "slope",
-        "roughness",
-        "hazard_distance",
-        "subscale_height",
-    )
+SITE_FIELDS: tuple[tuple[str, str], ...] = (
+    ("x", "f4"),
+    ("y", "f4"),
+    ("z", "f4"),
+    ("score", "f4"),
+    ("slope", "f4"),
+    ("roughness", "f4"),
+    ("hazard_distance", "f4"),
+    ("subscale_height", "f4"),
+    ("id", "u4"),
+    ("answer", "u4"),
+)
+
+#: Fields of the one ``landing/status`` point.
+STATUS_FIELDS: tuple[tuple[str, str], ...] = (
+    ("x", "f4"),
+    ("y", "f4"),
+    ("z", "f4"),
+    ("hazard_distance", "f4"),
+    ("age", "f4"),
+    ("offset_z", "f4"),
+    ("offset_variance", "f4"),
+    ("id", "u4"),
+    ("answer", "u4"),
+    ("reason", "u1"),
 )
 
 
@@ -100,6 +115,7 @@ def encode_cells(cells: CellMap) -> NDArray[np.void]:
     out["count"], out["ix"], out["iy"] = cells.count, cells.ix, cells.iy
     out["level"], out["min_level"] = cells.level, cells.domain.min_level
     out["measured"] = cells.measured
+    out["offset_z"], out["offset_variance"] = cells.offset_z, cells.offset_variance
     return out
 
 
@@ -172,6 +188,8 @@ def decode_cells(
         exception_fraction=records["exception_fraction"].astype(np.float64),
         feature=_columns(records, _FEATURE),
         observed=observed,
+        offset_z=float(records["offset_z"][0]),
+        offset_variance=float(records["offset_variance"][0]),
     )
     _check(cells)
     return cells
@@ -229,6 +247,25 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
     out["score"], out["slope"] = sites.score, np.radians(sites.slope_deg)
     out["roughness"], out["hazard_distance"] = sites.roughness, sites.hazard_distance
     out["subscale_height"] = sites.subscale_height
+    out["id"], out["answer"] = sites.id, assessment.answer
+    return out
+
+
+def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]:
+    """The one record (1,) of ``record_dtype(STATUS_FIELDS)``.
+
+    Args:
+        assessment: The answer.
+        age: Of its map when it is sent, s; NaN if unknown.
+    """
+    selected = assessment.selected
+    out = np.zeros(1, dtype=record_dtype(STATUS_FIELDS))
+    for axis, name in enumerate("xyz"):
+        out[name] = selected.position[axis]
+    out["hazard_distance"] = selected.site.hazard_distance if selected.id else np.nan
+    out["age"] = age
+    out["offset_z"], out["offset_variance"] = assessment.offset_z, assessment.offset_variance
+    out["id"], out["answer"], out["reason"] = selected.id, assessment.answer, selected.reason
     return out
 
 

@@ -20,6 +20,7 @@ from quadtree_lss.messages.maps import (
     CELL_FIELDS,
     POINT_FIELD_TYPES,
     SITE_FIELDS,
+    STATUS_FIELDS,
     MapMessageError,
     decode_cells,
     encode_cells,
@@ -27,6 +28,7 @@ from quadtree_lss.messages.maps import (
     encode_observed,
     encode_score,
     encode_sites,
+    encode_status,
     record_dtype,
     site_orientations,
 )
@@ -37,10 +39,12 @@ if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs
 CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"
 HAZARDS, SCORE = "landing/hazards", "landing/score"
+SELECTED, STATUS = "landing/selected", "landing/status"
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
 POSES_TYPE = "geometry_msgs/msg/PoseArray"
+SELECTED_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TOPIC_TYPES = {
     CELLS: CLOUD_TYPE,
     OBSERVED: GRID_TYPE,
@@ -48,6 +52,8 @@ TOPIC_TYPES = {
     SITE_TABLE: CLOUD_TYPE,
     HAZARDS: GRID_TYPE,
     SCORE: GRID_TYPE,
+    SELECTED: SELECTED_TYPE,
+    STATUS: CLOUD_TYPE,
 }
 """Relative names of the outputs and their types."""
 
@@ -140,8 +146,11 @@ class MessageMaker:
         values, corner = encode_observed(cells.observed), (domain.xmin, domain.ymin)
         yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
 
-    def of_landing(self, assessment: LandingAssessment) -> Iterator[Named]:
-        """The four ``landing/`` topics, sites last; grid nodes are the centres of their cells."""
+    def of_landing(
+        self, assessment: LandingAssessment, age: float = float("nan")
+    ) -> Iterator[Named]:
+        """The ``landing/`` topics, target first; grid points are the centres of their cells."""
+        yield from self.of_target(assessment, age)
         stamp, x, y = assessment.stamp_ns, assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
         corner = (float(x[0]) - 0.5 * spacing, float(y[0]) - 0.5 * spacing)
@@ -149,6 +158,12 @@ class MessageMaker:
         yield SCORE, self.grid(encode_score(assessment), corner, spacing, stamp)
         yield SITE_TABLE, self.cloud(encode_sites(assessment), SITE_FIELDS, stamp)
         yield SITES, self.sites(assessment)
+
+    def of_target(self, assessment: LandingAssessment, age: float) -> Iterator[Named]:
+        """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown."""
+        yield SELECTED, self.selected(assessment)
+        record = encode_status(assessment, age)
+        yield STATUS, self.cloud(record, STATUS_FIELDS, assessment.stamp_ns)
 
     def cloud(self, records: NDArray[np.void], fields: Fields, stamp: int) -> Any:
         """PointCloud2 with one point per record (M,) of ``record_dtype(fields)``, packed."""
@@ -200,6 +215,17 @@ class MessageMaker:
         poses = [self._pose(p, q) for p, q in zip(sites.position, turns, strict=True)]
         header = self._header(assessment.stamp_ns)
         return self._make(POSES_TYPE, header=header, poses=poses)
+
+    def selected(self, assessment: LandingAssessment) -> Any:
+        """The target; one without a place (NaN) if there is none."""
+        target = assessment.selected
+        turn = site_orientations(target.site.normal)[0] if target.id else (0.0, 0.0, 0.0, 1.0)
+        pose = self._make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=self._pose(target.position, turn),
+            covariance=target.covariance.ravel(),
+        )
+        return self._make(SELECTED_TYPE, header=self._header(assessment.stamp_ns), pose=pose)
 
     def _make(self, kind: str, /, **values: Any) -> Any:
         return self._types[kind](**values)

@@ -11,7 +11,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -29,6 +29,8 @@ TOPICS: Mapping[str, Any] = {
     "landing/site_table": PointCloud2,
     "landing/hazards": OccupancyGrid,
     "landing/score": OccupancyGrid,
+    "landing/selected": PoseWithCovarianceStamped,
+    "landing/status": PointCloud2,
 }
 
 

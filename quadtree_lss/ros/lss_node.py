@@ -29,6 +29,7 @@ from quadtree_lss.ros.publishers import Publishers
 from quadtree_lss.ros.qos import advertise, latched, subscribe
 from quadtree_lss.ros.rate_limit import ChangePublisher
 from quadtree_lss.ros.received_map import ReceivedMap
+from quadtree_lss.ros.target_output import TargetOutput
 
 if TYPE_CHECKING:
     from quadtree_lss.core.landing.sites import LandingAssessment
@@ -62,7 +63,6 @@ class LssNode(Node):
         subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._map_publishers.changed)
         subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
         self._result: LandingAssessment | None = None
-        self._assessments = 0
         self._assessed: CellMap | None = None
         self._withheld = ""
         self._asked = False
@@ -80,6 +80,7 @@ class LssNode(Node):
                 ("landing/score", OccupancyGrid),
             )
         }
+        self._target = TargetOutput(self, self._age, self._release)
         self._markers = MarkerPublisher(
             self,
             config.publish.marker_rate,
@@ -102,6 +103,17 @@ class LssNode(Node):
         """Something else than the map changed."""
         self._asked = True
         self._output.changed()
+
+    def _release(self) -> None:
+        """Somebody asked for another target."""
+        self._selector.release()
+        self._asked = True
+        self._output.now()
+
+    def _age(self, stamp_ns: int) -> float:
+        """Of what has a stamp, by the node's clock, s; NaN if the two are not of one time."""
+        latency = self._diagnostics.latency_ms(stamp_ns)
+        return float("nan") if latency is None else 1e-3 * latency
 
     def _on_cells(self, message: Any) -> None:
         if self._map.on_cells(message):
@@ -138,10 +150,13 @@ class LssNode(Node):
         restrictions = {**self._inputs.restrictions(), "withheld": withheld}
         result = self._selector.assess(cells, **restrictions)
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
+        self._target.send(result, self._map.frame)
         for topic, message in landing_messages(result, self._map.frame).items():
-            self._landing[topic].publish(message)
-        self._assessments += 1
+            if topic in self._landing:
+                self._landing[topic].publish(message)
         self._result = result
+        if result.pending:
+            self._ask()
         self._tell_first(result)
         self._markers.changed()
         latency = self._diagnostics.latency_ms(result.stamp_ns)
@@ -176,7 +191,7 @@ class LssNode(Node):
             {
                 "map.refused": self._map.refusals,
                 "map.publishers": self._map_publishers.number,
-                "assessments": self._assessments,
+                "assessments": 0 if self._result is None else self._result.answer,
                 "lss_ms": self._lss_ms.take(),
                 "latency_ms": latency,
             }
@@ -199,6 +214,8 @@ class LssNode(Node):
                 "map.stamp_ns": result.stamp_ns,
                 "map.leaves": len(self._map.cells.level),
                 "sites": count,
+                "target.id": result.selected.id,
+                "target.reason": result.selected.reason.key,
                 "explanation": result.explanation,
             }
         )

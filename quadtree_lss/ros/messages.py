@@ -7,7 +7,14 @@ from array import array
 from typing import TYPE_CHECKING, Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseArray,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Quaternion,
+)
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
@@ -26,6 +33,7 @@ __all__ = [
     "map_from_messages",
     "map_messages",
     "message_maker",
+    "target_messages",
     "time_message",
 ]
 
@@ -34,6 +42,8 @@ _TYPES = {
     "geometry_msgs/msg/Point": Point,
     "geometry_msgs/msg/Pose": Pose,
     "geometry_msgs/msg/PoseArray": PoseArray,
+    "geometry_msgs/msg/PoseWithCovariance": PoseWithCovariance,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": PoseWithCovarianceStamped,
     "geometry_msgs/msg/Quaternion": Quaternion,
     "nav_msgs/msg/MapMetaData": MapMetaData,
     "nav_msgs/msg/OccupancyGrid": OccupancyGrid,
@@ -54,9 +64,22 @@ def map_messages(cells: CellMap, frame: str) -> tuple[PointCloud2, OccupancyGrid
     return cloud, grid
 
 
-def landing_messages(assessment: LandingAssessment, frame: str) -> dict[str, Any]:
-    """The ``landing/`` topics by relative name, in the order in which they are sent."""
-    return dict(message_maker(frame).of_landing(assessment))
+def landing_messages(
+    assessment: LandingAssessment, frame: str, age: float = float("nan")
+) -> dict[str, Any]:
+    """The ``landing/`` topics by relative name, in the order in which they are sent.
+
+    Args:
+        assessment: What they tell.
+        frame: Of the map.
+        age: Of the map, s; NaN if unknown.
+    """
+    return dict(message_maker(frame).of_landing(assessment, age))
+
+
+def target_messages(assessment: LandingAssessment, frame: str, age: float) -> dict[str, Any]:
+    """Those of them that tell of the target."""
+    return dict(message_maker(frame).of_target(assessment, age))
 
 
 def time_message(stamp: int) -> Time:

@@ -7,12 +7,14 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
+    LivelinessPolicy,
     QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
@@ -40,6 +42,18 @@ def stream(depth: int, *, reliable: bool) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.VOLATILE,
     )
+
+
+TARGET_S = 1.0
+"""A subscriber that hears nothing of the target for so long may take its publisher for dead."""
+
+
+def target() -> QoSProfile:
+    """Latched, and said again in time: whoever asks for a deadline learns of a dead publisher."""
+    profile = latched()
+    profile.deadline = profile.liveliness_lease_duration = Duration(seconds=TARGET_S)
+    profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
+    return profile
 
 
 def _overridable() -> QoSOverridingOptions:

@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 
 from quadtree_lss.config.loading import load_config
-from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS
-from quadtree_lss.messages.outputs import SITE_TABLE, TOPIC_TYPES
+from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS
+from quadtree_lss.messages.outputs import SITE_TABLE, STATUS, TOPIC_TYPES
 
 ROOT = Path(__file__).parents[2]
 PREFIX = Path(sys.prefix)
@@ -122,7 +122,7 @@ def test_the_foxglove_layout_shows_topics_and_fields_that_there_are():
     assert shown(layout["layout"]) == set(panels)
     documents = "".join(path.read_text() for path in (ROOT / "msg_docs").glob("*.md"))
     topics = {topic: view for p in panels.values() for topic, view in p.get("topics", {}).items()}
-    assert set(topics) >= {f"/{name}" for name in TOPIC_TYPES if name != SITE_TABLE}
+    assert set(topics) >= {f"/{name}" for name in set(TOPIC_TYPES) - {SITE_TABLE, STATUS}}
     for topic in topics:
         assert f"`{topic[1:]}`" in documents, topic
     assert topics["/map/cells"]["colorField"] in dict(CELL_FIELDS)
@@ -135,7 +135,11 @@ def test_shipped_configurations_are_valid(path):
 
 @pytest.mark.parametrize(
     ("document", "fields"),
-    [("map_cells.md", CELL_FIELDS), ("landing_site_table.md", SITE_FIELDS)],
+    [
+        ("map_cells.md", CELL_FIELDS),
+        ("landing_site_table.md", SITE_FIELDS),
+        ("landing_status.md", STATUS_FIELDS),
+    ],
 )
 def test_every_field_is_documented_with_its_type(document, fields):
     kinds = {"f4": "float32", "f8": "float64", "u1": "uint8", "u2": "uint16", "u4": "uint32"}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.target import Reason
+from quadtree_lss.core.tree.cell_map import CellMap
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
@@ -95,6 +96,7 @@ class LandingAssessment:
         safe: (ny, nx) landing centred here is allowed by the ground itself.
         score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
         explanation: Why there are no sites, or how many grid points are safe.
+        offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
     """
 
     stamp_ns: int
@@ -111,6 +113,8 @@ class LandingAssessment:
     safe: Mask
     score: Array
     explanation: str
+    offset_z: float
+    offset_variance: float
 
 
 def with_reasons(sites: Sites, lss: LssConfig) -> Sites:
@@ -143,12 +147,12 @@ def no_sites() -> Sites:
 
 
 def nothing_mapped(
-    stamp_ns: int, answer: int, reason: Reason, x: Array, y: Array, explanation: str
+    cells: CellMap, answer: int, reason: Reason, x: Array, y: Array
 ) -> LandingAssessment:
     """The assessment of a map without a measurement."""
     shape = (len(y), len(x))
     return LandingAssessment(
-        stamp_ns=stamp_ns,
+        stamp_ns=cells.stamp_ns,
         answer=answer,
         selected=no_target(reason),
         pending=False,
@@ -161,5 +165,7 @@ def nothing_mapped(
         hazard=np.full(shape, hazards.UNSEEN, dtype=np.uint8),
         safe=np.zeros(shape, dtype=np.bool_),
         score=np.full(shape, np.nan),
-        explanation=explanation,
+        explanation="nothing is mapped yet",
+        offset_z=cells.offset_z,
+        offset_variance=cells.offset_variance,
     )

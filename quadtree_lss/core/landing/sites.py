@@ -110,8 +110,7 @@ class LandingSiteSelector:
             nowhere = np.full((len(y), len(x)), np.nan)
             nothing = Ground(x, y, np.isfinite(nowhere), nowhere)
             self._choose(nothing, lambda row, column: reason, reason)
-            text = "nothing is mapped yet"
-            return nothing_mapped(cells.stamp_ns, self._answers, reason, x, y, text)
+            return nothing_mapped(cells, self._answers, reason, x, y)
         features = hazards.avoided_features(cells, lss)
         inside = seen_about(raster)
         fails = self._fails_at_touchdown(raster, inside)
@@ -158,6 +157,8 @@ class LandingSiteSelector:
             safe=safe,
             score=score,
             explanation=explanation,
+            offset_z=cells.offset_z,
+            offset_variance=cells.offset_variance,
         )
 
     def _look_at(self, wanted: Restrictions) -> None:

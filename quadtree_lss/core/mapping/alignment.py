@@ -56,6 +56,7 @@ class Offset:
     scan: float
     map: float
     since: float
+    variance: float
 
 
 def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | None:
@@ -95,7 +96,7 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     if height * height > JUMP**2 * (news * (of_scan + of_map) + noise):
         news = 1.0
     share = height * news / (news * (of_scan + of_map) + noise)
-    return Offset(height, share * of_scan, share * of_map, since)
+    return Offset(height, share * of_scan, share * of_map, since, noise)
 
 
 @cython.boundscheck(False)

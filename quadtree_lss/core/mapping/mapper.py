@@ -91,6 +91,7 @@ class Mapper:
         self.stamp_ns = 0
         self._start_ns = 0
         self._noise_ratio = float("nan")
+        self._offset = (float("nan"), float("nan"))
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan.
@@ -133,8 +134,10 @@ class Mapper:
         """Let the scan and the map meet at one height."""
         offset = offset_of(change.compare(), now, self.config.pose.correlation_time)
         if offset is not None:
-            if abs(offset.map) >= LEAST_LIFT:
-                lift(self.leaves, offset.map, offset.since)
+            raised = offset.map if abs(offset.map) >= LEAST_LIFT else 0.0
+            if raised:
+                lift(self.leaves, raised, offset.since)
+            self._offset = (offset.height - raised, offset.variance)
             change.align(offset.scan)
         return offset
 
@@ -187,6 +190,8 @@ class Mapper:
             exception_fraction=np.where(measured, leaves["exception_sum"] / counted, np.nan),
             feature=as_boulder(leaves["feature"]),
             observed=observed.view(np.bool_),
+            offset_z=self._offset[0],
+            offset_variance=self._offset[1],
         )
 
     def export_state(self) -> State:
@@ -214,6 +219,7 @@ class Mapper:
         self.stamp_ns = int(state["stamp_ns"])
         self._start_ns = int(state["start_ns"])
         self._noise_ratio = float(state["noise_ratio"])
+        self._offset = (float("nan"), float("nan"))  # of whoever flew then
 
 
 def _matrices(flat: Array) -> Array:

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``landing/selected`` over DDS: held, withdrawn with a reason, released, and missed when dead."""
+
+from __future__ import annotations
+
+import functools
+import signal
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile
+from ros_vehicle import Vehicle, flat_map
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.core.landing.target import Reason
+from quadtree_lss.messages.clouds import stamp_ns
+from quadtree_lss.messages.maps import SITE_FIELDS, STATUS_FIELDS
+from quadtree_lss.ros.messages import cloud_records, header_message
+from quadtree_lss.ros.qos import latched, target
+
+pytestmark = pytest.mark.xdist_group("ros_target")
+
+
+class Pilot(Vehicle):
+    """Hears the target, too, each change of it once: place, and what the status says."""
+
+    def __init__(self, listener):
+        super().__init__(listener, flat_map())
+        self.targets, self.answers, self.tables = [], [], []
+        for kind, topic, keep in (
+            (PoseWithCovarianceStamped, "landing/selected", self.targets),
+            (PointCloud2, "landing/status", self.answers),
+            (PointCloud2, "landing/site_table", self.tables),
+        ):
+            profile = QoSProfile(depth=50, durability=latched().durability)
+            listener.node.create_subscription(kind, topic, keep.append, profile)
+
+    def status(self):
+        """The last record of the status."""
+        return cloud_records(self.answers[-1], STATUS_FIELDS)[0] if self.answers else None
+
+    def reasons(self):
+        """Of all answers, each once."""
+        records = [cloud_records(message, STATUS_FIELDS)[0] for message in self.answers]
+        return {int(record["answer"]): Reason(int(record["reason"])) for record in records}
+
+    def place(self):
+        """Of the last target."""
+        place = self.targets[-1].pose.pose.position
+        return np.array([place.x, place.y, place.z])
+
+    def has_target(self, answer=0):
+        """True once a later answer than this gives one."""
+        status = self.status()
+        return status is not None and status["id"] > 0 and status["answer"] > answer
+
+
+@pytest.fixture
+def pilot(ros):
+    with ros.listen({}) as listener:
+        yield Pilot(listener)
+
+
+def square(place, half):
+    corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+    message = PolygonStamped(header=header_message(1, "map"))
+    message.polygon.points = [
+        Point32(x=float(place[0] + x), y=float(place[1] + y)) for x, y in corners
+    ]
+    return message
+
+
+def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
+    wait = pilot.listener.wait_for
+    lss = ros.start("lss_node")
+    stamp = pilot.send_map(0)
+    assert wait(pilot.has_target), lss.output()
+    first, before = pilot.place(), pilot.status()
+    assert np.hypot(*(first[:2] - pilot.last()[2][0])) < 1e-3, "the first of the list"
+    covariance = np.array(pilot.targets[-1].pose.covariance).reshape(6, 6)
+    assert 0.0 < covariance[2, 2] < 0.1 and np.linalg.eigvalsh(covariance).min() >= 0.0
+    assert before["hazard_distance"] > 0.0 and np.isfinite(before["offset_variance"])
+
+    pilot.send("landing/keep_out", square(first, 1.0))
+    assert wait(functools.partial(pilot.has_target, before["answer"] + 1)), lss.output()
+    assert np.hypot(*(pilot.place() - first)[:2]) > 2.0
+    assert pilot.status()["id"] != before["id"]
+    # One map, one stamp, and every answer told apart.
+    reasons = pilot.reasons()
+    assert sorted(reasons) == list(range(1, max(reasons) + 1)), reasons
+    assert list(reasons.values())[-2:] == [Reason.KEEP_OUT, Reason.FIRST], reasons
+    assert {stamp_ns(message.header) for message in pilot.targets} == {stamp}
+    empty = [np.isnan(message.pose.pose.position.x) for message in pilot.targets]
+    assert any(empty) and not empty[-1]
+    number = pilot.status()["answer"]
+    assert wait(lambda: (cloud_records(pilot.tables[-1], SITE_FIELDS)["answer"] == number).all())
+    assert wait(lambda: pilot.values().get("target.reason") in ("first", "holds")), lss.output()
+
+
+def test_a_released_target_is_chosen_anew(ros, pilot):
+    wait = pilot.listener.wait_for
+    lss = ros.start("lss_node")
+    with_service = functools.partial(ros.call, pilot.listener, "/lss_node/release")
+    assert not with_service().success, "there is none"
+    pilot.send_map(0)
+    assert wait(pilot.has_target), lss.output()
+    before = pilot.status()["answer"]
+    answer = with_service()
+    assert answer.success and "released" in answer.message
+    assert wait(functools.partial(pilot.has_target, before)), lss.output()
+    assert pilot.reasons()[before + 1] is Reason.RELEASED
+
+
+def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):
+    wait = pilot.listener.wait_for
+    missed, alive = [], []
+    callbacks = SubscriptionEventCallbacks(
+        deadline=missed.append, liveliness=lambda event: alive.append(event.alive_count)
+    )
+    heard = []
+    pilot.listener.node.create_subscription(
+        PoseWithCovarianceStamped,
+        "landing/selected",
+        heard.append,
+        target(),
+        event_callbacks=callbacks,
+    )
+    lss = ros.start("lss_node")
+    pilot.send_map(0)
+    assert wait(lambda: heard and pilot.has_target()), lss.output()
+    missed.clear()
+    count = len(heard)
+    assert wait(lambda: len(heard) > count + 7, timeout=10.0), "said again without a new map"
+    assert not missed and alive[-1] == 1
+    lss.process.send_signal(signal.SIGKILL)
+    lss.process.wait(10.0)
+    assert wait(lambda: missed and alive[-1] == 0, timeout=10.0), (missed, alive)
