@@ -19,6 +19,7 @@ import zstandard
 from quadtree_lss.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.clouds import MessageError
+from quadtree_lss.messages.outputs import TOPIC_TYPES
 from quadtree_lss.replay.parts import Part, of_one_time
 from quadtree_lss.replay.rescue import RawMessage
 from quadtree_lss.replay.types import (
@@ -53,8 +54,8 @@ __all__ = [
 SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
 ODOMETRY_TOPIC, TRANSFORMS_TOPIC = "/nav/odometry", "/tf_static"
 
-OUTPUT_CLOUDS = ("/map/cells", "/landing/site_table")
-"""How topics end that are clouds by type, but our own output and no scans."""
+OUTPUTS = tuple(f"/{name}" for name in TOPIC_TYPES)
+"""How topics end that are clouds or poses by type, but our own output."""
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -247,7 +248,7 @@ def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option
     """
     fitting = [t.name for t in bag.topics if t.type == msgtype and t.count]
     if asked is None:
-        fitting = [name for name in fitting if not name.endswith(OUTPUT_CLOUDS)]
+        fitting = [name for name in fitting if not name.endswith(OUTPUTS)]
     candidates = ", ".join(fitting) or "none"
     if asked is not None:
         name = asked if asked.startswith("/") else f"/{asked}"
@@ -286,6 +287,8 @@ def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, st
     names = set() if asked is None else {asked, f"/{asked}"}
     for default, kind in kinds:
         there = [t.name for t in bag.topics if t.type == kind and t.count]
+        if asked is None:
+            there = [name for name in there if not name.endswith(OUTPUTS)]
         if there and (asked is None or names & set(there)):
             return choose_topic(bag, asked, default, kind, "--pose-topic"), kind
     return choose_topic(bag, asked, kinds[0][0], kinds[0][1], "--pose-topic"), kinds[0][1]

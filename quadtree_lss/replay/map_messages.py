@@ -14,6 +14,7 @@ from quadtree_lss.messages.outputs import (
     GRID_TYPE,
     OBSERVED,
     SITE_TABLE,
+    STATUS,
     map_from_messages,
 )
 from quadtree_lss.replay.bags import Bag
@@ -45,7 +46,7 @@ class MapPairs:
         if pairs is None:
             return None
         clouds = {topic.name for topic in bag.topics if topic.type == SCAN_TYPE and topic.count}
-        ours = {pairs.topics[0], pairs.topics[0].removesuffix(CELLS) + SITE_TABLE}
+        ours = {pairs.topics[0].removesuffix(CELLS) + name for name in (CELLS, SITE_TABLE, STATUS)}
         return None if clouds - ours else pairs
 
     def take(self, bag: Bag, message: RawMessage, lss: LssConfig) -> CellMap | None:

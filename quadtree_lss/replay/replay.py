@@ -9,21 +9,18 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace as changed
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.config.loading import dump_config
 from quadtree_lss.config.settings import Config
-from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.landing_inputs import LandingWishes
-from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.landing import LandingTopics
 from quadtree_lss.replay.map_messages import MapPairs
+from quadtree_lss.replay.passes import Passes
 from quadtree_lss.replay.points import points_line
 from quadtree_lss.replay.record import Recorder
 from quadtree_lss.replay.result import ReplayResult
@@ -31,7 +28,7 @@ from quadtree_lss.replay.run import Progress, Run
 from quadtree_lss.replay.stream import ReplayError, Stream
 from quadtree_lss.replay.summary import run_summary
 
-__all__ = ["Progress", "ReplayError", "ReplayResult", "assess", "replay"]
+__all__ = ["Progress", "ReplayError", "ReplayResult", "replay"]
 
 
 def replay(
@@ -91,10 +88,11 @@ def replay(
         run.landing = LandingTopics(wishes, opened, stream.start_ns)
         made = _make_folder(folder)
         try:
+            sink = None
             if record is not None:
-                recorder = Recorder(Path(record), config, maps=pairs is None)
-                recorder.restrictions = wishes.arguments
-                run.recorder = stack.enter_context(recorder)
+                recorder = Recorder(Path(record), config.frames.map, maps=pairs is None)
+                sink = stack.enter_context(recorder)
+            passes = run.passes = Passes(config, wishes.arguments, sink)
             cells = (
                 run.map_scans(opened, stream)
                 if pairs is None
@@ -105,12 +103,12 @@ def replay(
                 with contextlib.suppress(OSError):  # not empty: somebody else's files
                     made.rmdir()
             raise
-        if run.recorder is not None:
-            run.recorder.finish(run.done_ns, lambda: cells)
+        passes.finish(run.done_ns, lambda: cells)
         losses = tuple(opened.losses)
     if progress is not None and not run.interrupted:
         progress(stream.seconds, stream.seconds)
-    decoded, assessment, lss_ms = assess(cells, config, **wishes.arguments())
+    decoded, assessment = passes.cells, passes.last
+    assert decoded is not None and assessment is not None
     if not decoded.observed.any():
         assessment = changed(assessment, explanation=_why_nothing(run))
     seconds = stream.seconds
@@ -119,7 +117,7 @@ def replay(
     speed = seconds / (time.perf_counter() - began)
     warnings = tuple(run.warnings())
     summary = {
-        **run_summary(run.timings, len(decoded.level), config, speed, lss_ms),
+        **run_summary(run.timings, len(decoded.level), config, speed, passes.lss_ms),
         "scans_dropped": dict(run.intake.dropped),
         "points_used": run.points_used,
         "points_dropped": dict(run.points_dropped),
@@ -137,6 +135,8 @@ def replay(
         "range_noise_ratio": run.noise_ratio,
         "refused_divisions": run.refused_divisions,
         "landing": wishes.as_lists(),
+        "target": passes.changes[-1].id if passes.changes else 0,
+        "target_changes": len(passes.changes),
         "explanation": assessment.explanation,
         "interrupted": run.interrupted,
         "losses": losses,
@@ -151,6 +151,7 @@ def replay(
         losses,
         warnings,
         run.interrupted,
+        tuple(passes.changes),
     )
     if folder is not None:
         try:
@@ -159,25 +160,6 @@ def replay(
             msg = f"{folder}: cannot be written: {error.strerror}"
             raise ReplayError(msg) from None
     return result
-
-
-def assess(
-    cells: CellMap, config: Config, **restrictions: Any
-) -> tuple[CellMap, LandingAssessment, float]:
-    """Landing sites on the map as its message gives it to ``lss_node``.
-
-    Args:
-        cells: The map.
-        config: Of which ``lss`` matters.
-        restrictions: As of ``LandingSiteSelector.assess``.
-
-    Returns:
-        The decoded map, the assessment, and what the assessment took in ms.
-    """
-    decoded = round_trip(cells)
-    began = time.perf_counter()
-    assessment = LandingSiteSelector(config).assess(decoded, **restrictions)
-    return decoded, assessment, 1e3 * (time.perf_counter() - began)
 
 
 def _why_nothing(run: Run) -> str:
@@ -206,6 +188,7 @@ def _make_folder(folder: Path | None) -> Path | None:
 
 def _write(out: Path, result: ReplayResult, config: Config, report: bool) -> None:
     results.write_sites(out / "sites.csv", result.assessment)
+    results.write_selected(out / "selected.csv", result.targets)
     results.write_cells(out / "cells.npz", result.cells)
     results.write_grid(out / "grid.npz", result.assessment)
     results.write_timing(out / "timing.csv", result.timings)

@@ -9,6 +9,7 @@ from typing import Any
 
 from quadtree_lss.core.landing.sites import LandingAssessment
 from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.replay.passes import TargetChange
 from quadtree_lss.replay.results import ScanTiming, plain
 
 
@@ -22,6 +23,7 @@ class ReplayResult:
         assessment: Landing sites on it.
         timings: One row per mapped scan; empty for a bag of maps.
         summary: Content of ``summary.json``.
+        targets: Changes of the target, in their order.
         losses: What could not be read of the bag, one line each; empty if all was read.
         warnings: One line per kind of trouble with the messages, with how often it occurred.
         interrupted: True if it was stopped before the bag's end.
@@ -35,6 +37,7 @@ class ReplayResult:
     losses: tuple[str, ...]
     warnings: tuple[str, ...]
     interrupted: bool = False
+    targets: tuple[TargetChange, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The summary with the ranked sites, in JSON's types."""
@@ -49,6 +52,7 @@ class ReplayResult:
                 "roughness": sites.roughness[k],
                 "hazard_distance": sites.hazard_distance[k],
                 "subscale_height": sites.subscale_height[k],
+                "id": int(sites.id[k]),
                 "reason": sites.reasons[k],
             }
             for k in range(len(sites.score))

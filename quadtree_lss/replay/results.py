@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.core.landing.sites import LandingAssessment
 from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.replay.passes import TargetChange
 
 SITE_COLUMNS = (
     "rank",
@@ -37,6 +38,7 @@ SITE_COLUMNS = (
     "roughness",
     "hazard_distance",
     "subscale_height",
+    "id",
 )
 
 
@@ -130,8 +132,16 @@ def write_sites(path: Path, assessment: LandingAssessment) -> None:
             sites.subscale_height,
         ]
     )
-    rows = ([rank, *map(float, row)] for rank, row in enumerate(columns, start=1))
+    rows = (
+        [rank, *map(float, row), int(number)]
+        for rank, (row, number) in enumerate(zip(columns, sites.id, strict=True), start=1)
+    )
     _write_csv(path, SITE_COLUMNS, rows)
+
+
+def write_selected(path: Path, changes: Iterable[TargetChange]) -> None:
+    """``selected.csv``: one row per change of the target; map frame, m."""
+    _write_csv(path, TargetChange._fields, changes)
 
 
 def write_timing(path: Path, timings: Iterable[ScanTiming]) -> None:

@@ -25,7 +25,7 @@ from quadtree_lss.replay.results import ScanTiming
 from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
 
 if TYPE_CHECKING:
-    from quadtree_lss.replay.record import Recorder
+    from quadtree_lss.replay.passes import Passes
 
 Progress = Callable[[float, float], None]
 """Called with the seconds of the bag that are done and the seconds there are."""
@@ -39,7 +39,7 @@ class Run:
         config: Everything that can be set.
         progress: See `Progress`.
         stop: Asked after each message; True ends the run there.
-        recorder: Gets the maps as they come, or None.
+        passes: Gets the maps as they come, or None.
         landing: Hears areas, keep-outs and targets as they come, or None.
 
     Attributes:
@@ -54,7 +54,7 @@ class Run:
     config: Config
     progress: Progress | None = None
     stop: Callable[[], bool] | None = None
-    recorder: Recorder | None = None
+    passes: Passes | None = None
     landing: LandingTopics | None = None
     interrupted: bool = False
     done_ns: int = 0
@@ -89,11 +89,11 @@ class Run:
                 self._decode_ms[stamp_ns] = 1e3 * (time.perf_counter() - began)
             for scan in self.intake.ready(message.received_ns):
                 self._map(mapper, scan)
-                if self.recorder is not None:
-                    self.recorder.changed()
+                if self.passes is not None:
+                    self.passes.changed()
             self._note()
-            if self.recorder is not None:
-                self.recorder.tick(message.received_ns, mapper.snapshot)
+            if self.passes is not None:
+                self.passes.tick(message.received_ns, mapper.snapshot)
             if self._ends_after(message.received_ns, stream):
                 break
         self.intake.finish()
@@ -102,7 +102,7 @@ class Run:
         return mapper.snapshot()
 
     def read_maps(self, bag: Bag, stream: Stream, pairs: MapPairs) -> CellMap:
-        """The last map of a bag of maps; the recorder gets all of them.
+        """The last map of a bag of maps; the landing passes get all of them.
 
         Raises:
             ReplayError: there is none that can be read.
@@ -117,12 +117,12 @@ class Run:
                 found = None
             if found is not None:
                 last, self.maps = found, self.maps + 1
-                if self.recorder is not None:
-                    self.recorder.changed()
+                if self.passes is not None:
+                    self.passes.changed()
             self._note()
-            if self.recorder is not None and last is not None:
+            if self.passes is not None and last is not None:
                 newest = last
-                self.recorder.tick(message.received_ns, lambda: newest)  # noqa: B023
+                self.passes.tick(message.received_ns, lambda: newest)  # noqa: B023
             if self._ends_after(message.received_ns, stream):
                 break
         self._need(last is not None, bag, "no map can be read", "no cells with observed cells")
@@ -136,8 +136,8 @@ class Run:
         for message in bag.messages(wanted, stream.start_ns, stream.stop_ns):
             if landing is None or not landing.take(bag, message):
                 yield message
-            elif self.recorder is not None:
-                self.recorder.landing_changed()
+            elif self.passes is not None:
+                self.passes.landing_changed()
 
     @property
     def points(self) -> int:

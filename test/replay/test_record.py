@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded products are what the nodes publish, and a bag of maps gives the same sites."""
 
+import csv
 import json
 
 import numpy as np
@@ -11,18 +12,32 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS, encode_score, record_dtype
+from quadtree_lss.messages.maps import (
+    CELL_FIELDS,
+    SITE_FIELDS,
+    STATUS_FIELDS,
+    encode_score,
+    record_dtype,
+)
 from quadtree_lss.replay import record as products
 from quadtree_lss.replay.bags import Bag, BagError
 from quadtree_lss.replay.info import inspect_bag
 from quadtree_lss.replay.map_messages import MapPairs
+from quadtree_lss.replay.passes import Passes
 from quadtree_lss.replay.replay import ReplayError, replay
 from quadtree_lss.replay.types import typestore
 
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MS = 1_000_000
 MAPS = {"/map/cells", "/map/observed"}
-LANDING = {"/landing/sites", "/landing/site_table", "/landing/hazards", "/landing/score"}
+LANDING = {
+    "/landing/sites",
+    "/landing/site_table",
+    "/landing/hazards",
+    "/landing/score",
+    "/landing/selected",
+    "/landing/status",
+}
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +100,12 @@ def test_the_last_map_gets_its_landing_sites(recorded, tmp_path):
     """Of two maps the second is due before the sites of it are."""
     config = config_from_values({**GROUND, "publish.rate": 10.0, "publish.lss_rate": 4.0})
     cells, path = recorded[0].cells, tmp_path / "bag"
-    with products.Recorder(path, config) as recorder:
+    with products.Recorder(path, "map") as recorder:
+        passes = Passes(config, dict, recorder)
         for now in (START, START + 120 * MS):
-            recorder.changed()
-            recorder.tick(now, lambda: cells)
-        recorder.finish(START + 130 * MS, lambda: cells)
+            passes.changed()
+            passes.tick(now, lambda: cells)
+        passes.finish(START + 130 * MS, lambda: cells)
     with Bag(path) as bag:
         counts = {topic.name: topic.count for topic in bag.topics}
     assert counts["/map/cells"] == counts["/landing/sites"] == 2
@@ -104,11 +120,18 @@ def test_halves_of_different_maps_are_not_joined(recorded):
         assert pairs.take(bag, cells[1], CONFIG.lss) is not None
 
 
+def sites_of(out):
+    """Rows of ``sites.csv`` but for the numbers of places, which depend on what was there before."""
+    with (out / "sites.csv").open(newline="") as file:
+        return [{**row, "id": None} for row in csv.DictReader(file)]
+
+
 def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
     first, path = recorded
     second = replay(path, tmp_path / "out", CONFIG, record=tmp_path / "again")
-    for name in ("sites.csv", "cells.npz", "grid.npz"):
+    for name in ("cells.npz", "grid.npz"):
         assert (tmp_path / "out" / name).read_bytes() == (first.out / name).read_bytes()
+    assert sites_of(tmp_path / "out") == sites_of(first.out)
     assert second.summary["scans"] == 0 and second.summary["maps"] >= 5
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["map_ms_median"] is None
     assert (tmp_path / "out" / "report.html").exists()
@@ -145,8 +168,34 @@ def test_an_existing_bag_is_not_overwritten(recorded, tmp_path):
     assert sorted(p.name for p in bag.iterdir()) == before
 
 
+def test_the_target_is_told_in_the_bag_as_in_the_results(recorded):
+    result, path = recorded
+    told = [message for topic, _, message in messages(path) if topic == "/landing/status"]
+    records = [
+        np.frombuffer(message.data.tobytes(), record_dtype(STATUS_FIELDS))[0] for message in told
+    ]
+    assert [record["answer"] for record in records] == list(range(1, len(records) + 1))
+    assert (np.array([record["age"] for record in records]) >= 0.0).all()
+    with (result.out / "selected.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["id"]) for row in rows] == [change.id for change in result.targets]
+    assert rows[0]["reason"] == "first" and int(rows[-1]["id"]) == records[-1]["id"] > 0
+    places = [m for topic, _, m in messages(path) if topic == "/landing/selected"]
+    last = places[-1].pose.pose.position
+    target = result.assessment.selected.position
+    np.testing.assert_array_equal([last.x, last.y, last.z], target)
+    with (result.out / "sites.csv").open(newline="") as file:
+        ids = [int(row["id"]) for row in csv.DictReader(file)]
+    np.testing.assert_array_equal(ids, result.assessment.sites.id)
+
+
+def test_the_target_in_a_bag_is_not_taken_for_the_pose(tmp_path):
+    bag = write_ros2(tmp_path / "both", pose_topics=("/ekf", "/landing/selected"))
+    assert inspect_bag(bag, CONFIG).pose_topic == "/ekf"
+
+
 def test_products_in_the_same_bag_as_scans_are_not_taken_for_scans(recorded, tmp_path):
-    topics = ("/lidar/points", "/map/cells", "/landing/site_table")
+    topics = ("/lidar/points", "/map/cells", "/landing/site_table", "/landing/status")
     bag = write_ros2(tmp_path / "both", scan_topics=topics)
     assert inspect_bag(bag, CONFIG).scan_topic == "/lidar/points"
     bag = write_ros2(tmp_path / "other", scan_topics=("/os1/points", *topics[1:]))

@@ -31,7 +31,15 @@ from quadtree_lss.replay.results import write_cells
 from quadtree_lss.replay.stream import Stream
 
 CONFIG = config_from_values(GROUND)
-FILES = {"sites.csv", "cells.npz", "grid.npz", "timing.csv", "summary.json", "config.yaml"}
+FILES = {
+    "sites.csv",
+    "selected.csv",
+    "cells.npz",
+    "grid.npz",
+    "timing.csv",
+    "summary.json",
+    "config.yaml",
+}
 SUMMARY = {
     "scans",
     "scans_dropped",
@@ -127,11 +135,14 @@ def test_grid_holds_the_contract(result):
 
 def test_tables_hold_the_contract(result):
     header, rows = columns(result.out / "sites.csv")
-    names = "rank,x,y,z,nx,ny,nz,score,slope_deg,roughness,hazard_distance,subscale_height"
+    names = "rank,x,y,z,nx,ny,nz,score,slope_deg,roughness,hazard_distance,subscale_height,id"
     assert ",".join(header) == names
     assert [int(row[0]) for row in rows] == list(range(1, len(rows) + 1))
     scores = [float(row[7]) for row in rows]
     assert scores == sorted(scores) and len(rows) >= 1
+    header, rows = columns(result.out / "selected.csv")
+    assert ",".join(header) == "stamp_ns,id,x,y,z,reason"
+    assert [row[-1] for row in rows] == ["first"] and rows[0][1] != "0"
     header, rows = columns(result.out / "timing.csv")
     assert ",".join(header) == "stamp_ns,points,points_used,leaves,divisions,map_ms"
     assert [int(row[0]) for row in rows] == [
