@@ -121,7 +121,7 @@ def test_halves_of_different_maps_are_not_joined(recorded):
 
 
 def sites_of(out):
-    """Rows of ``sites.csv`` but for the numbers of places, which depend on what was there before."""
+    """Rows of ``sites.csv`` but for the numbers of places: they depend on what was before."""
     with (out / "sites.csv").open(newline="") as file:
         return [{**row, "id": None} for row in csv.DictReader(file)]
 
