@@ -25,7 +25,7 @@ SOURCES := $(shell find quadtree_lss launch rviz foxglove security config exampl
 export PYTHONSAFEPATH := 1
 unexport VIRTUAL_ENV
 
-.PHONY: help setup demo test test-all test-checked test-vehicle lint bench clean
+.PHONY: help setup lock audit demo test test-all test-checked test-vehicle lint bench clean
 
 help:
 	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
@@ -36,15 +36,31 @@ help:
 	@echo 'make lint      ruff and mypy'
 	@echo 'make bench     print benchmark figures'
 	@echo 'make setup     only install into .venv'
+	@echo 'make lock      write requirements.lock anew: every wheel of constraints.txt with its hashes'
+	@echo 'make audit     known vulnerabilities of what is locked, where their database can be reached'
 	@echo 'make clean     remove .venv and everything generated'
 
 setup: $(PACKAGE)
 
-$(VENV)/.dependencies-wheels: constraints.txt
+# Nothing that is not in requirements.lock, byte for byte, where its wheels are for this Python and
+# computer; elsewhere the versions of constraints.txt. LOCKED= goes without.
+LOCKED ?= $(shell $(PYTHON) -c 'import platform as p, sys; \
+    print("yes" if (3, 10) <= sys.version_info < (3, 14) and p.system() == "Linux" \
+    and p.machine() == "x86_64" and p.libc_ver()[0] == "glibc" else "")' 2>/dev/null)
+NO_INDEX_wheels := $(if $(LOCKED),--no-index)
+LOCK := $(BIN)/python -m pip --disable-pip-version-check install --quiet --require-hashes
+$(VENV)/.dependencies-wheels: constraints.txt requirements.lock
 	@$(PYTHON) toolchain.py
-	@rm -rf $(VENV)
-	@$(PYTHON) -m venv $(VENV)
+	@test -f $@ || { rm -rf $(VENV) && $(PYTHON) -m venv $(VENV); }
+ifneq ($(LOCKED),)
+	@echo 'installing what requirements.lock names into .venv (the first time a minute or two)'
+	@awk '/^(setuptools|wheel|cython)==/,/[^\\]$$/' requirements.lock > $@.part
+	@$(LOCK) -r $@.part
+	@$(LOCK) --no-build-isolation -r requirements.lock
+	@rm $@.part
+else
 	@$(PIP) install --quiet -c constraints.txt setuptools wheel cython
+endif
 	@cp constraints.txt $@
 
 # With a sourced ROS its own NumPy must stay: message classes are compiled against it.
@@ -60,9 +76,32 @@ $(VENV)/.dependencies-sourced:
 $(PACKAGE): $(DEPENDENCIES) $(SOURCES)
 	@echo 'installing quadtree_lss and what it needs into .venv (the first time a minute or two)'
 	@rm -rf quadtree_lss.egg-info
-	@$(PIP) install --quiet -c $(DEPENDENCIES) --no-build-isolation '.$(EXTRAS_$(ROS))'
+	@$(PIP) install --quiet $(NO_INDEX_$(ROS)) -c $(DEPENDENCIES) --no-build-isolation '.$(EXTRAS_$(ROS))'
 	@rm -rf quadtree_lss.egg-info
 	@touch $@
+
+# Universal: for every Python and computer. The tool has an environment of its own.
+TOOLS := $(VENV)/tools
+TOOL = $(TOOLS)/bin/pip --disable-pip-version-check install --quiet
+lock: $(TOOLS)/bin/python
+	@$(TOOL) uv==0.13.9
+	@{ echo '# Written by `make lock` from constraints.txt; `make setup` installs it.'; \
+	    $(TOOLS)/bin/uv pip compile constraints.txt --universal --no-deps --generate-hashes --quiet \
+	    --python-version 3.10 --no-python-downloads --no-header --no-annotate; } > requirements.lock.part
+	@mv requirements.lock.part requirements.lock
+
+VULNERABILITIES := api.osv.dev
+audit: $(TOOLS)/bin/python
+	@if ! $(TOOLS)/bin/python -c \
+	    'import socket; socket.create_connection(("$(VULNERABILITIES)", 443), 10)' 2>/dev/null; then \
+	    echo 'known vulnerabilities not checked: $(VULNERABILITIES) cannot be reached from here'; \
+	else \
+	    $(TOOL) pip-audit==2.10.1 && \
+	    $(TOOLS)/bin/pip-audit -s osv --disable-pip --require-hashes -r requirements.lock; \
+	fi
+
+$(TOOLS)/bin/python:
+	@$(PYTHON) -m venv $(TOOLS)
 
 demo: setup
 	@$(BIN)/python -m quadtree_lss.ros.demo --out demo_output
