@@ -46,7 +46,7 @@ from quadtree_lss.simulation.simulate import simulate
 
 SECOND_NS = 1_000_000_000
 POSE_NS = 10_000_000
-CELLS, SITES = "map/cells", "landing/sites"
+CELLS, SITES, SELECTED = "map/cells", "landing/sites", "landing/selected"
 Stamps = NDArray[np.int64]
 
 
@@ -151,7 +151,7 @@ def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node("observer", context=context)
-    seen = Observed({CELLS: [], SITES: []})
+    seen = Observed({CELLS: [], SITES: [], SELECTED: []})
 
     def note(topic: str) -> Any:
         def take(raw: bytes) -> None:
@@ -170,6 +170,8 @@ def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
 
     node.create_subscription(PointCloud2, CELLS, note(CELLS), latched(), raw=True)
     node.create_subscription(PoseArray, SITES, note(SITES), latched(), raw=True)
+    kind = PoseWithCovarianceStamped
+    node.create_subscription(kind, SELECTED, note(SELECTED), latched(), raw=True)
     node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
@@ -310,13 +312,13 @@ def latencies_ms(sent: Stamps, received: Sequence[tuple[int, int]]) -> tuple[Any
 def report(flight: Flight) -> None:
     """Prints everything about a flight."""
     rows = []
-    for topic, must, aim in ((CELLS, 150, 50), (SITES, 400, 150)):
+    for topic, must, aim in ((CELLS, 150, 50), (SITES, 400, 150), (SELECTED, 400, 150)):
         messages, scans = latencies_ms(flight.sent, flight.observed.received[topic])
         for name, values in (("message", messages), ("every scan", scans)):
             rows.append([f"{topic}, {name}", len(values), *_spread(values), must, aim])
     table(
         "Latency from scan stamp, ms (a message's: from the newest scan in it; every scan's: to"
-        " the first message that has it)",
+        " the first message that has it, which withdraws the target if the scan shows a hazard)",
         ["", "number", "median", "p95", "worst", "p95 must", "aim"],
         rows,
     )

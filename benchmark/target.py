@@ -15,7 +15,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from common import configuration, machine, recording, table
+from common import Recording, configuration, machine, recording, table
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
@@ -24,7 +24,6 @@ from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelect
 from quadtree_lss.core.landing.target import Reason
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.evaluation.results import Truth, load_truth
-from quadtree_lss.messages.intake import ReadyScan
 from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.replay.stream import scans
 
@@ -39,7 +38,8 @@ HOLD = 2.0
 def main() -> None:
     """Print one row a flight and their sums."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", default="541-580", help="first-last")
+    parser.add_argument("--seeds", default="541-544", help="first-last")
+    parser.add_argument("--duration", type=float, help="s of each flight, by default all")
     parser.add_argument("--flights", type=Path, help="folder of <scenario>_<seed>/bag; or simulate")
     parser.add_argument("--scenario", default="morpheus")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="of lss")
@@ -52,7 +52,7 @@ def main() -> None:
     print(machine())
     found = []
     for seed in range(int(first), int(last or first) + 1):
-        found.append(fly(options.scenario, seed, config, options.flights))
+        found.append(fly(_flight(seed, config, options), config))
         print(found[-1].line(seed), flush=True)
     total = Tally()
     for one in found:
@@ -137,9 +137,9 @@ class TrueRoom:
         return float(self.room[row, column]) if inside else 0.0
 
 
-def fly(scenario: str, seed: int, config: Config, folder: Path | None) -> Tally:
+def fly(flight: Recording, config: Config) -> Tally:
     """A flight, assessed as it goes."""
-    flown, truth = _flight(scenario, seed, config, folder)
+    flown, truth = flight.scans, flight.truth
     room, tally = TrueRoom(truth), Tally()
     tally.best = float(room.room.max())
     mapper, selector = Mapper(config), LandingSiteSelector(config)
@@ -184,14 +184,11 @@ def _note_target(
     return chosen.position
 
 
-def _flight(
-    scenario: str, seed: int, config: Config, folder: Path | None
-) -> tuple[list[ReadyScan], Truth]:
-    if folder is None:
-        made = recording(scenario, seed)
-        return made.scans, made.truth
-    at = folder / f"{scenario}_{seed}"
-    return list(scans(at / "bag", config)), load_truth(at / "truth.npz")
+def _flight(seed: int, config: Config, options: argparse.Namespace) -> Recording:
+    if options.flights is None:
+        return recording(options.scenario, seed, options.duration)
+    at = options.flights / f"{options.scenario}_{seed}"
+    return Recording(list(scans(at / "bag", config)), load_truth(at / "truth.npz"))
 
 
 if __name__ == "__main__":

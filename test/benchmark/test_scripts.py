@@ -23,6 +23,10 @@ SMALL = {
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),
     "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
+    "target": (
+        ["--seeds", "201", "--duration", "2"],
+        ["target, for a better one", "the best to be had"],
+    ),
     "live": (["--seconds", "3"], ["scans sent", "mapping_node", "lss_node"]),
     "soak": (["--minutes", "0.1"], ["By the minute", "mapping_node", "lss_node"]),
 }

@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.geometry.sphere import tangent_basis
 from quadtree_lss.core.landing.lattice import disc
 from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.tree.cell_map import CellMap
@@ -39,23 +38,28 @@ def ground_covariance(
     at_x, at_y = (x - domain.xmin) / side, (y - domain.ymin) / side
     row = np.clip(int(np.rint(at_y)) + over.row, 0, last)
     column = np.clip(int(np.rint(at_x)) + over.column, 0, last)
-    leaf = raster.leaf[row, column]
+    leaf, of_cell = np.unique(raster.leaf[row, column], return_inverse=True)
     known = cells.measured[leaf]
     if not known.any():
         return np.full((6, 6), np.nan)
     # Height, dz/dx and dz/dy of the plane from the heights in the disc.
     share = np.stack([np.full(len(over.x), 1.0 / len(over.x)), over.x, over.y])
     share[1:] /= np.sum(over.x**2)
-    place = np.column_stack([x + over.x, y + over.y])
-    centre = np.column_stack([cells.x, cells.y])
-    out = np.zeros((3, 3))
-    for k in np.unique(leaf[known]):
-        mine = leaf == k
-        of_leaf = share[:, mine] @ _heights(cells.normal[k], place[mine] - centre[k])
-        out += of_leaf @ cells.covariance_range[k] @ of_leaf.T
-    nearest = leaf[np.argmin(np.where(known, np.hypot(over.x, over.y), np.inf))]
-    common = share @ _heights(cells.normal[nearest], place - centre[nearest])
-    out += common @ cells.covariance_pose[nearest] @ common.T
+    size = domain.cell_size(cells.level[leaf])
+    middle_x = domain.xmin + (cells.ix[leaf] + 0.5) * size
+    middle_y = domain.ymin + (cells.iy[leaf] + 0.5) * size
+    normal = cells.normal[leaf]
+    heights = _heights(
+        normal[of_cell], x + over.x - middle_x[of_cell], y + over.y - middle_y[of_cell]
+    )
+    of_leaf = np.zeros((len(leaf), 3, 3))
+    np.add.at(of_leaf, of_cell, share.T[:, :, None] * heights[:, None, :])
+    of_leaf = of_leaf[known]
+    out = np.sum(of_leaf @ cells.covariance_range[leaf[known]] @ of_leaf.swapaxes(1, 2), axis=0)
+    nearest = of_cell[np.argmin(np.where(known[of_cell], np.hypot(over.x, over.y), np.inf))]
+    across = x + over.x - middle_x[nearest], y + over.y - middle_y[nearest]
+    common = share @ _heights(np.tile(normal[nearest], (len(over.x), 1)), *across)
+    out += common @ cells.covariance_pose[leaf[nearest]] @ common.T
     # Ground that rises along y is turned about x, ground that rises along x about -y.
     turn = np.zeros((6, 3))
     turn[2, 0], turn[3, 2], turn[4, 1] = 1.0, 1.0, -1.0
@@ -64,8 +68,14 @@ def ground_covariance(
     return np.asarray(covariance)
 
 
-def _heights(normal: Array, across: Array) -> Array:
-    """Derivative (K, 3) of a plane's heights by its error (Eq. 2), ``across`` (K, 2) from it."""
-    rise = -(across @ normal[:2]) / normal[2]
-    tilt = np.column_stack([across, rise]) @ tangent_basis(normal)
-    return np.asarray(np.column_stack([-tilt, np.ones(len(across))]) / normal[2])
+def _heights(normal: Array, x: Array, y: Array) -> Array:
+    """Derivative (K, 3) of planes' heights at x, y (K,) from their origins by their errors.
+
+    The error is a tilt along the axes of Eq. 2 and a shift along the normal (K, 3).
+    """
+    nx, ny, nz = normal.T
+    share, rise = 1.0 / (1.0 + nz), -(x * nx + y * ny) / nz
+    along = x * nx + y * ny
+    first = x - share * nx * along - nx * rise
+    second = y - share * ny * along - ny * rise
+    return np.asarray(np.column_stack([-first, -second, np.ones_like(x)]) / nz[:, None])
