@@ -27,6 +27,7 @@ ROS_EXECUTABLES = {
     "replay_bag": "quadtree_lss.cli:main_replay_bag",
     "simulate": "quadtree_lss.cli:main_simulate",
     "evaluate": "quadtree_lss.cli:main_evaluate",
+    "quadtree-lss": "quadtree_lss.cli:main",
 }
 
 BY_PIP = "bdist_wheel" in sys.argv
@@ -197,9 +198,6 @@ setup(
         ],
     },
     entry_points={
-        "console_scripts": [
-            "quadtree-lss = quadtree_lss.cli:main",
-            *(f"{name} = {target}" for name, target in ROS_EXECUTABLES.items()),
-        ],
+        "console_scripts": [f"{name} = {target}" for name, target in ROS_EXECUTABLES.items()],
     },
 )

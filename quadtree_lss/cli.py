@@ -18,6 +18,10 @@ from quadtree_lss.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, U
 from quadtree_lss.commands.console import first_line, quiet, say
 from quadtree_lss.errors import QuadtreeLssError
 
+# No part of ROS, and not in every Ubuntu: the nodes do without.
+OF_BAGS = ("rosbags", "mcap", "zstandard", "lz4", "apsw", "ruamel")
+REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11' mcap"
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; the answer is the exit code."""
@@ -45,6 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         say("interrupted")
         return INTERRUPTED
     except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and error.name in OF_BAGS:
+            say(f"error: '{error.name}' is not installed, which bags need: {REMEDY}")
+            return ERROR
         if getattr(options, "verbose", False):
             raise
         say(f"internal error: {type(error).__name__}: {first_line(error)} (-v shows where)")

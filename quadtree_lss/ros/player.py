@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -139,7 +140,9 @@ def play(
     with Bag(path) as source:
         names = _names(source, scan_topic, pose_topic)
         part.limit(source)
-        rclpy.init(context=context, domain_id=domain_id)
+        # Not our own options, of which --remap's look like ROS's of old.
+        ours = sys.argv.index("--ros-args") if "--ros-args" in sys.argv else len(sys.argv)
+        rclpy.init(args=sys.argv[ours:], context=context, domain_id=domain_id)
         try:
             node = player_node(context, namespace, remap, names.values())
             publishers = _publishers(node, names)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 from launch_stand_in import EmitEvent, Node, RegisterEventHandler, ShutdownProcess, built
 
+from quadtree_lss.config.settings import parameters
 from quadtree_lss.messages.outputs import TOPIC_TYPES
 
 SHARE = Path(sys.prefix) / "share" / "quadtree_lss"
@@ -103,6 +105,31 @@ def test_odometry_is_used_when_its_topic_is_named(make):
     nodes, _ = make(nav_odometry="/odometry/filtered")
     assert nodes["mapping_node"].remappings == [("nav/odometry", "/odometry/filtered")]
     assert nodes["mapping_node"].parameters[-1] == {"pose.source": "odometry"}
+
+
+def test_the_readmes_vehicle_section_names_what_there_is(make):
+    """Its lines were run as written with the real tools; here at least no name in them may go."""
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"<!-- vehicle -->\n```sh\n(.*?)```", text, re.DOTALL)
+    lines = [line.partition(" #")[0].split() for block in blocks for line in block.splitlines()]
+    names = {row.name for row in parameters()}
+    seen = set()
+    for words in lines:
+        kind = " ".join(words[:2])
+        if kind == "ros2 launch":
+            given = dict(word.split(":=") for word in words[4:])
+            assert given.pop("params_file") == "vehicle.yaml"
+            make(**given)
+        elif kind == "ros2 run":
+            assert (Path(sys.prefix) / "lib" / words[2] / words[3]).exists()
+            for option, value in zip(words, words[1:], strict=False):
+                assert option != "-p" or value.split(":=")[0] in names, value
+        elif kind == "ros2 param":
+            assert words[4] in names
+        elif kind == "ros2 topic":
+            assert words[3].lstrip("/") in TOPIC_TYPES and len(words) == 4
+        seen.add(kind)
+    assert seen >= {"ros2 launch", "ros2 run", "ros2 param", "ros2 topic"}
 
 
 def test_log_level_namespace_and_respawn(make):

@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[2]
 PREFIX = Path(sys.prefix)
 SHARE = PREFIX / "share" / "quadtree_lss"
 NODES = ("mapping_node", "lss_node")
-EXECUTABLES = (*NODES, "replay_bag", "simulate", "evaluate")
+EXECUTABLES = (*NODES, "replay_bag", "simulate", "evaluate", "quadtree-lss")
 
 needs_rclpy = pytest.mark.skipif(
     importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed"

@@ -198,6 +198,18 @@ def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
     assert "scans mapped" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("module", ["rosbags", "zstandard", "mcap"])
+def test_a_missing_package_for_bags_is_told_with_its_remedy(module, tmp_path):
+    program = (
+        f"import sys; sys.modules['{module}'] = None\n"
+        "from quadtree_lss.cli import main; sys.exit(main(['replay', 'none.mcap', '--no-report']))"
+    )
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert f"'{module}' is not installed" in done.stderr and "pip install" in done.stderr
+
+
 def interrupted(bag, out, *signals_after):
     """Exit code, stdout, stderr of a replay that gets SIGINT when it maps."""
     command = [sys.executable, "-m", "quadtree_lss.cli", "replay", str(bag)]

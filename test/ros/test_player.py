@@ -52,6 +52,7 @@ def test_player_names_what_is_subscribed_and_reaches_it_by_namespace_and_name(ro
         command = [str(program("replay_bag")), str(bag), "--publish", *options]
         done = subprocess.run(command, env=ros.env, capture_output=True, text=True, check=False)
         assert done.returncode == 0 and "3 scans" in done.stdout, done.stderr
+        assert "deprecated" not in done.stderr + done.stdout
         last = last_scan_ns(3)
         assert listener.wait_for(lambda: listener.stamp("/lander/map/cells") == last)
 
