@@ -49,8 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         say("interrupted")
         return INTERRUPTED
     except Exception as error:
-        if isinstance(error, ModuleNotFoundError) and error.name in OF_BAGS:
-            say(f"error: '{error.name}' is not installed, which bags need: {REMEDY}")
+        lacks = str(getattr(error, "name", "")).partition(".")[0]
+        if isinstance(error, ModuleNotFoundError) and lacks in OF_BAGS:
+            say(f"error: '{lacks}' is not installed, which bags need: {REMEDY}")
             return ERROR
         if getattr(options, "verbose", False):
             raise
