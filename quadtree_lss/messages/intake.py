@@ -142,8 +142,7 @@ class Intake:
                     " pose.unknown_attitude_sigma_deg)",
                 )
             )
-        self._add(self._body, pose, "pose")
-        self.poses_taken += 1
+        self.poses_taken += self._add(self._body, pose, "pose")
         self._mount()
 
     def on_gimbal(self, msg: Any) -> None:
@@ -239,14 +238,18 @@ class Intake:
         span_ns, gap_ns = round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS)
         return PoseBuffer(span_ns, gap_ns, what=what)
 
-    def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> None:
+    def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> bool:
+        """Whether the pose is used; one that is not, is counted as rejected."""
         reason = buffer.add(pose)
         if reason is None:
-            return
-        self.rejected[f"{what}_{reason}"] += 1
-        consequence = "older ones forgotten" if reason == "time_jump" else "ignored"
+            return True
+        used = reason == "time_jump"
+        if not used:
+            self.rejected[f"{what}_{reason}"] += 1
+        consequence = "older ones forgotten" if used else "ignored"
         text = f"{what} with stamp {pose.stamp_ns} ns: {reason}, {consequence}"
         self._notices.append(Notice(f"{what}_{reason}", text))
+        return used
 
     def _tell(self, drops: list[Drop]) -> None:
         self._notices += [Notice(drop.reason, drop.text) for drop in drops]

@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import zstandard
-
-from quadtree_lss.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
-from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.config import yaml_text
+from quadtree_lss.config.yaml_text import YamlError, parse_yaml
+from quadtree_lss.errors import QuadtreeLssError, one_line
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.outputs import TOPIC_TYPES
 from quadtree_lss.replay.parts import Part, of_one_time
-from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.records import ZSTD_MAGIC, RawMessage
 from quadtree_lss.replay.types import (
     GIMBAL_TYPE,
     ODOMETRY_TYPE,
@@ -31,6 +30,7 @@ from quadtree_lss.replay.types import (
     TRANSFORMS_TYPE,
     typestore,
 )
+from quadtree_lss.replay.unpack import MOST_BYTES, file_inside, unpack, unpack_file
 
 __all__ = [
     "GIMBAL_TOPIC",
@@ -56,8 +56,6 @@ ODOMETRY_TOPIC, TRANSFORMS_TOPIC = "/nav/odometry", "/tf_static"
 
 OUTPUTS = tuple(f"/{name}" for name in TOPIC_TYPES)
 """How topics end that are clouds or poses by type, but our own output."""
-
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class BagError(QuadtreeLssError):
@@ -125,7 +123,13 @@ class Bag:
     @property
     def losses(self) -> list[str]:
         """One line for each piece that could not be read, so far."""
-        return self._losses + [loss for part in self._parts for loss in part.losses]
+        lines = self._losses + [loss for part in self._parts for loss in part.losses]
+        return [one_line(line) for line in lines]
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know of the recording, one line each."""
+        return [one_line(note) for part in self._parts for note in part.notes]
 
     def messages(
         self, topics: Collection[str], start_ns: int = 0, stop_ns: int = 2**63 - 1
@@ -150,8 +154,8 @@ class Bag:
             MessageError: ``encoding`` if they are not.
         """
         try:
-            if raw[:4] == _ZSTD_MAGIC:  # bags compressed message by message
-                raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
+            if raw[:4] == ZSTD_MAGIC:  # bags compressed message by message
+                raw = unpack("zstd", raw, MOST_BYTES)
             if self._ros1:
                 return self._store.deserialize_ros1(raw, msgtype)
             return self._store.deserialize_cdr(raw, msgtype)
@@ -166,7 +170,7 @@ class Bag:
         try:
             files = self._files()
             for file in files:
-                part = Part(self._plain(file), self._stack)
+                part = Part(self._plain(file))
                 self._parts.append(part)
         except PermissionError as error:
             msg = f"{error.filename}: {error.strerror}"
@@ -190,7 +194,7 @@ class Bag:
         there = sorted(p for p in self.path.iterdir() if _storage_suffix(p) is not None)
         try:
             with open(self.path / "metadata.yaml", encoding="utf-8") as file:
-                content: Any = parse_yaml(file.read(MOST_BYTES + 1), aliases=True)
+                content: Any = parse_yaml(file.read(yaml_text.MOST_BYTES + 1), aliases=True)
             names = content["rosbag2_bagfile_information"]["relative_file_paths"]
             listed = [self.path / Path(name).name for name in names]
         except FileNotFoundError:
@@ -208,19 +212,15 @@ class Bag:
 
     def _plain(self, file: Path) -> Path:
         """The file itself, or what is in it if it is compressed as a whole."""
-        if file.suffix not in (".zstd", ".zst"):
+        inside = file_inside(file)
+        if inside is None:
             return file
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="quadtree_lss_"))
-        plain = Path(folder) / file.stem
+        plain = Path(folder) / inside
         with open(file, "rb") as source, open(plain, "wb") as target:
-            stream = zstandard.ZstdDecompressor().decompressobj()
-            try:
-                while block := source.read(1 << 20):
-                    target.write(stream.decompress(block))
-                if not stream.eof:
-                    self._losses.append(f"{file.name}: compressed data end early (truncated)")
-            except zstandard.ZstdError as error:
-                self._losses.append(f"{file.name}: {error}")
+            fault = unpack_file(source, target)
+        if fault is not None:
+            self._losses.append(f"{file.name}: {fault}")
         return plain
 
 

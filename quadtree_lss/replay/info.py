@@ -20,7 +20,7 @@ from quadtree_lss.messages.lost_points import likely_reason
 from quadtree_lss.replay.bags import POSE_TYPES, SCAN_TYPE, Bag, BagError
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.points import points_line, points_warning
-from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.records import RawMessage
 from quadtree_lss.replay.results import plain
 from quadtree_lss.replay.run import Progress
 from quadtree_lss.replay.stream import SECOND_NS, Span, Stream
@@ -154,7 +154,8 @@ def inspect_bag(
             info.scan_topic, info.pose_topic = stream.scans, stream.poses
             _read(info, opened, stream, config, progress)
         _rates_by_reception(info, opened)
-        info.losses = list(opened.losses)
+        info.losses = [*opened.losses, *stream.losses]
+        info.notes += opened.notes
     return info
 
 

@@ -18,7 +18,7 @@ from quadtree_lss.messages.outputs import (
     map_from_messages,
 )
 from quadtree_lss.replay.bags import Bag
-from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.records import RawMessage
 from quadtree_lss.replay.types import SCAN_TYPE
 
 
@@ -49,12 +49,12 @@ class MapPairs:
         ours = {pairs.topics[0].removesuffix(CELLS) + name for name in (CELLS, SITE_TABLE, STATUS)}
         return None if clouds - ours else pairs
 
-    def take(self, bag: Bag, message: RawMessage, lss: LssConfig) -> CellMap | None:
+    def take(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
         """The map that this message completes, None if its other half is still missing.
 
         Args:
             bag, message: An open bag and one of its messages on ``topics``.
-            lss: How landing will be judged on the map.
+            lss: How landing will be judged on the map, None if it will not.
 
         Raises:
             MapMessageError: a message is not what ``mapping_node`` sends.

@@ -104,7 +104,8 @@ def replay(
                     made.rmdir()
             raise
         passes.finish(run.done_ns, lambda: cells)
-        losses = tuple(opened.losses)
+        losses = (*opened.losses, *stream.losses, *run.losses)
+        notes = opened.notes
     if progress is not None and not run.interrupted:
         progress(stream.seconds, stream.seconds)
     decoded, assessment = passes.cells, passes.last
@@ -115,7 +116,7 @@ def replay(
     if run.interrupted:
         seconds = min(seconds, max(run.done_ns - stream.start_ns, 0) / 1e9)
     speed = seconds / (time.perf_counter() - began)
-    warnings = tuple(run.warnings())
+    warnings = (*notes, *run.warnings())
     summary = {
         **run_summary(run.timings, len(decoded.level), config, speed, passes.lss_ms),
         "scans_dropped": dict(run.intake.dropped),

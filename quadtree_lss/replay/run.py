@@ -49,6 +49,7 @@ class Run:
         points_dropped: Points of mapped scans that are not in the map, by reason.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
         maps: Maps that were read, for a bag of maps.
+        losses: Messages of maps that could not be decoded, one line.
     """
 
     config: Config
@@ -63,6 +64,7 @@ class Run:
     refused_divisions: int = 0
     noise_ratio: float = float("nan")
     maps: int = 0
+    losses: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.intake = Intake(self.config)
@@ -114,6 +116,8 @@ class Run:
                 found = pairs.take(bag, message, self.config.lss)
             except MapMessageError as error:
                 self._tell(f"map_{error.reason}", str(error))
+                if error.reason == "encoding":
+                    self.losses = [f"{self._notices['map_encoding']} messages lost: {error}"]
                 found = None
             if found is not None:
                 last, self.maps = found, self.maps + 1

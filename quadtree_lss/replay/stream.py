@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from quadtree_lss.config.settings import Config
-from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.errors import QuadtreeLssError, one_line
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.intake import Intake, ReadyScan
 from quadtree_lss.replay.bags import (
@@ -22,7 +22,7 @@ from quadtree_lss.replay.bags import (
     choose_pose_topic,
     choose_topic,
 )
-from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.records import RawMessage
 from quadtree_lss.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, TRANSFORMS_TYPE
 
 SECOND_NS = 1_000_000_000
@@ -83,6 +83,7 @@ class Stream:
     seconds: float = field(default=0.0, init=False)
     _stamps: dict[str, Span] = field(default_factory=dict, init=False)
     _transforms: list[Any] = field(default_factory=list, init=False)
+    _undecoded: dict[str, list[str]] = field(default_factory=dict, init=False)
 
     def resolve(self, bag: Bag, config: Config) -> None:
         """Finds topics and limits in an open bag.
@@ -148,6 +149,7 @@ class Stream:
             msg = bag.decode(message.raw, kind)
         except MessageError as error:
             intake.reject(what, error)
+            self._undecoded.setdefault(message.topic, []).append(str(error))
             return None
         with contextlib.suppress(MessageError):  # the intake tells
             self._stamps.setdefault(message.topic, Span()).add(stamp_ns(msg.header))
@@ -158,6 +160,14 @@ class Stream:
         else:
             intake.on_gimbal(msg)
         return None
+
+    @property
+    def losses(self) -> list[str]:
+        """One line for each topic of which messages could not be decoded, so far."""
+        return [
+            one_line(f"{len(texts)} messages of {topic} lost: {texts[0]}")
+            for topic, texts in self._undecoded.items()
+        ]
 
     def rate(self, topic: str) -> float:
         """Messages of a topic per second of their stamps, so far; NaN for fewer than two."""

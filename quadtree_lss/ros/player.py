@@ -42,7 +42,7 @@ from quadtree_lss.replay.bags import (
 )
 from quadtree_lss.replay.landing import landing_topics
 from quadtree_lss.replay.map_messages import MapPairs
-from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.records import RawMessage
 from quadtree_lss.replay.stream import Stream
 from quadtree_lss.ros.keyboard import Keyboard
 from quadtree_lss.ros.play_peers import PlayError, player_node, wait_for_subscribers

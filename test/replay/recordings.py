@@ -86,10 +86,12 @@ class Recorder:
         return self.type(POSE)(header=self.header(stamp_ns, frame), pose=held)
 
 
-def flight(recorder, scans=10, scan_topics=("/lidar/points",), pose_topics=("/nav/pose",)):
+def flight(
+    recorder, scans=10, scan_topics=("/lidar/points",), pose_topics=("/nav/pose",), across=24
+):
     """Poses at 20 Hz and scans at 10 Hz between them, 50 m above z = 0.05 x, noise 3 cm."""
     rng = np.random.default_rng(11)
-    side = np.linspace(-0.5, 0.5, 24)
+    side = np.linspace(-0.5, 0.5, across)
     right, down = np.meshgrid(side, side)
     for k in range(2 * scans + 2):
         stamp = START + k * SECOND // 20

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decompression within bounds: a few kilobytes can claim to be gigabytes."""
+
+from __future__ import annotations
+
+import bz2
+from pathlib import Path
+from typing import BinaryIO
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+
+MOST_BYTES = 1 << 28
+"""Of one message or one chunk of messages; a cloud of four million points has 200 MB."""
+FREE_BYTES, MOST_RATIO = 1 << 30, 100
+"""A file compressed as a whole may unpack to so much, and to so many times its size: clouds are
+packed to a third."""
+_PIECE = 1 << 20
+
+
+class DamagedError(ValueError):
+    """Something of a bag cannot be read; says what, without where."""
+
+
+def unpack(compression: str, data: bytes, size: int) -> bytes:
+    """Content of compressed data, or its beginning if they are cut.
+
+    Args:
+        compression: ``zstd``, ``lz4``, ``bz2``, or ``none`` or empty.
+        data: What is there.
+        size: Bytes it may have.
+
+    Raises:
+        DamagedError: damaged, larger than ``size``, or that is more than can be read.
+    """
+    if size > MOST_BYTES:
+        msg = f"claims {size} bytes, {MOST_BYTES} is the most"
+        raise DamagedError(msg)
+    try:
+        out = _content(compression, data, size)
+    except (zstandard.ZstdError, RuntimeError, OSError, ValueError, EOFError) as error:
+        msg = " ".join(str(error).split()) or type(error).__name__
+        raise DamagedError(msg) from None
+    if len(out) > size:
+        msg = f"holds more than the {size} bytes it claims"
+        raise DamagedError(msg)
+    return out
+
+
+def _content(compression: str, data: bytes, most: int) -> bytes:
+    """No more than a piece beyond ``most``."""
+    if compression in ("", "none"):
+        return data
+    if compression == "zstd":
+        reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
+        pieces, total = [], 0
+        while total <= most and (piece := reader.read(_PIECE)):
+            pieces.append(piece)
+            total += len(piece)
+        return b"".join(pieces)
+    if compression == "lz4":
+        out: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most + 1)
+        return out
+    if compression == "bz2":
+        return bz2.BZ2Decompressor().decompress(data, max_length=most + 1)
+    msg = f"unknown compression {compression!r}"
+    raise DamagedError(msg)
+
+
+def unpack_file(source: BinaryIO, target: BinaryIO) -> str | None:
+    """A file that was compressed with zstd as a whole, as far as it can be read.
+
+    Returns:
+        What is wrong with it, None if nothing is.
+    """
+    decompressor = zstandard.ZstdDecompressor().decompressobj()
+    packed = unpacked = 0
+    try:
+        while block := source.read(1 << 11):  # of which no more than 64 MB can come
+            packed += len(block)
+            content = decompressor.decompress(block)
+            unpacked += len(content)
+            target.write(content)
+            if unpacked > max(FREE_BYTES, MOST_RATIO * packed):
+                return f"unpacks to more than {unpacked / packed:.0f} times its size: not read on"
+    except zstandard.ZstdError as error:
+        return f"{error}"
+    return None if decompressor.eof else "compressed data end early (truncated)"
+
+
+def file_inside(path: Path) -> str | None:
+    """Name of the file that was compressed as a whole, None if this one was not."""
+    return path.stem if path.suffix in (".zstd", ".zst") else None
