@@ -174,7 +174,6 @@ setup(
         "PyYAML>=6.0",
         "tqdm>=4.64",
         "rosbags>=0.11",
-        "mcap>=1.1",
         "apsw>=3.45",
         "lz4>=4.0",
         "zstandard>=0.20",

@@ -7,7 +7,7 @@ from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.intake import Notice
 from quadtree_lss.messages.landing_inputs import TYPES, LandingWishes
 from quadtree_lss.replay.bags import Bag, BagError
-from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.records import RawMessage
 
 
 def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]:

@@ -20,7 +20,7 @@ from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.landing import LandingTopics
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.points import points_warning
-from quadtree_lss.replay.rescue import RawMessage
+from quadtree_lss.replay.records import RawMessage
 from quadtree_lss.replay.results import ScanTiming
 from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
 
