@@ -19,8 +19,8 @@ from quadtree_lss.commands.console import first_line, quiet, say
 from quadtree_lss.errors import QuadtreeLssError
 
 # No part of ROS, and not in every Ubuntu: the nodes do without.
-OF_BAGS = ("rosbags", "mcap", "zstandard", "lz4", "apsw", "ruamel")
-REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11' mcap"
+OF_BAGS = ("rosbags", "zstandard", "lz4", "apsw", "ruamel")
+REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11' zstandard"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -125,7 +125,8 @@ class _Clock:
         self.changed = False
 
     def due(self, now_ns: int) -> bool:
-        return self.changed and now_ns >= self._due_ns
+        # What is due long after now was set before a recorder's clock stepped back.
+        return self.changed and not self._due_ns - self._period_ns <= now_ns < self._due_ns
 
     def sent(self, now_ns: int) -> None:
         self.changed = False

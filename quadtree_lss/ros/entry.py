@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from types import FrameType
 
 from quadtree_lss.errors import QuadtreeLssError
+
+PATIENCE_S = 3.0
+"""So long a callback may go on; a terminal and ``launch`` may both send the first signal."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -18,17 +23,33 @@ class StopOnSignal:
     """Remembers SIGINT, SIGTERM and SIGHUP, so that a callback in progress ends before the node.
 
     ROS's own handlers invalidate the context at once, and whatever is being published fails.
-    SIGHUP stays ignored if it is, as under ``nohup``.
+    SIGHUP stays ignored if it is, as under ``nohup``. Who asks again after `PATIENCE_S`, as
+    ``launch`` does, breaks the callback off.
     """
 
     def __init__(self) -> None:
         self.asked = False
+        self._first = 0.0
+        self._breaks = False
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._ask)
 
+    @contextlib.contextmanager
+    def breaking(self) -> Iterator[None]:
+        """Within it, asking again raises KeyboardInterrupt; what was at work is then half done."""
+        self._breaks = True
+        try:
+            yield
+        finally:
+            self._breaks = False
+
     def _ask(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
+        now = time.monotonic()
+        if not self.asked:
+            self.asked, self._first = True, now
+        elif self._breaks and now - self._first >= PATIENCE_S:
+            raise KeyboardInterrupt
 
 
 _early: list[StopOnSignal] = []

@@ -95,11 +95,13 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
         node = _made(make_node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        with contextlib.suppress(ExternalShutdownException):
+        with contextlib.suppress(ExternalShutdownException), stop.breaking():
             while rclpy.ok() and not stop.asked:
                 executor.spin_once(timeout_sec=STOP_PERIOD_S)
         if isinstance(node, Finishing):
             node.finish()
+    except KeyboardInterrupt:  # what it had at work is half done, and is not written
+        print("asked to end once more: broken off", file=sys.stderr)
     except QuadtreeLssError as error:
         print(f"error: {error}", file=sys.stderr)
         return WRONG_CONFIGURATION if isinstance(error, ConfigError) else 1

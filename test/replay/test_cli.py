@@ -198,7 +198,7 @@ def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
     assert "scans mapped" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("module", ["rosbags", "zstandard", "mcap"])
+@pytest.mark.parametrize("module", ["rosbags", "zstandard", "lz4"])
 def test_a_missing_package_for_bags_is_told_with_its_remedy(module, tmp_path):
     program = (
         f"import sys; sys.modules['{module}'] = None\n"

@@ -33,6 +33,7 @@ from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.replay.bags import Bag, BagError
 from quadtree_lss.replay.info import inspect_bag
 from quadtree_lss.replay.mcap_file import CHUNK, McapFile
+from quadtree_lss.replay.passes import _Clock
 from quadtree_lss.replay.replay import replay as run_replay
 from quadtree_lss.replay.unpack import MOST_BYTES, DamagedError, unpack
 
@@ -189,6 +190,17 @@ def test_a_recorder_clock_that_steps_back_costs_no_scan(tmp_path, storage, back)
     assert result.summary["scans"] == SCANS and not result.losses
     assert any("clock stepped back" in line for line in result.warnings)
     assert not any("jumped" in line for line in result.warnings)
+
+
+def test_passes_go_on_after_a_step_back_of_the_clock():
+    clock = _Clock(4.0)
+    clock.changed = True
+    assert clock.due(100 * SECOND)
+    clock.sent(100 * SECOND)
+    assert not clock.due(100 * SECOND)
+    clock.changed = True
+    assert not clock.due(100 * SECOND + SECOND // 5) and clock.due(101 * SECOND)
+    assert clock.due(20 * SECOND)
 
 
 def damaged_rows(path, statement, *values):

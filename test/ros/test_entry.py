@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from quadtree_lss.ros import entry
 from quadtree_lss.ros.map_stamps import MapStamps
 
 pytestmark = pytest.mark.xdist_group("ros")
@@ -75,3 +77,20 @@ def test_maps_that_differ_have_different_stamps_one_after_the_other():
     assert published(900) == 901 and published(900) == 902, "late scans"
     assert published(902) == 903
     assert published(500) == 500, "time jumped back"
+
+
+def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
+    before = {number: signal.getsignal(number) for number in entry.SIGNALS}
+    try:
+        stop = entry.StopOnSignal()
+        with stop.breaking():
+            for _ in range(2):  # a terminal and launch both send the first
+                os.kill(os.getpid(), signal.SIGINT)
+            assert stop.asked
+            monkeypatch.setattr(entry, "PATIENCE_S", 0.0)
+            with pytest.raises(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGINT)  # what ends a node is not broken off
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
