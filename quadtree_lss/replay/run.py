@@ -13,6 +13,7 @@ from quadtree_lss.config.settings import Config
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
+from quadtree_lss.errors import one_line
 from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
 from quadtree_lss.messages.lost_points import likely_reason
 from quadtree_lss.messages.maps import MapMessageError
@@ -49,7 +50,6 @@ class Run:
         points_dropped: Points of mapped scans that are not in the map, by reason.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
         maps: Maps that were read, for a bag of maps.
-        losses: Messages of maps that could not be decoded, one line.
     """
 
     config: Config
@@ -64,7 +64,6 @@ class Run:
     refused_divisions: int = 0
     noise_ratio: float = float("nan")
     maps: int = 0
-    losses: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.intake = Intake(self.config)
@@ -116,8 +115,6 @@ class Run:
                 found = pairs.take(bag, message, self.config.lss)
             except MapMessageError as error:
                 self._tell(f"map_{error.reason}", str(error))
-                if error.reason == "encoding":
-                    self.losses = [f"{self._notices['map_encoding']} messages lost: {error}"]
                 found = None
             if found is not None:
                 last, self.maps = found, self.maps + 1
@@ -211,6 +208,16 @@ class Run:
                 map_ms,
             )
         )
+
+    @property
+    def losses(self) -> list[str]:
+        """Messages of maps and of what is asked of landing that could not be decoded, a line each.
+
+        `Stream` tells of the others.
+        """
+        keys = [key for key in self._notices if key.endswith("_encoding")]
+        others = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
+        return [one_line(f"{self._notices[k]} messages lost: {self._texts[k]}") for k in others]
 
     def _note(self) -> None:
         told = self.intake.notices()

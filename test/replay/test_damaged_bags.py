@@ -305,6 +305,18 @@ def test_messages_that_cannot_be_decoded_are_losses(tmp_path):
     assert inspect_bag(path, CONFIG).losses == [line]
 
 
+def test_a_keep_out_that_cannot_be_decoded_is_a_loss(tmp_path):
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        recorder = Recorder(writer)
+        flight(recorder)
+        kind = "geometry_msgs/msg/PolygonStamped"
+        topic = writer.add_connection("/landing/keep_out", kind, typestore=recorder.store)
+        writer.write(topic, 1_700_000_000 * SECOND, b"\x00\x01\x00\x00none")
+    result = run_replay(tmp_path / "bag", None, CONFIG)
+    (line,) = result.losses
+    assert "1 messages lost: landing/keep_out" in line and not len(result.assessment.sites.score)
+
+
 def test_numbers_that_mean_the_same_agree(tmp_path):
     """Of messages recorded, taken and refused, by replay and by info."""
     path = tmp_path / "bag"
