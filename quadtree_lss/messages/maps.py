@@ -214,6 +214,11 @@ def _check(cells: CellMap) -> None:
             sound &= (np.diagonal(part, axis1=1, axis2=2) >= 0.0).all(axis=1)
             sound &= np.isfinite(part).all(axis=(1, 2))
         sound &= ~cells.measured | (np.isfinite(cells.roughness) & (cells.roughness >= 0.0))
+    off = (cells.offset_z, cells.offset_variance)
+    sound_offset = np.isnan(off).all() or (abs(off[0]) < 1e7 and 0.0 <= off[1] < np.inf)
+    if not sound_offset:
+        msg = f"map/cells has an impossible offset: {off[0]} m of variance {off[1]}"
+        raise MapMessageError("values", msg)
     if not sound[known].all() or cells.measured[~known].any():
         msg = "map/cells has a leaf with an impossible plane (normal, elevation, covariance)"
         raise MapMessageError("values", msg)

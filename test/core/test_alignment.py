@@ -197,6 +197,22 @@ def test_the_report_tells_the_offset():
     assert nothing.offset == 0.0
 
 
+def test_the_map_tells_how_far_navigation_is_from_it():
+    """Whatever the map was lifted by: its height plus the offset is height by navigation."""
+    rng, mapper = np.random.default_rng(7), mapper_of()
+    fly(mapper, level, [0.0], rng)
+    assert np.isnan(mapper.snapshot().offset_z), "nothing was compared yet"
+    fly(mapper, level, np.zeros(3), rng, start=2.0)
+    fly(mapper, level, [0.3], rng, start=1000.0)
+    cells = mapper.snapshot()
+    ground = np.median(cells.z[cells.measured])
+    assert 0.05 < ground < 0.25, "navigation and map share the error"
+    assert ground + cells.offset_z == pytest.approx(0.3, abs=0.02)
+    assert 0.0 < cells.offset_variance < 0.1**2
+    mapper.import_state(mapper.export_state())
+    assert np.isnan(mapper.snapshot().offset_z), "another vehicle may have flown then"
+
+
 def test_exact_poses_are_left_alone():
     """And what they say weighs as much as what was there before."""
     rng, mapper = np.random.default_rng(7), mapper_of()

@@ -154,6 +154,8 @@ def test_a_finer_observed_grid_than_the_leaves_is_another_maximum_level(cells):
         ("normal_z", 0.0),
         ("normal_z", -1.0),
         ("min_level", 200),
+        ("offset_z", np.inf),
+        ("offset_variance", -1.0),
     ],
 )
 def test_impossible_values_are_refused(cells, name, value):
