@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MAX_PLACES = 200
+MAX_PLACES = 1000
 """Places that are remembered; of more the oldest are forgotten."""
 
 
@@ -93,8 +93,8 @@ class Choice:
 class Places:
     """Numbers places, from 1; a number is never given twice.
 
-    A place keeps its number while the grid point where it was first met is safe, and what lies
-    within ``reach`` of that grid point has the same number.
+    A place keeps its number while the grid point where it was first met, or where it became the
+    target, is safe; what lies within ``reach`` of that grid point has the same number.
     """
 
     def __init__(self) -> None:
