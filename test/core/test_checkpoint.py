@@ -165,6 +165,10 @@ def _half_seen(state):
     state["observed"][3] = 2
 
 
+def _far_off(state):
+    state["offset"] = np.array([np.inf, 1.0])
+
+
 def _two_stamps(state):
     state["stamp_ns"] = np.zeros(2, dtype=np.int64)
 
@@ -183,6 +187,7 @@ SPOILS = [
     _unheard_of,
     _unseen,
     _half_seen,
+    _far_off,
     _two_stamps,
 ]
 

@@ -202,6 +202,7 @@ class Mapper:
             "stamp_ns": np.array(self.stamp_ns),
             "start_ns": np.array(self._start_ns),
             "noise_ratio": np.array(self._noise_ratio),
+            "offset": np.array(self._offset),
         }
         return checkpoint.identified(state, self.domain)
 
@@ -219,7 +220,8 @@ class Mapper:
         self.stamp_ns = int(state["stamp_ns"])
         self._start_ns = int(state["start_ns"])
         self._noise_ratio = float(state["noise_ratio"])
-        self._offset = (float("nan"), float("nan"))  # of whoever flew then
+        height, variance = state["offset"].tolist()
+        self._offset = (height, variance)
 
 
 def _matrices(flat: Array) -> Array:

@@ -8,6 +8,7 @@ damaged is refused. Reading and writing files is the caller's.
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from typing import Any, TypeAlias
 
@@ -117,6 +118,12 @@ def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
     _check_leaves(state["leaves"], domain)
     if (state["observed"] > 1).any():
         msg = "has an impossible mask of observed cells"
+        raise CheckpointError(msg)
+    height, variance = state["offset"].tolist()
+    if not (math.isnan(height) and math.isnan(variance)) and not (
+        math.isfinite(height) and 0.0 <= variance < math.inf
+    ):
+        msg = "has an impossible offset from navigation"
         raise CheckpointError(msg)
 
 
