@@ -145,6 +145,7 @@ class LssNode(Node):
             return  # what came was refused
         if not self._inputs.settled():
             return
+        new = cells is not self._assessed
         self._assessed, self._withheld, self._asked = cells, withheld, False
         start = time.perf_counter()
         restrictions = {**self._inputs.restrictions(), "withheld": withheld}
@@ -160,7 +161,7 @@ class LssNode(Node):
         self._tell_first(result)
         self._markers.changed()
         latency = self._diagnostics.latency_ms(result.stamp_ns)
-        if latency is not None:
+        if new and latency is not None:
             self._latency_ms.add(latency)
 
     def _tell_first(self, result: LandingAssessment) -> None:

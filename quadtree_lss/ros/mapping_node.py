@@ -263,7 +263,7 @@ class MappingNode(Node):
         self._cells.publish(cells)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))
         latency = self._diagnostics.latency_ms(self._mapper.stamp_ns)
-        if latency is not None:
+        if self._report is not None and latency is not None:  # else of a file, however old
             self._latency_ms.add(latency)
 
     def _collect(self, status: Status) -> None:
@@ -280,12 +280,12 @@ class MappingNode(Node):
         wait, latency = self._overload.waits.take(), self._latency_ms.take()
         status.judge_delay("scans wait to be mapped for", wait, config.diagnostics)
         status.judge_delay(MAP_LATE, latency, config.diagnostics)
-        dropped = {**self._intake.dropped, "overload": self._overload.dropped}
+        dropped = Counter(self._intake.dropped, overload=self._overload.dropped)
         status.add(
             {
                 "scans": self._scans,
                 "scans.waiting": len(self._intake.queue),
-                **{f"scans.dropped.{key}": n for key, n in dropped.items()},
+                **{f"scans.dropped.{key}": n for key, n in dropped.items() if n},
                 **{f"points.dropped.{key}": n for key, n in self._points_dropped.items()},
                 "map.stamp_ns": self._mapper.stamp_ns,
                 "map.leaves": self._mapper.leaves.count,

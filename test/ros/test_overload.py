@@ -100,7 +100,7 @@ def test_maps_of_an_overloaded_node(ros, policy):
                 told, listener, "scans wait to be mapped", "maps are sent after"
             )
             assert listener.wait_for(late), values()
-            assert max(ages) > 1.0 and values()["scans.dropped.overload"] == "0"
+            assert max(ages) > 1.0 and "scans.dropped.overload" not in values()
         else:
             assert listener.wait_for(functools.partial(all_accounted, values)), values()
             assert len(ages) > 10 and max(ages) < 1.0, ages

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
+import time
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -46,6 +48,10 @@ def used(node, name):
     return {(what, topic) for what, names in ask.items() for topic, _ in names(name, "/")}
 
 
+def is_known(node, name):
+    return name in node.get_node_names()
+
+
 def test_a_node_without_its_keys_does_not_start_unprotected(ros):
     secure = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
     env = {**ros.env, **secure, "ROS_SECURITY_KEYSTORE": str(ros.folder)}
@@ -62,8 +68,10 @@ def test_each_node_uses_what_the_policy_allows_it(ros, name):
         args = [text for key, value in way.items() for text in ("-p", f"{key}:={value}")]
         process = ros.start(name, *args)
         with ros.listen({}) as listener:
-            # All of a node is announced at its start; it speaks once it has been made.
             assert listener.wait_for(lambda: name in listener.diagnostics), process.output()
+            known = functools.partial(is_known, listener.node, name)
+            assert listener.wait_for(known), "it speaks, but has not been announced"
+            time.sleep(1.0)  # all of a node is announced at its start, but piece by piece
             seen |= used(listener.node, name)
         process.stop()
     wanted = allowed(name)
