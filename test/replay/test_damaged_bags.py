@@ -401,4 +401,4 @@ def test_damaged_bags_of_every_storage(storage, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("storage", STORAGES)
 def test_many_more_of_them(storage, tmp_path):
-    try_damage(storage, tmp_path, 2, 500)
+    try_damage(storage, tmp_path, 2, 150)
