@@ -41,7 +41,7 @@ DIRECTIVES = {
     "boundscheck": True,
     "initializedcheck": CHECKED,
 }
-COMPILE = ["-O3", "-ffp-contract=off", "-g0"]
+COMPILE = ["-O3", "-ffp-contract=off", "-fno-math-errno", "-g0"]
 SHARED = f"{NAME}.shared"
 # C is written here, and the state it was made of.
 GENERATED = Path("build", "cython")

@@ -21,7 +21,6 @@ if not cython.compiled:
 
     from quadtree_lss.core.geometry.sphere import basis_at, change_of_tangent, minus_at, plus_at
 
-    fmax, fmin = max, min
 
 Array = NDArray[np.float64]
 
@@ -65,16 +64,16 @@ def inverse_symmetric(c: Vector, out: Vector) -> None:
     radians of very different size do not spoil the inverse, and a singular matrix gives a large
     finite one.
     """
-    x = 1.0 / sqrt(fmax(c[0], 1e-24))
-    y = 1.0 / sqrt(fmax(c[4], 1e-24))
-    z = 1.0 / sqrt(fmax(c[8], 1e-24))
-    xy = fmin(fmax(c[1] * x * y, -1.0), 1.0)
-    xz = fmin(fmax(c[2] * x * z, -1.0), 1.0)
-    yz = fmin(fmax(c[5] * y * z, -1.0), 1.0)
+    x = 1.0 / sqrt(max(c[0], 1e-24))
+    y = 1.0 / sqrt(max(c[4], 1e-24))
+    z = 1.0 / sqrt(max(c[8], 1e-24))
+    xy = min(max(c[1] * x * y, -1.0), 1.0)
+    xz = min(max(c[2] * x * z, -1.0), 1.0)
+    yz = min(max(c[5] * y * z, -1.0), 1.0)
     first = 1.0 - yz * yz
     second = xz * yz - xy
     third = xy * yz - xz
-    share = 1.0 / fmax(first + xy * second + xz * third, 1e-14)
+    share = 1.0 / max(first + xy * second + xz * third, 1e-14)
     out[0] = share * x * x * first
     out[1] = out[3] = share * x * y * second
     out[2] = out[6] = share * x * z * third
@@ -85,15 +84,17 @@ def inverse_symmetric(c: Vector, out: Vector) -> None:
 
 def turn_tangent(c: Vector, change: Vector) -> None:
     """Covariance (9) in place, its dphi mapped by `change_of_tangent` (4)."""
-    whole = cython.declare(cython.double[9])
-    moved = cython.declare(cython.double[9])
-    i: cython.int
-    whole[0], whole[1], whole[2] = change[0], change[1], 0.0
-    whole[3], whole[4], whole[5] = change[2], change[3], 0.0
-    whole[6], whole[7], whole[8] = 0.0, 0.0, 1.0
-    congruent(whole, c, moved)
-    for i in range(9):
-        c[i] = moved[i]
+    x = change[0] * c[0] + change[1] * c[3]
+    y = change[0] * c[1] + change[1] * c[4]
+    z = change[2] * c[1] + change[3] * c[4]
+    w = change[2] * c[0] + change[3] * c[3]
+    c[0] = x * change[0] + y * change[1]
+    c[1] = c[3] = x * change[2] + y * change[3]
+    c[4] = w * change[2] + z * change[3]
+    x = change[0] * c[2] + change[1] * c[5]
+    y = change[2] * c[2] + change[3] * c[5]
+    c[2] = c[6] = x
+    c[5] = c[7] = y
 
 
 def shift_origin(c: Vector, first: float, second: float) -> None:
@@ -135,12 +136,12 @@ def moments(
         szz += z * z
     share = 1.0 / (end - begin)
     mean[0], mean[1], mean[2] = x0 + share * sx, y0 + share * sy, z0 + share * sz
-    scatter[0] = fmax(sxx - share * sx * sx, 0.0)
+    scatter[0] = max(sxx - share * sx * sx, 0.0)
     scatter[1] = sxy - share * sx * sy
     scatter[2] = sxz - share * sx * sz
-    scatter[3] = fmax(syy - share * sy * sy, 0.0)
+    scatter[3] = max(syy - share * sy * sy, 0.0)
     scatter[4] = syz - share * sy * sz
-    scatter[5] = fmax(szz - share * sz * sz, 0.0)
+    scatter[5] = max(szz - share * sz * sz, 0.0)
 
 
 def height_normal(
@@ -169,7 +170,7 @@ def keep_up(normal: Vector) -> None:
     if normal[2] < 0.0:
         normal[0], normal[1], normal[2] = -normal[0], -normal[1], -normal[2]
     if normal[2] < MIN_UP:
-        level = sqrt(1.0 - MIN_UP * MIN_UP) / fmax(hypot(normal[0], normal[1]), 1e-300)
+        level = sqrt(1.0 - MIN_UP * MIN_UP) / max(hypot(normal[0], normal[1]), 1e-300)
         normal[0] *= level
         normal[1] *= level
         normal[2] = MIN_UP
@@ -216,10 +217,10 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         if h00 <= 0.0 or h00 * h11 - h01 * h01 <= 0.0:
             h00 += cost
             h11 += cost
-        determinant = fmax(h00 * h11 - h01 * h01, 1e-300)
+        determinant = max(h00 * h11 - h01 * h01, 1e-300)
         step[0] = -(h11 * g0 - h01 * g1) / determinant
         step[1] = -(h00 * g1 - h01 * g0) / determinant
-        short = fmin(1.0, 0.5 / fmax(hypot(step[0], step[1]), 1e-300))
+        short = min(1.0, 0.5 / max(hypot(step[0], step[1]), 1e-300))
         step[0] *= short
         step[1] *= short
         plus_at(normal, step, turned)
@@ -284,32 +285,30 @@ def pose_part(normal: Vector, arm: Vector, sigma: Array, out: Vector) -> None:
         out: Written.
     """
     basis = cython.declare(cython.double[6])
-    row = cython.declare(cython.double[18])
-    image = cython.declare(cython.double[6])
-    i: cython.int
+    turn = cython.declare(cython.double[3])
     j: cython.int
     k: cython.int
     basis_at(normal, basis)
+    turn[0] = arm[1] * normal[2] - arm[2] * normal[1]
+    turn[1] = arm[2] * normal[0] - arm[0] * normal[2]
+    turn[2] = arm[0] * normal[1] - arm[1] * normal[0]
+    for k in range(9):
+        out[k] = 0.0
     for k in range(3):
-        row[k] = row[6 + k] = 0.0
-        # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
-        row[3 + k] = basis[3 + k]
-        row[9 + k] = -basis[k]
-        row[12 + k] = normal[k]
-    row[15] = arm[1] * normal[2] - arm[2] * normal[1]
-    row[16] = arm[2] * normal[0] - arm[0] * normal[2]
-    row[17] = arm[0] * normal[1] - arm[1] * normal[0]
-    for i in range(3):
-        for k in range(6):
-            total = 0.0
-            for j in range(0 if i == 2 else 3, 6):
-                total += row[6 * i + j] * sigma[j, k]
-            image[k] = total
-        for j in range(i, 3):
-            total = 0.0
-            for k in range(0 if j == 2 else 3, 6):
-                total += image[k] * row[6 * j + k]
-            out[3 * i + j] = out[3 * j + i] = total
+        moved = turned = first = second = 0.0
+        for j in range(3):
+            moved += sigma[k, j] * normal[j] + sigma[k, 3 + j] * turn[j]
+            turned += sigma[3 + k, j] * normal[j] + sigma[3 + k, 3 + j] * turn[j]
+            # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
+            first += sigma[3 + k, 3 + j] * basis[3 + j]
+            second -= sigma[3 + k, 3 + j] * basis[j]
+        out[0] += basis[3 + k] * first
+        out[1] += basis[3 + k] * second
+        out[2] += basis[3 + k] * turned
+        out[4] -= basis[k] * second
+        out[5] -= basis[k] * turned
+        out[8] += normal[k] * moved + turn[k] * turned
+    out[3], out[6], out[7] = out[1], out[2], out[5]
 
 
 def fuse(
@@ -396,7 +395,7 @@ def fuse(
     congruent(gain, range_part, two)
     for i in range(9):
         prior_range[i] = one[i] + two[i]
-    share = fmin(fmax(gain[8], 0.0), 1.0)
+    share = min(max(gain[8], 0.0), 1.0)
     congruent(rest, prior_pose, one)
     congruent(gain, pose_part, two)
     for i in range(9):
@@ -419,7 +418,7 @@ def fuse(
     shift_origin(prior_range, first, second)
     shift_origin(prior_pose, first, second)
     for i in range(3):
-        prior_range[4 * i] = fmax(prior_range[4 * i], SURE)
+        prior_range[4 * i] = max(prior_range[4 * i], SURE)
     out_rise[0] = rise
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if not cython.compiled:
-    from math import atan2, cos, hypot, sin
+    from math import atan2, cos, sin, sqrt
 
 Array = NDArray[np.float64]
 #: A C array of doubles that a kernel reads or writes in place.
@@ -36,7 +36,7 @@ def basis_at(normal: Vector, out: Vector) -> None:
 
 def exp_at(tangent: Vector, out: Vector) -> None:
     """Eq. 3: (sinc(phi) phi, cos(phi)), phi (2) to (3)."""
-    angle = hypot(tangent[0], tangent[1])
+    angle = sqrt(tangent[0] * tangent[0] + tangent[1] * tangent[1])
     along = sin(angle) / angle if angle > 1e-9 else 1.0
     out[0] = along * tangent[0]
     out[1] = along * tangent[1]
@@ -45,7 +45,7 @@ def exp_at(tangent: Vector, out: Vector) -> None:
 
 def log_at(normal: Vector, out: Vector) -> None:
     """Eq. 4: angle from the z axis along kappa, n (3) to (2)."""
-    sine = hypot(normal[0], normal[1])
+    sine = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
     share = atan2(sine, normal[2]) / sine if sine > 1e-12 else 1.0
     out[0] = share * normal[0]
     out[1] = share * normal[1]
@@ -54,7 +54,7 @@ def log_at(normal: Vector, out: Vector) -> None:
 def exp_jacobian_at(tangent: Vector, out: Vector) -> None:
     """Eq. 5, Eq. 6, Eq. 7 (bottom row -sinc(phi) phi^T): d exp / d phi, phi (2) to (3, 2)."""
     x, y = tangent[0], tangent[1]
-    angle = hypot(x, y)
+    angle = sqrt(x * x + y * y)
     sinc = sin(angle) / angle if angle > 1e-9 else 1.0
     chi = (cos(angle) - sinc) / (angle * angle) if angle > 1e-4 else -1.0 / 3.0
     out[0] = sinc + chi * x * x
@@ -70,7 +70,7 @@ def log_jacobian_at(normal: Vector, out: Vector) -> None:
     With unit direction k = kappa / |kappa| and angle phi, a change dn turns the angle by
     lambda k.dkappa - |kappa| dlambda and moves across k by (phi / sin phi) of dkappa.
     """
-    sine = hypot(normal[0], normal[1])
+    sine = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
     x = normal[0] / sine if sine > 1e-9 else 1.0
     y = normal[1] / sine if sine > 1e-9 else 0.0
     across = atan2(sine, normal[2]) / sine if sine > 1e-9 else 1.0

@@ -1,4 +1,4 @@
-from libc.math cimport M_PI, erf, exp, fmax, sqrt
+from libc.math cimport M_PI, erf, exp, sqrt
 
 cpdef void lay_out(
     Py_ssize_t[::1] row,

@@ -16,7 +16,7 @@ from quadtree_lss.core.tree.domain import Domain
 if not cython.compiled:
     from math import erf, exp, pi, sqrt
 
-    fmax, fmin, M_PI = max, min, pi
+    M_PI = pi
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -140,10 +140,10 @@ def lay_out(
             for i in range(row[k], row[k] + width[k]):
                 y = (i - row[k] - middle) * side - feature[k, 3]
                 share = bell_share(y, half, sigma) * volume / (side * side)
-                near_y = fmax(fmax(y - half, -y - half), 0.0)
+                near_y = max(max(y - half, -y - half), 0.0)
                 for j in range(column[k], column[k] + width[k]):
                     x = (j - column[k] - middle) * side - feature[k, 2]
-                    near_x = fmax(fmax(x - half, -x - half), 0.0)
+                    near_x = max(max(x - half, -x - half), 0.0)
                     layers[3, i, j] = share * bell_share(x, half, sigma)
                     square = near_x * near_x + near_y * near_y
                     raised = high * exp(-0.5 * square / (sigma * sigma))

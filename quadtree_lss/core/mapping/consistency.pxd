@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport fabs, fmax, sqrt
+from libc.math cimport fabs, sqrt
 from quadtree_lss.core.geometry.sphere cimport basis_at
 from quadtree_lss.core.mapping.division cimport mahalanobis_factor
 from quadtree_lss.core.mapping.measure cimport pose_variance, range_variance

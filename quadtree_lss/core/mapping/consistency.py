@@ -23,7 +23,6 @@ if not cython.compiled:
     from quadtree_lss.core.mapping.division import mahalanobis_factor
     from quadtree_lss.core.mapping.measure import pose_variance, range_variance
 
-    fmax = max
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -213,9 +212,9 @@ def residuals(
                     plane += a[j] * covariance[at, 3 * j + k] * a[k]
             distance = sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
             cosine = fabs(n[0] * r[0] + n[1] * r[1] + n[2] * r[2]) / distance
-            cosine = fmax(cosine, MIN_COSINE)
+            cosine = max(cosine, MIN_COSINE)
             along = range_variance(range_noise, per_metre, divergence, distance, cosine)
             variance = plane + along * cosine * cosine + pose_variance(n, r, sigma)
             out[0, i] = e
-            out[1, i] = sqrt(fmax(variance, FLOOR))
+            out[1, i] = sqrt(max(variance, FLOOR))
             out[2, i] = fabs(e) * mahalanobis_factor(n, r, cosine, sigma, along, plane)

@@ -9,18 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.mapping.measure import Rules
+from quadtree_lss.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
     from math import fabs, sqrt
 
     from quadtree_lss.core.geometry.plane import inverse_symmetric
-    from quadtree_lss.core.mapping.features import feature_height
+    from quadtree_lss.core.geometry.sphere import basis_at
+    from quadtree_lss.core.mapping.bell import feature_height
     from quadtree_lss.core.mapping.measure import pose_variance
 
-    fmax = max
+    MEASURED = 3
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.void]
 
 #: Mean and standard deviation of chi_1, E = sqrt(2 / pi), and of chi_3, E = 2 sqrt(2 / pi)
 #: = sqrt(2) Gamma(2) / Gamma(3/2) of Eq. 47.
@@ -99,13 +100,73 @@ def mahalanobis_factor(
     for i in range(3):
         for j in range(3):
             weight += ray[i] * inverse[3 * i + j] * ray[j]
-    total_along = 1.0 / fmax(weight, 1e-300) + along + plane / (cosine * cosine)
+    total_along = 1.0 / max(weight, 1e-300) + along + plane / (cosine * cosine)
     return 1.0 / (cosine * sqrt(total_along))
 
 
-def asks(
-    rules: Rules, leaf: Rows, row: cython.Py_ssize_t, runs: Rows, at: cython.Py_ssize_t
-) -> cython.bint:
+def judge(
+    rules: Rules,
+    leaf: Record,
+    run: Record,
+    points: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    origin: Vector,
+    sigma: Array,
+) -> None:
+    """The division statistic of a run, before its fit is fused.
+
+    ``lack_of_fit``: mean residual about the run's own fit over range noise, with
+    sqrt(N / (N - 3)), of expectation E[chi_1] on planar ground. ``mahalanobis``: the paper's
+    mean d_M of prefit residuals; a measured leaf is judged by the plane it had, a new one by
+    its fit ("the fit quality between measurements and the initial estimate").
+
+    Args:
+        rules: Which of the two.
+        leaf, run: Records of types `LEAF` and `RUN`; ``run.statistic`` is written.
+        points: (N, 3) about the lidar, m; the run is ``begin`` to ``end``.
+        origin: (3) lidar in the map, m.
+        sigma: (6, 6) pose covariance.
+    """
+    basis = cython.declare(cython.double[6])
+    through = cython.declare(cython.double[3])
+    row = cython.declare(cython.double[3])
+    i: cython.int
+    j: cython.int
+    count = run.points
+    if count <= 3.0:
+        return
+    if not rules.mahalanobis:
+        distance = mean_distance(points, begin, end, run.normal, run.mean)
+        run.statistic = distance * sqrt(count / ((count - 3.0) * run.variance))
+        return
+    along = run.variance / (run.cosine * run.cosine)
+    if leaf.known != MEASURED:
+        distance = mean_distance(points, begin, end, run.normal, run.mean)
+        run.statistic = distance * mahalanobis_factor(
+            run.normal, run.mean, run.cosine, sigma, along, 0.0
+        )
+        return
+    through[0], through[1] = leaf.x - origin[0], leaf.y - origin[1]
+    through[2] = leaf.z - origin[2]
+    distance = mean_distance(points, begin, end, leaf.normal, through)
+    basis_at(leaf.normal, basis)
+    for i in range(3):
+        through[i] = run.mean[i] - through[i]
+    row[0] = -(basis[0] * through[0] + basis[1] * through[1] + basis[2] * through[2])
+    row[1] = -(basis[3] * through[0] + basis[4] * through[1] + basis[5] * through[2])
+    row[2] = 1.0
+    plane = 0.0
+    for i in range(3):
+        for j in range(3):
+            total = leaf.range_part[3 * i + j] + leaf.pose_part[3 * i + j]
+            plane += row[i] * total * row[j]
+    run.statistic = distance * mahalanobis_factor(
+        leaf.normal, run.mean, run.cosine, sigma, along, plane
+    )
+
+
+def asks(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     """Update the running mean of a leaf's division statistic; whether it asks to be divided.
 
     The mean is over all processed measurements (Eq. 47). A scan counts by the residuals that its
@@ -115,22 +176,22 @@ def asks(
     ``division_confidence`` of these, or cells with few points would divide by chance. A view of
     less than half of the cell does not judge it: no corner outvotes the whole.
     """
-    if runs[at].unseen >= 0.5:
+    if run.unseen >= 0.5:
         return False
-    weight = fmax(runs[at].points - 3.0, 0.0)
-    leaf[row].division_sum += weight * runs[at].statistic
-    leaf[row].square_sum += weight * runs[at].square
-    leaf[row].division_weight += weight
-    total = leaf[row].division_weight
+    weight = max(run.points - 3.0, 0.0)
+    leaf.division_sum += weight * run.statistic
+    leaf.square_sum += weight * run.square
+    leaf.division_weight += weight
+    total = leaf.division_weight
     if total < rules.min_residuals:
         return False
     expected = MEAN_CHI_3 if rules.mahalanobis else MEAN_CHI_1
     spread = SPREAD_CHI_3 if rules.mahalanobis else SPREAD_CHI_1
     doubt = rules.division_confidence * spread / sqrt(total)
-    return leaf[row].division_sum > total * (rules.division_factor * expected + doubt)
+    return leaf.division_sum > total * (rules.division_factor * expected + doubt)
 
 
-def hides_rock(rules: Rules, leaf: Rows, row: cython.Py_ssize_t, side: float) -> cython.bint:
+def hides_rock(rules: Rules, leaf: Record, side: float) -> cython.bint:
     """Whether a leaf holds a rock, which the mean over a large leaf hides.
 
     A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows in one of
@@ -140,21 +201,28 @@ def hides_rock(rules: Rules, leaf: Rows, row: cython.Py_ssize_t, side: float) ->
     ``features.divide_height`` and narrow as a rock is. A leaf has one feature, so a rock beside
     another, or one that lies across the border of leaves, shows by its raised measurements alone.
     """
-    counted = leaf[row].residuals
+    counted = leaf.residuals
     if rules.divide_exceptions > 0.0:
-        noise = leaf[row].exception_noise
-        least = fmax(rules.divide_exceptions, STRAY * counted)
-        if leaf[row].exception_sum >= noise + fmax(least, 3.0 * sqrt(noise)):
+        noise = leaf.exception_noise
+        least = max(rules.divide_exceptions, STRAY * counted)
+        if leaf.exception_sum >= noise + max(least, 3.0 * sqrt(noise)):
             return True
     if rules.divide_area > 0.0:
-        noise = leaf[row].raised_noise
-        least = fmax(1.0, fmax(rules.divide_area / (side * side), STRAY) * counted)
-        if leaf[row].raised_sum >= noise + fmax(least, 3.0 * sqrt(noise)):
+        noise = leaf.raised_noise
+        least = max(1.0, max(rules.divide_area / (side * side), STRAY) * counted)
+        if leaf.raised_sum >= noise + max(least, 3.0 * sqrt(noise)):
             return True
     return (
-        leaf[row].feature[4] <= rules.rock_sigma
-        and feature_height(leaf[row].feature) >= rules.rock_height
+        leaf.feature[4] <= rules.rock_sigma
+        and feature_height(leaf.feature) >= rules.rock_height
     )
+
+
+def hides_rock_in(
+    rules: Rules, table: LeafTable, row: cython.Py_ssize_t, side: float
+) -> cython.bint:
+    """`hides_rock` of a row of a table."""
+    return hides_rock(rules, table.at(row), side)
 
 
 def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> cython.double:

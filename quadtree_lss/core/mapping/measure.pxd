@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport fabs, fmax, fmin, sqrt
+from libc.math cimport fabs, sqrt
 from quadtree_lss.core.geometry.plane cimport (
     covariance_about, height_normal, moments, orthogonal_normal, pose_part, slope_covariance
 )
@@ -34,8 +34,9 @@ cdef class Rules:
     cdef readonly double feature_height, feature_volume, feature_width, feature_points
     cdef readonly double rock_height, rock_sigma
 
+cdef Run* record(Run[::1] runs, Py_ssize_t at) noexcept nogil
 cpdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double[:, ::1] sigma) noexcept nogil
 cdef double _unseen(double square, double correlation, double side, double points) noexcept nogil
-cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double* prior, double[:, ::1] sigma, Run[::1] runs, Py_ssize_t at) noexcept nogil
+cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double* prior, double[:, ::1] sigma, Run* run) noexcept nogil
 cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.sphere import Vector
-from quadtree_lss.core.tree.leaves import LeafTable
+from quadtree_lss.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
     from math import fabs, sqrt
@@ -29,7 +29,6 @@ if not cython.compiled:
     )
     from quadtree_lss.core.geometry.sphere import basis_at
 
-    fmax, fmin = max, min
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -94,6 +93,14 @@ class Rules:
         self.rock_sigma = features.divide_sigma
 
 
+def record(runs: NDArray[np.void], at: cython.Py_ssize_t) -> Record:
+    """One record of type `RUN`, to read and to write."""
+    if cython.compiled:
+        return cython.address(runs[at])
+    else:
+        return runs[at]
+
+
 def range_variance(
     noise: float, per_metre: float, divergence: float, distance: float, cosine: float
 ) -> cython.double:
@@ -120,7 +127,7 @@ def pose_variance(normal: Vector, arm: Vector, sigma: Array) -> cython.double:
     for i in range(6):
         for j in range(6):
             total += row[i] * sigma[i, j] * row[j]
-    return fmin(fmax(total, 0.0), MAX_VARIANCE)
+    return min(max(total, 0.0), MAX_VARIANCE)
 
 
 def _unseen(square: float, correlation: float, side: float, points: float) -> cython.double:
@@ -130,7 +137,7 @@ def _unseen(square: float, correlation: float, side: float, points: float) -> cy
     the other axis, they fill a diagonal band only. What a full cell leaves out by chance,
     side / sqrt(points), does not count.
     """
-    half = sqrt(fmax(3.0 * square * (1.0 - correlation), 0.0))
+    half = sqrt(max(3.0 * square * (1.0 - correlation), 0.0))
     return side - 2.0 * half - side / sqrt(points)
 
 
@@ -144,10 +151,9 @@ def measure(
     side: float,
     prior: Vector,
     sigma: Array,
-    runs: NDArray[np.void],
-    at: cython.Py_ssize_t,
+    run: Record,
 ) -> None:
-    """Fit a plane to a run of points; it is written to ``runs[at]``, without the statistic.
+    """Fit a plane to a run of points; it is written to ``run``, without the statistic.
 
     A view of less than half of the cell, or of fewer than ``mapping.min_points`` points, tells its
     height alone, and the slope is taken to be the one before: a strip at the edge of a scan is as
@@ -162,93 +168,93 @@ def measure(
         side: Of the cell, m.
         prior: (3) normal to keep to where the points do not tell the slope.
         sigma: (6, 6) pose covariance.
-        runs: Records of type `RUN`.
+        run: Record of type `RUN`.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
     arm = cython.declare(cython.double[3])
     i: cython.int
-    moments(points, begin, end, runs[at].mean, runs[at].scatter)
+    moments(points, begin, end, run.mean, run.scatter)
     count: cython.double = end - begin
-    runs[at].points = count
-    xx = runs[at].scatter[0]
-    yy = runs[at].scatter[3]
-    xy = runs[at].scatter[1]
-    off_x = runs[at].mean[0] - x
-    off_y = runs[at].mean[1] - y
-    correlation = xy * xy / fmax(xx * yy, 1e-300)
-    wide = fmax(
+    run.points = count
+    xx = run.scatter[0]
+    yy = run.scatter[3]
+    xy = run.scatter[1]
+    off_x = run.mean[0] - x
+    off_y = run.mean[1] - y
+    correlation = xy * xy / max(xx * yy, 1e-300)
+    wide = max(
         _unseen(xx / count, correlation, side, count),
         _unseen(yy / count, correlation, side, count),
     )
-    runs[at].unseen = fmin(fmax(wide / side, 0.0), 1.0)
-    seen = fmax(1.0 - runs[at].unseen, 0.1)
+    run.unseen = min(max(wide / side, 0.0), 1.0)
+    seen = max(1.0 - run.unseen, 0.1)
     distance = sqrt(
-        runs[at].mean[0] * runs[at].mean[0]
-        + runs[at].mean[1] * runs[at].mean[1]
-        + runs[at].mean[2] * runs[at].mean[2]
+        run.mean[0] * run.mean[0]
+        + run.mean[1] * run.mean[1]
+        + run.mean[2] * run.mean[2]
     )
-    ray_x = runs[at].mean[0] / distance
-    ray_y = runs[at].mean[1] / distance
-    ray_z = runs[at].mean[2] / distance
-    if runs[at].unseen >= 0.5 or count < rules.min_points:
+    ray_x = run.mean[0] / distance
+    ray_y = run.mean[1] / distance
+    ray_z = run.mean[2] / distance
+    if run.unseen >= 0.5 or count < rules.min_points:
         tilt = UNKNOWN_TILT
         for i in range(3):
-            runs[at].normal[i] = prior[i]
+            run.normal[i] = prior[i]
     else:
-        tilt = runs[at].unseen * UNSEEN_TILT
+        tilt = run.unseen * UNSEEN_TILT
         spread = rules.range_noise * rules.range_noise
         height_normal(
-            runs[at].scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, runs[at].normal
+            run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, run.normal
         )
         if rules.ml and count > 3.0:
-            first = runs[at].normal[0]
-            second = runs[at].normal[1]
-            up = runs[at].normal[2]
-            orthogonal_normal(runs[at].scatter, runs[at].normal)
-            if runs[at].normal[2] < OVERTURNED * up:
-                runs[at].normal[0] = first
-                runs[at].normal[1] = second
-                runs[at].normal[2] = up
-    up = runs[at].normal[2]
-    cosine = fabs(runs[at].normal[0] * ray_x + runs[at].normal[1] * ray_y + up * ray_z)
-    cosine = fmax(cosine, MIN_COSINE)
+            first = run.normal[0]
+            second = run.normal[1]
+            up = run.normal[2]
+            orthogonal_normal(run.scatter, run.normal)
+            if run.normal[2] < OVERTURNED * up:
+                run.normal[0] = first
+                run.normal[1] = second
+                run.normal[2] = up
+    up = run.normal[2]
+    cosine = fabs(run.normal[0] * ray_x + run.normal[1] * ray_y + up * ray_z)
+    cosine = max(cosine, MIN_COSINE)
     along = range_variance(
         rules.range_noise, rules.noise_per_metre, rules.divergence, distance, cosine
     )
-    runs[at].cosine = cosine
-    runs[at].variance = variance = along * cosine * cosine
+    run.cosine = cosine
+    run.variance = variance = along * cosine * cosine
     if rules.independent:
-        variance += pose_variance(runs[at].normal, runs[at].mean, sigma)
-    rise = (runs[at].normal[0] * off_x + runs[at].normal[1] * off_y) / up
-    runs[at].z = runs[at].mean[2] + rise
+        variance += pose_variance(run.normal, run.mean, sigma)
+    rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
+    run.z = run.mean[2] + rise
     quadratic = (
-        runs[at].normal[0] * (runs[at].normal[0] * xx + 2.0 * runs[at].normal[1] * xy)
-        + runs[at].normal[1] * runs[at].normal[1] * yy
-        + up * up * runs[at].scatter[5]
-        + 2.0 * up * runs[at].normal[0] * runs[at].scatter[2]
-        + 2.0 * up * runs[at].normal[1] * runs[at].scatter[4]
+        run.normal[0] * (run.normal[0] * xx + 2.0 * run.normal[1] * xy)
+        + run.normal[1] * run.normal[1] * yy
+        + up * up * run.scatter[5]
+        + 2.0 * up * run.normal[0] * run.scatter[2]
+        + 2.0 * up * run.normal[1] * run.scatter[4]
     )
-    free = fmax(count - 3.0, 1.0)
-    runs[at].square = fmax(quadratic, 0.0) / free
-    doubt = runs[at].variance * (1.0 + 2.0 * sqrt(2.0 / free))
-    uneven = fmax(runs[at].square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
-    slope_covariance(runs[at].scatter, runs[at].normal, variance, tilt * tilt, slope)
-    basis_at(runs[at].normal, basis)
+    free = max(count - 3.0, 1.0)
+    run.square = max(quadratic, 0.0) / free
+    doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
+    uneven = max(run.square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
+    slope_covariance(run.scatter, run.normal, variance, tilt * tilt, slope)
+    basis_at(run.normal, basis)
     covariance_about(
         slope,
         variance / count + uneven,
         basis[0] * off_x + basis[1] * off_y - basis[2] * rise,
         basis[3] * off_x + basis[4] * off_y - basis[5] * rise,
-        runs[at].range_part,
+        run.range_part,
     )
     if rules.independent:
         for i in range(9):
-            runs[at].pose_part[i] = 0.0
+            run.pose_part[i] = 0.0
     else:
-        arm[0], arm[1], arm[2] = x, y, runs[at].z
-        pose_part(runs[at].normal, arm, sigma, runs[at].pose_part)
-    runs[at].statistic = 0.0
+        arm[0], arm[1], arm[2] = x, y, run.z
+        pose_part(run.normal, arm, sigma, run.pose_part)
+    run.statistic = 0.0
 
 
 def fit(
@@ -263,7 +269,7 @@ def fit(
     """`measure` of all points (N, 3) and one cell: a record of type `RUN`."""
     normal: cython.double[3] = prior  # type: ignore[valid-type]
     runs = np.zeros(1, dtype=RUN).view(np.recarray)
-    measure(rules, points, 0, len(points), x, y, side, normal, sigma, runs, 0)
+    measure(rules, points, 0, len(points), x, y, side, normal, sigma, record(runs, 0))
     return runs
 
 
@@ -289,20 +295,20 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     first: cython.Py_ssize_t
     number: cython.Py_ssize_t
     seen: cython.Py_ssize_t
-    leaf = table.leaf
     observed = table.seen
     slope[1] = slope[2] = 0.0
     with cython.nogil:
         for i in range(rows.shape[0]):
+            leaf = table.at(rows[i])
             for j in range(9):
                 out[i, j] = 0.0
-            j = 2 * (table.max_level - leaf[rows[i]].level)
+            j = 2 * (table.max_level - leaf.level)
             number = 1 << j
-            first = encode(leaf[rows[i]].ix, leaf[rows[i]].iy) << j
+            first = encode(leaf.ix, leaf.iy) << j
             seen = 0
             for k in range(first, first + number):
                 seen += observed[k]
-            if seen == 0 or seen == number or leaf[rows[i]].known < 3:
+            if seen == 0 or seen == number or leaf.known < 3:
                 continue
             sx = sy = sxx = sxy = syy = 0.0
             for k in range(number):
@@ -322,18 +328,18 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             sxy = sxy / seen - x * y
             across = sqrt(number)
             correlation = sxy * sxy / (sxx * syy)
-            wide = fmax(
+            wide = max(
                 _unseen(sxx, correlation, across, seen),
                 _unseen(syy, correlation, across, seen),
             )
-            tilt = UNSEEN_TILT * fmin(fmax(wide / across, 0.0), 1.0)
+            tilt = UNSEEN_TILT * min(max(wide / across, 0.0), 1.0)
             slope[0] = slope[3] = tilt * tilt
-            side = table.side(leaf[rows[i]].level) / across
+            side = table.side(leaf.level) / across
             x = side * (x - 0.5 * across)
             y = side * (y - 0.5 * across)
-            z = -(leaf[rows[i]].normal[0] * x + leaf[rows[i]].normal[1] * y)
-            z /= leaf[rows[i]].normal[2]
-            basis_at(leaf[rows[i]].normal, basis)
+            z = -(leaf.normal[0] * x + leaf.normal[1] * y)
+            z /= leaf.normal[2]
+            basis_at(leaf.normal, basis)
             covariance_about(
                 slope,
                 0.0,

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport erfc, exp, fabs, fmax, fmin, sqrt
+from libc.math cimport exp, fabs, sqrt
 from quadtree_lss.core.geometry.plane cimport fuse
-from quadtree_lss.core.geometry.sphere cimport basis_at
-from quadtree_lss.core.mapping.division cimport asks, hides_rock, mahalanobis_factor, mean_distance
-from quadtree_lss.core.mapping.features cimport Heights, update_feature
-from quadtree_lss.core.mapping.measure cimport Rules, Run, measure
+from quadtree_lss.core.mapping.bell cimport Heights
+from quadtree_lss.core.mapping.division cimport asks, hides_rock, judge
+from quadtree_lss.core.mapping.features cimport update_feature
+from quadtree_lss.core.mapping.measure cimport Rules, Run, measure, record
+from quadtree_lss.core.mapping.residuals cimport rest
 from quadtree_lss.core.tree.leaves cimport HINTS, INHERITED, MEASURED, NOTHING, Leaf, LeafTable
 
 cdef class ScanUpdate:
@@ -24,22 +25,17 @@ cdef class ScanUpdate:
     cdef readonly object ratio
     cdef double[::1] ratios
     cdef double[::1] weights
-    cdef readonly object origin
-    cdef double x, y, z, now
+    cdef double origin[3]
+    cdef double now
     cdef readonly Py_ssize_t cells
     cdef Py_ssize_t rested
     cdef bint aligned
     cdef readonly Py_ssize_t divisions
     cdef readonly Py_ssize_t refused
-    cdef void _measure(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t at) noexcept nogil
-    cdef void _judge(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t at) noexcept nogil
-    cdef void _fuse(self, Py_ssize_t row, Py_ssize_t at, bint same_scan) noexcept nogil
-    cdef bint _divide(self, Py_ssize_t row, Py_ssize_t at) noexcept nogil
-    cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t at, bint same_scan) noexcept nogil
+    cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
+    cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
+    cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
     cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil
-    cdef void _rest(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t at) noexcept nogil
-    cdef double _exceptions(self, Py_ssize_t begin, Py_ssize_t end, double deviation) noexcept nogil
+    cdef void _rest(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef double common(self, double time) noexcept nogil
-    cdef double _side(self, Py_ssize_t row) noexcept nogil
-
-cdef double _above(double deviations) noexcept nogil

@@ -37,6 +37,9 @@ cdef struct Leaf:
     double feature[5]
     double feature_information[25]
 
+cdef extern from * nogil:
+    void prefetch "__builtin_prefetch" (const void* at)
+
 cdef class LeafTable:
     cdef readonly object domain
     cdef readonly object rows
@@ -51,6 +54,8 @@ cdef class LeafTable:
     cdef readonly Py_ssize_t max_cells
     cdef readonly int max_level
     cdef double xmin, ymin, size
+    cdef void expect(self, Py_ssize_t row) noexcept nogil
+    cdef Leaf* at(self, Py_ssize_t row) noexcept nogil
     cdef double side(self, int level) noexcept nogil
     cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
     cdef bint divide(self, Py_ssize_t row, double square, double tilt) noexcept nogil

@@ -8,6 +8,8 @@ A plane is Eq. 37 with the covariance of Eq. 38.
 
 from __future__ import annotations
 
+from typing import Any, TypeAlias
+
 import cython
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,8 @@ if not cython.compiled:
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
 
 Index = NDArray[np.intp]
+#: One record of a table: a pointer to a C structure, or a record of NumPy.
+Record: TypeAlias = Any
 
 #: A leaf:
 #:
@@ -112,6 +116,21 @@ class LeafTable:
             self.leaf = self.rows
             self.capacity = len(grown)
 
+    def at(self, row: cython.Py_ssize_t) -> Record:
+        """A leaf, to read and to write; until the table grows."""
+        if cython.compiled:
+            return cython.address(self.leaf[row])
+        else:
+            return self.leaf[row]
+
+    def expect(self, row: cython.Py_ssize_t) -> None:
+        """Have a leaf brought near that will be wanted soon."""
+        i: cython.int
+        if cython.compiled:
+            byte: cython.p_char = cython.cast(cython.p_char, cython.address(self.leaf[row]))
+            for i in range(0, 320, 64):
+                prefetch(byte + i)
+
     def side(self, level: cython.int) -> cython.double:
         """Side of a cell of a level, m."""
         return self.size / (1 << level)
@@ -122,12 +141,13 @@ class LeafTable:
     ) -> None:
         code: cython.Py_ssize_t
         first: cython.Py_ssize_t
+        leaf = self.at(row)
         side = self.side(level)
-        self.leaf[row].level = level
-        self.leaf[row].ix = ix
-        self.leaf[row].iy = iy
-        self.leaf[row].x = self.xmin + (ix + 0.5) * side
-        self.leaf[row].y = self.ymin + (iy + 0.5) * side
+        leaf.level = level
+        leaf.ix = ix
+        leaf.iy = iy
+        leaf.x = self.xmin + (ix + 0.5) * side
+        leaf.y = self.ymin + (iy + 0.5) * side
         first = encode(ix, iy) << (2 * (self.max_level - level))
         for code in range(first, first + (1 << (2 * (self.max_level - level)))):
             self.over[code] = row
@@ -153,39 +173,41 @@ class LeafTable:
         child: cython.Py_ssize_t
         at: cython.Py_ssize_t
         i: cython.int
-        level: cython.int = self.leaf[row].level
-        ix: cython.int = 2 * self.leaf[row].ix
-        iy: cython.int = 2 * self.leaf[row].iy
+        parent = self.at(row)
+        level: cython.int = parent.level
+        ix: cython.int = 2 * parent.ix
+        iy: cython.int = 2 * parent.iy
         if self.count + 3 > self.max_cells:
             return False
-        leaf = self.leaf
+        basis_at(parent.normal, basis)
         quarter = 0.25 * self.side(level)
+        # The first child overwrites its parent, so it is the last to be made.
         for child in range(3, -1, -1):
             at = row if child == 0 else self.count + child - 1
-            leaf[at] = leaf[row]
-            if leaf[row].known >= INHERITED:
-                leaf[at].known = INHERITED
+            self.leaf[at] = self.leaf[row]
+            leaf = self.at(at)
+            if leaf.known >= INHERITED:
+                leaf.known = INHERITED
                 x = quarter if child & 1 else -quarter
                 y = quarter if child & 2 else -quarter
-                z = -(leaf[row].normal[0] * x + leaf[row].normal[1] * y) / leaf[row].normal[2]
-                basis_at(leaf[row].normal, basis)
+                z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
                 first = basis[0] * x + basis[1] * y + basis[2] * z
                 second = basis[3] * x + basis[4] * y + basis[5] * z
-                leaf[at].z = leaf[row].z + z
-                shift_origin(leaf[at].range_part, first, second)
-                shift_origin(leaf[at].pose_part, first, second)
-                leaf[at].range_part[0] += tilt
-                leaf[at].range_part[4] += tilt
-                leaf[at].range_part[8] += square
+                leaf.z += z
+                shift_origin(leaf.range_part, first, second)
+                shift_origin(leaf.pose_part, first, second)
+                leaf.range_part[0] += tilt
+                leaf.range_part[4] += tilt
+                leaf.range_part[8] += square
             else:
-                leaf[at].known = NOTHING
-            leaf[at].points = 0.0
-            leaf[at].distance_sum = leaf[at].noise_sum = 0.0
-            leaf[at].exception_sum = leaf[at].exception_noise = 0.0
-            leaf[at].raised_sum = leaf[at].raised_noise = leaf[at].residuals = 0.0
-            leaf[at].division_sum = leaf[at].division_weight = leaf[at].square_sum = 0.0
+                leaf.known = NOTHING
+            leaf.points = 0.0
+            leaf.distance_sum = leaf.noise_sum = 0.0
+            leaf.exception_sum = leaf.exception_noise = 0.0
+            leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
+            leaf.division_sum = leaf.division_weight = leaf.square_sum = 0.0
             for i in range(5):
-                leaf[at].feature[i] = NAN
+                leaf.feature[i] = NAN
             self._place(at, level + 1, ix + (child & 1), iy + (child >> 1))
         self.count += 3
         return True

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points that came to rest in a leaf: what its plane does not describe (Eq. 48, Eq. 55)."""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.core.mapping.measure import Rules
+from quadtree_lss.core.tree.leaves import Record
+
+if not cython.compiled:
+    from math import erfc, fabs, sqrt
+
+Array = NDArray[np.float64]
+
+#: E[chi_1] = sqrt(2 / pi).
+MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
+#: A point stands out of curved ground if it is this many root mean square residuals above.
+OUTSTANDING = cython.declare(cython.double, 4.0)
+
+
+def _above(deviations: float) -> cython.double:
+    """P(N(0, 1) > deviations)."""
+    return 0.5 * erfc(0.7071067811865476 * deviations)
+
+
+@cython.boundscheck(False)
+def rest(
+    rules: Rules,
+    leaf: Record,
+    run: Record,
+    points: Array,
+    residual: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+) -> None:
+    """Add a run to the running statistics of the leaf it came to rest in.
+
+    Residuals are n.(r - mean): without the scan's common offset in the cell, which pose error
+    and not the ground explains; it takes one degree of freedom.
+
+    Args:
+        rules: Limits.
+        leaf, run: Records of types `LEAF` and `RUN`.
+        points: (N, 3) about the lidar, m; the run is ``begin`` to ``end``, two points at least.
+        residual: (N,) written there, m.
+    """
+    i: cython.Py_ssize_t
+    count = run.points
+    variance = run.variance
+    n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
+    d = n_x * run.mean[0] + n_y * run.mean[1] + n_z * run.mean[2]
+    usual = variance
+    if leaf.division_weight > 0.0:
+        usual = leaf.square_sum / leaf.division_weight
+    high = max(rules.rock_height, OUTSTANDING * sqrt(usual))
+    clip = rules.clip
+    total = raised = greatest = 0.0
+    for i in range(begin, end):
+        e = n_x * points[i, 0] + n_y * points[i, 1] + n_z * points[i, 2] - d
+        residual[i] = e
+        raised += 1.0 if e > high else 0.0
+        e = fabs(e)
+        greatest = e if e > greatest else greatest
+        total += e if e < clip else clip
+    noise = variance * (1.0 - 1.0 / count)
+    leaf.distance_sum += total
+    leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
+    leaf.raised_sum += raised
+    leaf.raised_noise += count * _above(rules.rock_height / sqrt(variance))
+    # xi of a residual that is noise itself: the noise counts twice.
+    leaf.exception_noise += 2.0 * count * _above(rules.tolerance / sqrt(2.0 * variance))
+    if greatest > rules.tolerance - 3.0 * sqrt(noise):
+        leaf.exception_sum += exceptions(residual, begin, end, rules.tolerance, sqrt(noise))
+    leaf.residuals += count
+
+
+@cython.boundscheck(False)
+def exceptions(
+    residual: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    tolerance: float,
+    deviation: float,
+) -> cython.double:
+    """Eq. 48's sum of xi: probability mass beyond the roughness tolerance t.
+
+    xi = P(|e + s N(0, 1)| > t) with e the residual (N,), m, of the run ``begin`` to ``end``, and s
+    the ``deviation`` that range noise leaves in it, m. How uncertain the plane's slope is does not
+    count: of a leaf that was seen in part that is the other part's.
+    """
+    i: cython.Py_ssize_t
+    mass = 0.0
+    for i in range(begin, end):
+        e = fabs(residual[i])
+        if e > tolerance - 3.0 * deviation:
+            mass += _above((tolerance - e) / deviation) + _above((tolerance + e) / deviation)
+    return mass
