@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Isolated returns of scans that are not organised; the rule is that of `isolated`.
 
-Points are sorted into cubes whose diagonal is the gate. Three in a cube hang together; only the
-others look for points around them.
+Most points lie near those before and behind them in the scan. For the others, points are sorted
+into cubes whose diagonal is the gate: three in a cube hang together, the rest look around them.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ if not cython.compiled:
 Array = NDArray[np.float64]
 Keys = NDArray[np.int64]
 Places = NDArray[np.int32]
+Mask = NDArray[np.uint8]
 
 #: So many points tell the usual distance.
 SAMPLED = 256
@@ -42,13 +43,16 @@ def isolated_in_space(points: Array, ranges: Array, gate: float) -> int:
     if returns < 3:
         return 0
     limit = max(gate, WIDENING * usual_distance(points, ranges, returns), LEAST_GATE)
+    sure = np.empty(len(points), dtype=np.uint8)
+    if linked_in_order(points, ranges, limit, sure) == returns:
+        return 0
     # The diagonal of a cube is a little less than the gate: points of one cube are linked.
     per_metre = 1.7320509 / limit
     slots = 1 << (returns + returns // 2).bit_length()
     cubes, last = np.zeros(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32)
     before, slot = np.empty((2, len(points)), dtype=np.int32)
     fill(points, ranges, per_metre, cubes, last, before, slot)
-    return int(drop(points, ranges, limit, per_metre, cubes, last, before, slot, AROUND))
+    return int(drop(points, ranges, limit, per_metre, cubes, last, before, slot, AROUND, sure))
 
 
 def usual_distance(points: Array, ranges: Array, returns: int) -> float:
@@ -83,6 +87,33 @@ def second_distances(points: Array, distances: Array) -> cython.void:
                     second = max(square, least)
                     least = min(square, least)
             distances[i] = sqrt(second)
+
+
+@cython.boundscheck(False)
+def linked_in_order(points: Array, ranges: Array, limit: float, sure: Mask) -> cython.Py_ssize_t:
+    """How many points (N, 3) are linked with two of the four that are next in the scan's order.
+
+    Args:
+        sure: (N,) for 1 where a point is, else 0.
+    """
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    links: cython.int
+    found: cython.Py_ssize_t = 0
+    with cython.nogil:
+        for i in range(points.shape[0]):
+            links = 0
+            k = max(i - 2, 0)
+            while links < 2 and k < min(i + 3, points.shape[0]) and ranges[i] > 0.0:
+                if k != i and ranges[k] > 0.0:
+                    x = points[k, 0] - points[i, 0]
+                    y = points[k, 1] - points[i, 1]
+                    z = points[k, 2] - points[i, 2]
+                    links += x * x + y * y + z * z <= limit * limit
+                k += 1
+            sure[i] = links >= 2
+            found += sure[i]
+    return found
 
 
 def cube_of(
@@ -126,8 +157,9 @@ def fill(
         slots: (N,) where each point's cube stands in the table.
     """
     i: cython.Py_ssize_t
-    slot: cython.Py_ssize_t
+    slot: cython.Py_ssize_t = 0
     cube: cython.longlong
+    latest: cython.longlong = -1
     with cython.nogil:
         for i in range(points.shape[0]):
             if not ranges[i] > 0.0:
@@ -138,7 +170,9 @@ def fill(
                 cython.cast(cython.longlong, points[i, 1] * per_metre + 524288.0),
                 cython.cast(cython.longlong, points[i, 2] * per_metre + 524288.0),
             )
-            slot = slot_of(cubes, cube)
+            if cube != latest:
+                slot = slot_of(cubes, cube)
+                latest = cube
             if cubes[slot] == 0:
                 cubes[slot] = cube << 2
             if cubes[slot] & 3 != 3:
@@ -159,8 +193,13 @@ def drop(
     before: Places,
     slots: Places,
     around: Keys,
+    sure: Mask,
 ) -> cython.Py_ssize_t:
-    """Make the ranges of isolated points NaN; how many. The table is that of `fill`."""
+    """Make the ranges of isolated points NaN; how many. The table is that of `fill`.
+
+    Args:
+        sure: (N,) of `linked_in_order`.
+    """
     i: cython.Py_ssize_t
     links: cython.Py_ssize_t
     dropped: cython.Py_ssize_t = 0
@@ -168,7 +207,7 @@ def drop(
     other = cython.declare(cython.Py_ssize_t[1])
     with cython.nogil:
         for i in range(points.shape[0]):
-            if not ranges[i] > 0.0 or cubes[slots[i]] & 3 == 3:
+            if sure[i] or not ranges[i] > 0.0 or cubes[slots[i]] & 3 == 3:
                 continue
             links = point_links(points, i, limit, per_metre, cubes, last, before, around, linked)
             if links == 1:

@@ -125,20 +125,6 @@ def register(
     return scan, dropped
 
 
-def compact(values: NDArray[np.intp], bound: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Distinct values, ascending, and the place of each value among them, without sorting.
-
-    Args:
-        values: (N,) in 0 .. bound - 1.
-    """
-    mark = np.zeros(bound, dtype=np.bool_)
-    mark[values] = True
-    distinct = np.flatnonzero(mark)
-    place = np.empty(bound, dtype=np.intp)
-    place[distinct] = np.arange(len(distinct))
-    return distinct, place[values]
-
-
 class _Workspace:
     """What the passes over N points write and read, see there."""
 
