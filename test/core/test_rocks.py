@@ -22,7 +22,7 @@ ROWS = slice(0, 4)
 def hides(leaves: LeafTable, noise: float = 0.02, **mapping: object) -> list[bool]:
     """Which of `four_leaves` hold a rock, by the default limits but for those given."""
     rules = Rules(configured(mapping=mapping, lidar={"range_noise": noise}))
-    return [division.hides_rock_in(rules, leaves, row, 8.0) for row in range(4)]
+    return [division.hides_rock_in(rules, leaves.rows, row, 8.0) for row in range(4)]
 
 
 def test_exceptions_beyond_their_noise_divide():

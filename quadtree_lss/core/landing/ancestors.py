@@ -65,7 +65,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     down = np.where(below, cells.level.astype(np.intp) - level, 0)
     key = (cells.iy.astype(np.intp) >> down) * n + (cells.ix.astype(np.intp) >> down)
     key[~below] = 0
-    chosen = np.flatnonzero(below & cells.measured)
+    chosen = below & cells.measured
     place = np.full(n * n, -1, dtype=np.intp)
     place[key[chosen]] = 0
     cell = np.flatnonzero(place == 0)
@@ -83,12 +83,12 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
         of_leaf=np.where(below, place[key], -1),
     )
     fuse_leaves(
-        out.of_leaf[chosen],
-        np.column_stack([cells.x[chosen], cells.y[chosen], cells.z[chosen]]),
-        cells.normal[chosen],
-        cells.covariance_range[chosen],
-        cells.covariance_pose[chosen],
-        np.maximum(cells.count[chosen].astype(np.float64), 1.0),
+        np.where(chosen, out.of_leaf, -1),
+        np.column_stack([cells.x, cells.y, cells.z]),
+        cells.normal,
+        cells.covariance_range,
+        cells.covariance_pose,
+        np.maximum(cells.count, 1.0),
         np.column_stack([out.x, out.y]),
         out.z,
         out.normal,
@@ -115,7 +115,7 @@ def fuse_leaves(
     """Fuse leaves (K) into their ancestors (A); what is fused is zero before.
 
     Args:
-        ancestor: (K,) of each leaf, 0 .. A - 1.
+        ancestor: (K,) of each leaf, 0 .. A - 1, or less where it has none.
         centre: (K, 3) on each leaf's plane, m.
         normal, range_part, pose_part: (K, 3), (K, 3, 3), (K, 3, 3).
         weight: (K,) measurements.
@@ -141,6 +141,8 @@ def fuse_leaves(
     with cython.nogil:
         for k in range(ancestor.shape[0]):
             a = ancestor[k]
+            if a < 0:
+                continue
             total[a] += weight[k]
             z[a] += weight[k] * centre[k, 2]
             for i in range(3):
@@ -153,6 +155,8 @@ def fuse_leaves(
         # Each leaf seen from its ancestor's centre, its error in the tangent at the mean normal.
         for k in range(ancestor.shape[0]):
             a = ancestor[k]
+            if a < 0:
+                continue
             arm[0], arm[1] = place[a, 0] - centre[k, 0], place[a, 1] - centre[k, 1]
             arm[2] = z[a] - centre[k, 2]
             for i in range(3):

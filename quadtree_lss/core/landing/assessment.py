@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.grid import GridSampler
+from quadtree_lss.core.landing.raster import TerrainRaster
+from quadtree_lss.core.landing.score import PointAssessment
 from quadtree_lss.core.landing.target import Reason
 from quadtree_lss.core.tree.cell_map import CellMap
 
@@ -89,14 +94,12 @@ class LandingAssessment:
         pending: There is no target, but another assessment, be it of the same map, would give one.
         sites: Ranked sites, none if no ground is safe.
         x, y: (nx,), (ny,) of the grid points, m.
-        elevation: (ny, nx) height of the map's own planes at the grid point, m, NaN if unseen.
-        plane_elevation: (ny, nx) of the plane at the lander's scale there, m, NaN if unseen.
-        slope_deg: (ny, nx) slope at the lander's scale, NaN if unseen.
         hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 128 unseen.
         safe: (ny, nx) landing centred here is allowed by the ground itself.
         score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
         explanation: Why there are no sites, or how many grid points are safe.
         offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
+        ground: What the layers below are made of when they are asked for.
     """
 
     stamp_ns: int
@@ -106,15 +109,34 @@ class LandingAssessment:
     sites: Sites
     x: Array
     y: Array
-    elevation: Array
-    plane_elevation: Array
-    slope_deg: Array
     hazard: Bits
     safe: Mask
     score: Array
     explanation: str
     offset_z: float
     offset_variance: float
+    ground: tuple[GridSampler, TerrainRaster, PointAssessment] | None = None
+
+    def _layer(self, values: Callable[..., Array]) -> Array:
+        out = np.full(self.score.shape, np.nan)
+        if self.ground is not None:
+            np.copyto(out, values(*self.ground), where=self.hazard & hazards.UNSEEN == 0)
+        return out
+
+    @cached_property
+    def elevation(self) -> Array:
+        """(ny, nx) height of the map's own planes at the grid point, m, NaN if unseen."""
+        return self._layer(lambda at, raster, _: at.ground(raster))
+
+    @cached_property
+    def plane_elevation(self) -> Array:
+        """(ny, nx) height of the plane at the lander's scale there, m, NaN if unseen."""
+        return self._layer(lambda at, _, points: at.linear(points.planes.elevation))
+
+    @cached_property
+    def slope_deg(self) -> Array:
+        """(ny, nx) slope at the lander's scale, NaN if unseen."""
+        return self._layer(lambda at, _, points: np.degrees(at.nearest(points.slope)))
 
 
 def with_reasons(sites: Sites, lss: LssConfig) -> Sites:
@@ -159,9 +181,6 @@ def nothing_mapped(
         sites=no_sites(),
         x=x,
         y=y,
-        elevation=np.full(shape, np.nan),
-        plane_elevation=np.full(shape, np.nan),
-        slope_deg=np.full(shape, np.nan),
         hazard=np.full(shape, hazards.UNSEEN, dtype=np.uint8),
         safe=np.zeros(shape, dtype=np.bool_),
         score=np.full(shape, np.nan),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import cython
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,8 +11,12 @@ from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing.ancestors import fuse_to_level
 from quadtree_lss.core.tree.cell_map import CellMap
 
+if not cython.compiled:
+    from math import fabs
+
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
+Index = NDArray[np.intp]
 
 SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNSEEN = 1, 2, 4, 8, 128
 
@@ -37,15 +42,38 @@ def elevation_deviation(cells: CellMap, level: int) -> Array:
     """
     fused = fuse_to_level(cells, level)
     out = np.where(cells.estimated, 0.0, np.nan)
-    chosen = np.flatnonzero((fused.of_leaf >= 0) & (cells.level > level) & cells.estimated)
-    above = fused.of_leaf[chosen]
-    nx, ny, nz = cells.normal[chosen].T
-    x, y, z = fused.normal[above].T
-    middle = x * (cells.x[chosen] - fused.x[above]) + y * (cells.y[chosen] - fused.y[above])
-    middle += z * (cells.z[chosen] - fused.z[above])
-    half = 0.5 * cells.size[chosen]
-    out[chosen] = np.abs(middle) + half * (np.abs(x - z * nx / nz) + np.abs(y - z * ny / nz))
+    leaves = np.column_stack([cells.x, cells.y, cells.z, 0.5 * cells.size])
+    above = np.where(cells.estimated & (cells.level > level), fused.of_leaf, -1)
+    planes = np.column_stack([fused.x, fused.y, fused.z])
+    farthest_corner(above, leaves, cells.normal, planes, fused.normal, out)
     return out
+
+
+@cython.boundscheck(False)
+def farthest_corner(
+    above: Index, leaves: Array, normal: Array, planes: Array, fused: Array, out: Array
+) -> None:
+    """Greatest distance of a leaf's plane from the fused one along that one's normal, m.
+
+    Args:
+        above: (M,) fused plane of each leaf, less than 0 for none.
+        leaves: (M, 4) x, y, z of the centre and half the side, m; normal: (M, 3).
+        planes: (A, 3) x, y, z of the fused planes, m; fused: (A, 3) their normals.
+        out: (M,) written where there is a fused plane.
+    """
+    k: cython.Py_ssize_t
+    a: cython.Py_ssize_t
+    with cython.nogil:
+        for k in range(above.shape[0]):
+            a = above[k]
+            if a < 0:
+                continue
+            x, y, z = fused[a, 0], fused[a, 1], fused[a, 2]
+            middle = x * (leaves[k, 0] - planes[a, 0]) + y * (leaves[k, 1] - planes[a, 1])
+            middle += z * (leaves[k, 2] - planes[a, 2])
+            along_x = fabs(x - z * normal[k, 0] / normal[k, 2])
+            along_y = fabs(y - z * normal[k, 1] / normal[k, 2])
+            out[k] = fabs(middle) + leaves[k, 3] * (along_x + along_y)
 
 
 def avoided_features(cells: CellMap, config: LssConfig) -> Bits:

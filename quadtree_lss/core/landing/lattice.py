@@ -9,7 +9,7 @@ from math import isqrt, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.landing.sweeps import disc_sums, find_nearest
+from quadtree_lss.core.landing.sweeps import disc_moments, find_nearest
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -51,8 +51,9 @@ def disc(radius: float, side: float) -> Disc:
 
 
 def disc_means(values: Array, over: Disc) -> Array:
-    """Means over the disc of each grid point: (n, n) cells, 0 outside, to (n + 1, n + 1)."""
-    out = _sums(_from_west(np.pad(values, over.reach)), over, np.ones(2 * over.reach))
+    """Means over the disc of each grid point: (n, n) cells to (n + 1, n + 1)."""
+    out, none = np.empty((len(values) + 1,) * 2), np.empty((0, 0))
+    disc_moments(values, over.half, out, none, none)
     out /= len(over.x)
     return out
 
@@ -80,34 +81,13 @@ def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
     """
     over = disc(radius, side)
     level = float(np.nanmean(elevation))
-    z = np.pad(elevation - level, over.reach, mode="edge")
-    # x of the padded cells and of the grid points, y of the disc's rows, in cells.
-    x = np.arange(len(z)) + 0.5
-    y: Array = np.arange(-over.reach, over.reach, dtype=np.float64) + 0.5
-    at = np.arange(len(elevation) + 1.0) + over.reach
-    west = _from_west(z)
-    total, slope_y = _sums(west, over, np.ones_like(y)), _sums(west, over, y)
-    slope_x = _sums(_from_west(x * z), over, np.ones_like(y))
-    slope_x -= at * total
+    height, slope_x, slope_y = np.empty((3, len(elevation) + 1, len(elevation) + 1))
+    disc_moments(elevation - level, over.half, height, slope_x, slope_y)
     for slope in (slope_x, slope_y):
-        slope *= side / np.sum(over.x**2)
-    total /= len(over.x)
-    total += level
-    return GroundPlanes(total, slope_x, slope_y)
-
-
-def _from_west(padded: Array) -> Array:
-    """Sums of the cells west of each border between two: (rows, columns) to (rows, columns + 1)."""
-    out = np.zeros((len(padded), len(padded) + 1))
-    np.cumsum(padded, axis=1, out=out[:, 1:])
-    return out
-
-
-def _sums(west: Array, over: Disc, weight: Array) -> Array:
-    """Sums over the disc of each grid point of cells and ``reach`` around, rows weighted."""
-    out = np.empty((len(west) - 2 * over.reach + 1,) * 2)
-    disc_sums(west, over.half, weight, out)
-    return out
+        slope /= side * np.sum((over.x / side) ** 2)
+    height /= len(over.x)
+    height += level
+    return GroundPlanes(height, slope_x, slope_y)
 
 
 def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -141,7 +121,7 @@ def distance_from(marked: Mask, side: float) -> Array:
     return out
 
 
-def nearest_marked(marked: Mask) -> tuple[NDArray[np.int64], Index]:
+def nearest_marked(marked: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Square of the distance of each point to the nearest marked one, in steps, and its place.
 
     Args:
@@ -150,7 +130,7 @@ def nearest_marked(marked: Mask) -> tuple[NDArray[np.int64], Index]:
     Returns:
         (ny, nx) squares and (ny, nx) flat indices.
     """
-    square, place = np.empty(marked.shape, dtype=np.int64), np.empty(marked.shape, dtype=np.intp)
+    square, place = np.empty((2, *marked.shape), dtype=np.int32)
     find_nearest(np.ascontiguousarray(marked).view(np.uint8), square, place)
     return square, place
 

@@ -141,7 +141,6 @@ class LandingSiteSelector:
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, domain, at, score, x, y, places)
         hazard = at.any(points.hazard)
-        unseen = (hazard & hazards.UNSEEN) > 0
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             answer=self._answers,
@@ -150,15 +149,13 @@ class LandingSiteSelector:
             sites=found.of(slice(len(ranked))),
             x=x,
             y=y,
-            elevation=np.where(unseen, np.nan, at.ground(raster)),
-            plane_elevation=np.where(unseen, np.nan, at.linear(points.planes.elevation)),
-            slope_deg=np.where(unseen, np.nan, np.degrees(at.nearest(points.slope))),
             hazard=hazard,
             safe=safe,
             score=score,
             explanation=explanation,
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
+            ground=(at, raster, points),
         )
 
     def _look_at(self, wanted: Restrictions) -> None:

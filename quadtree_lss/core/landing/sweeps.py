@@ -9,40 +9,67 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Places = NDArray[np.int32]
 
 
 @cython.boundscheck(False)
-def disc_sums(west: Array, half: Index, weight: Array, out: Array) -> None:
-    """Weighted sums over the disc of each grid point.
+def disc_moments(cells: Array, half: Index, total: Array, along_x: Array, along_y: Array) -> None:
+    """Sums of z, x z and y z over the disc of each grid point, x and y from it in cells.
 
-    A disc is a stack of centred runs of cells; the sum of a run is a difference of sums from the
-    west.
+    A disc is a stack of centred runs of cells, and the sum of a run is a difference of sums from
+    the west. Outside the lattice the cells at its edge go on.
 
     Args:
-        west: (n + 2 reach, n + 2 reach + 1) sums of the cells west of each border between two.
+        cells: (n, n).
         half: (2 reach,) half width of the disc in each row, in cells.
-        weight: (2 reach,) of each row.
-        out: (n + 1, n + 1), set.
+        total, along_x, along_y: (n + 1, n + 1), set; of the last two none if they are empty.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    east: cython.Py_ssize_t
+    west: cython.Py_ssize_t
+    n: cython.Py_ssize_t = cells.shape[0]
     reach: cython.Py_ssize_t = half.shape[0] // 2
+    slopes: cython.bint = along_x.shape[0] > 0
+    sums = cython.declare(
+        cython.double[:, :, ::1], np.zeros((2, n + 2 * reach, n + 2 * reach + 1))
+    )
     with cython.nogil:
-        for i in range(out.shape[0]):
-            out[i, :] = 0.0
+        for i in range(n + 2 * reach):
+            row = min(max(i - reach, 0), n - 1)
+            for j in range(n + 2 * reach):
+                z = cells[row, min(max(j - reach, 0), n - 1)]
+                sums[0, i, j + 1] = sums[0, i, j] + z
+                sums[1, i, j + 1] = sums[1, i, j] + (j + 0.5) * z
+        for i in range(n + 1):
+            total[i, :] = 0.0
+            if slopes:
+                along_x[i, :] = 0.0
+                along_y[i, :] = 0.0
             for k in range(2 * reach):
                 if half[k] == 0:
                     continue
-                share = weight[k]
-                for j in range(out.shape[1]):
-                    out[i, j] += share * (
-                        west[i + k, j + reach + half[k]] - west[i + k, j + reach - half[k]]
-                    )
+                east = reach + half[k]
+                west = reach - half[k]
+                y = k - reach + 0.5
+                if not slopes:
+                    for j in range(n + 1):
+                        total[i, j] += sums[0, i + k, j + east] - sums[0, i + k, j + west]
+                    continue
+                for j in range(n + 1):
+                    z = sums[0, i + k, j + east] - sums[0, i + k, j + west]
+                    total[i, j] += z
+                    along_y[i, j] += y * z
+                    along_x[i, j] += sums[1, i + k, j + east] - sums[1, i + k, j + west]
+            if slopes:
+                for j in range(n + 1):
+                    along_x[i, j] -= (j + reach) * total[i, j]
 
 
 @cython.boundscheck(False)
-def find_nearest(marked: NDArray[np.uint8], square: NDArray[np.int64], place: Index) -> None:
+def find_nearest(marked: NDArray[np.uint8], square: Places, place: Places) -> None:
     """Exact distances in two sweeps (Meijster, Roerdink and Hesselink 2000).
 
     First the nearest marked point in each column; then along each row the lower envelope of the
@@ -52,19 +79,19 @@ def find_nearest(marked: NDArray[np.uint8], square: NDArray[np.int64], place: In
         marked: (ny, nx).
         square, place: (ny, nx), set; a place outside the lattice if none is marked.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    top: cython.Py_ssize_t
-    last: cython.Py_ssize_t
-    x: cython.longlong
-    rows: cython.Py_ssize_t = marked.shape[0]
-    columns: cython.Py_ssize_t = marked.shape[1]
-    far: cython.Py_ssize_t = 2 * (rows + columns)
-    near = cython.declare(cython.Py_ssize_t[:, ::1], np.empty((rows, columns), dtype=np.intp))
-    height = cython.declare(cython.longlong[::1], np.empty(columns, dtype=np.int64))
-    vertex = cython.declare(cython.Py_ssize_t[::1], np.empty(columns, dtype=np.intp))
-    begin = cython.declare(cython.longlong[::1], np.empty(columns, dtype=np.int64))
+    i: cython.int
+    j: cython.int
+    k: cython.int
+    top: cython.int
+    last: cython.int
+    x: cython.int
+    rows: cython.int = marked.shape[0]
+    columns: cython.int = marked.shape[1]
+    far: cython.int = 2 * (rows + columns)
+    near = cython.declare(cython.int[:, ::1], np.empty((rows, columns), dtype=np.int32))
+    height = cython.declare(cython.int[::1], np.empty(columns, dtype=np.int32))
+    vertex = cython.declare(cython.int[::1], np.empty(columns, dtype=np.int32))
+    begin = cython.declare(cython.int[::1], np.empty(columns, dtype=np.int32))
     with cython.nogil:
         for j in range(columns):
             near[0, j] = 0 if marked[0, j] else -far

@@ -2,13 +2,14 @@
 from libc.math cimport fabs, sqrt
 from quadtree_lss.core.geometry.plane cimport inverse_symmetric
 from quadtree_lss.core.geometry.sphere cimport basis_at
-from quadtree_lss.core.mapping.measure cimport Rules, Run, pose_variance
+from quadtree_lss.core.mapping.measure cimport Rules, Run, pose_variance, record
 from quadtree_lss.core.mapping.bell cimport feature_height
-from quadtree_lss.core.tree.leaves cimport MEASURED, Leaf, LeafTable
+from quadtree_lss.core.tree.leaves cimport MEASURED, Leaf, leaf_at
 
 cdef double mean_distance(double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* normal, double* through) noexcept nogil
 cdef double mahalanobis_factor(double* normal, double* mean, double cosine, double[:, ::1] sigma, double along, double plane) noexcept nogil
 cdef void judge(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* origin, double[:, ::1] sigma) noexcept nogil
 cdef bint asks(Rules rules, Leaf* leaf, Run* run) noexcept nogil
 cdef bint hides_rock(Rules rules, Leaf* leaf, double side) noexcept nogil
-cpdef bint hides_rock_in(Rules rules, LeafTable table, Py_ssize_t row, double side)
+cpdef bint asks_in(Rules rules, Leaf[::1] rows, Py_ssize_t row, Run[::1] runs, Py_ssize_t at)
+cpdef bint hides_rock_in(Rules rules, Leaf[::1] rows, Py_ssize_t row, double side)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.mapping.measure import Rules
-from quadtree_lss.core.tree.leaves import LeafTable, Record
+from quadtree_lss.core.tree.leaves import Record
 
 if not cython.compiled:
     from math import fabs, sqrt
@@ -17,7 +17,8 @@ if not cython.compiled:
     from quadtree_lss.core.geometry.plane import inverse_symmetric
     from quadtree_lss.core.geometry.sphere import basis_at
     from quadtree_lss.core.mapping.bell import feature_height
-    from quadtree_lss.core.mapping.measure import pose_variance
+    from quadtree_lss.core.mapping.measure import pose_variance, record
+    from quadtree_lss.core.tree.leaves import leaf_at
 
     MEASURED = 3
 
@@ -218,11 +219,22 @@ def hides_rock(rules: Rules, leaf: Record, side: float) -> cython.bint:
     )
 
 
-def hides_rock_in(
-    rules: Rules, table: LeafTable, row: cython.Py_ssize_t, side: float
+def asks_in(
+    rules: Rules,
+    rows: NDArray[np.void],
+    row: cython.Py_ssize_t,
+    runs: NDArray[np.void],
+    at: cython.Py_ssize_t,
 ) -> cython.bint:
-    """`hides_rock` of a row of a table."""
-    return hides_rock(rules, table.at(row), side)
+    """`asks` of records (M,) of type `LEAF` and (R,) of type `RUN`."""
+    return asks(rules, leaf_at(rows, row), record(runs, at))
+
+
+def hides_rock_in(
+    rules: Rules, rows: NDArray[np.void], row: cython.Py_ssize_t, side: float
+) -> cython.bint:
+    """`hides_rock` of records (M,) of type `LEAF`."""
+    return hides_rock(rules, leaf_at(rows, row), side)
 
 
 def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> cython.double:

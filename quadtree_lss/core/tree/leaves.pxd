@@ -37,6 +37,8 @@ cdef struct Leaf:
     double feature[5]
     double feature_information[25]
 
+cdef Leaf* leaf_at(Leaf[::1] rows, Py_ssize_t row) noexcept nogil
+
 cdef extern from * nogil:
     void prefetch "__builtin_prefetch" (const void* at)
 

@@ -56,6 +56,14 @@ LEAF = np.dtype(
 )
 
 
+def leaf_at(rows: NDArray[np.void], row: cython.Py_ssize_t) -> Record:
+    """One record of type `LEAF`, to read and to write."""
+    if cython.compiled:
+        return cython.address(rows[row])
+    else:
+        return rows[row]
+
+
 class LeafTable:
     """The leaves of a map, divided to the minimum level at the start.
 
@@ -118,10 +126,7 @@ class LeafTable:
 
     def at(self, row: cython.Py_ssize_t) -> Record:
         """A leaf, to read and to write; until the table grows."""
-        if cython.compiled:
-            return cython.address(self.leaf[row])
-        else:
-            return self.leaf[row]
+        return leaf_at(self.leaf, row)
 
     def expect(self, row: cython.Py_ssize_t) -> None:
         """Have a leaf brought near that will be wanted soon."""
