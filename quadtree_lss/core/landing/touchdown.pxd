@@ -22,7 +22,7 @@ cdef class Lander:
     cdef double[::1] cos, sin, offset
     cdef Py_ssize_t[::1] pad_place, half, which
     cdef Py_ssize_t[:, ::1] high
-    cdef float[::1] pad_x, pad_y, top, pad, slope_x, slope_y, run, floor, spread, roof
+    cdef float[::1] pad_x, pad_y, top, pad, slope_x, slope_y, run, floor, spread, roof, height
     cdef float[:, ::1] stand, near
 
     cpdef void stand_on(

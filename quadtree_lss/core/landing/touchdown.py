@@ -102,8 +102,8 @@ class Lander:
         floor: (BLOCK^2,) below every resting plane of a grid point, over the plane, m.
         spread: (BLOCK^2,) of the pads' heights, m.
         roof: (BLOCK^2,) highest ground under the lander, over the plane, m.
-        high: Row and column in the window of the cells, ``highs`` of them, that may be in the way
-            of some grid point.
+        high, height: Row and column in the window of the cells, ``highs`` of them, that may be in
+            the way of some grid point, and their highest ground over the plane, m.
         near: East and north of the grid point at hand and height over the plane of those,
             ``nears`` of them, that may be in its way, m.
         plane_x, plane_y: Slopes of the block's plane.
@@ -144,6 +144,7 @@ class Lander:
         self.stand = np.zeros((4 * self.yaws, BLOCK**2), dtype=np.float32)
         self.floor, self.spread, self.roof = np.zeros((3, BLOCK**2), dtype=np.float32)
         self.high = np.zeros((2, self.width**2), dtype=np.intp)
+        self.height = np.zeros(self.width**2, dtype=np.float32)
         self.near = np.zeros((3, self.width**2), dtype=np.float32)
         self.highs = self.nears = self.spoiler = self.heading = 0
         self.which = np.zeros(self.width**2, dtype=np.intp)
@@ -316,6 +317,7 @@ class Lander:
                 if self.top[i * self.width + j] > lowest + self.limit:
                     self.high[0, self.highs] = i
                     self.high[1, self.highs] = j
+                    self.height[self.highs] = self.top[i * self.width + j]
                     self.highs += 1
 
     def fails(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.bint:
@@ -368,13 +370,12 @@ class Lander:
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         for k in range(first, last):
-            i, j = self.high[0, k] - row, self.high[1, k] - column - self.reach
-            if 0 <= i < 2 * self.reach and -self.half[i] <= j < self.half[i]:
-                top = self.top[self.high[0, k] * self.width + self.high[1, k]]
-                if top > above:
+            if self.height[k] > above:
+                i, j = self.high[0, k] - row, self.high[1, k] - column - self.reach
+                if 0 <= i < 2 * self.reach and -self.half[i] <= j < self.half[i]:
                     self.near[0, self.nears] = (j + 0.5) * self.side
                     self.near[1, self.nears] = (i - self.reach + 0.5) * self.side
-                    self.near[2, self.nears] = top
+                    self.near[2, self.nears] = self.height[k]
                     self.which[self.nears] = k
                     self.nears += 1
 
