@@ -14,6 +14,7 @@ from quadtree_lss.config.settings import Config
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.mount import MountedPoses
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, PoseBuffer
+from quadtree_lss.core.sensing.pose_gate import PoseGate
 from quadtree_lss.core.sensing.scan_queue import Drop, ScanQueue
 from quadtree_lss.core.sensing.sweep import Sweep, poses_during, sweep
 from quadtree_lss.errors import one_line
@@ -88,6 +89,7 @@ class Intake:
         self._map_frame = config.frames.map
         self._deskew = config.lidar.deskew
         self._body = self._buffer()
+        self._gate = PoseGate(round(config.pose.max_gap * SECOND_NS))
         self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
         self._extrinsics = Extrinsics(config)
         held = self._gimbal if self._gimbal is not None else self._extrinsics.mount
@@ -142,7 +144,13 @@ class Intake:
                     " pose.unknown_attitude_sigma_deg)",
                 )
             )
-        self.poses_taken += self._add(self._body, pose, "pose")
+        refused = self._gate.dropped
+        for believed in self._gate.sift(pose):
+            self.poses_taken += self._add(self._body, believed, "pose")
+        if self._gate.dropped > refused:
+            self.rejected["pose_contradiction"] += self._gate.dropped - refused
+            text = "pose ignored: those before and after it lead elsewhere, beyond its covariance"
+            self._notices.append(Notice("pose_contradiction", text))
         self._mount()
 
     def on_gimbal(self, msg: Any) -> None:

@@ -29,6 +29,7 @@ REASONS = {
     "range": "out of range (lidar.min_range, lidar.max_range)",
     "isolated": "isolated (lidar.outlier_gate)",
     "outside": "outside the domain",
+    "contradiction": "contradicting the map (their pose is farther off than it claims)",
 }
 """What became of points that did not enter the map, by the keys of ``ScanReport.dropped``."""
 

@@ -23,6 +23,9 @@ MAX_POSITION = 1e8
 MAX_COVARIANCE = 1e12
 """m^2, m rad, rad^2; entries beyond are absurd, and their squares no numbers any more."""
 
+MAX_ATTITUDE_VARIANCE = 0.25
+"""rad^2; an attitude known to no better than 0.5 rad places no point."""
+
 UNIT_TOLERANCE = 0.01
 """A quaternion's length may differ from one by this; it is normalised."""
 
@@ -54,8 +57,8 @@ def pose_from_message(
         unknown_attitude_sigma_deg: degrees, each axis.
 
     Raises:
-        MessageError: with reason ``frame``, ``stamp``, ``position``, ``quaternion`` or
-            ``covariance``.
+        MessageError: with reason ``frame``, ``stamp``, ``position``, ``quaternion``,
+            ``covariance`` or ``attitude``.
     """
     check_frame(msg.header.frame_id, map_frame, "pose")
     position = _position(msg.pose.pose.position, "pose position")
@@ -67,6 +70,11 @@ def pose_from_message(
         covariance: Array = np.diag(sigmas**2)
     else:
         covariance = known
+        widest = float(covariance.diagonal()[3:].max())
+        if widest > MAX_ATTITUDE_VARIANCE:
+            text = f"pose attitude has a variance of {widest:.3g} rad^2, so nothing is known of it"
+            text += "; a covariance of zeros says unknown (pose.unknown_attitude_sigma_deg)"
+            raise MessageError("attitude", text)
     return Pose(stamp_ns(msg.header), position, rotation, covariance)
 
 

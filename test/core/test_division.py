@@ -42,7 +42,10 @@ def test_a_scan_weighs_by_the_residuals_its_fit_left_free():
     assert leaf[1].division_weight == 1.0 + 9.0
     assert leaf[1].division_sum == 9.0 + 4.5
     # Four free residuals, then eight.
-    assert [division.asks_in(rules, leaf, 2, run_of(7.0, 9.0), 0) for _ in range(2)] == [False, True]
+    assert [division.asks_in(rules, leaf, 2, run_of(7.0, 9.0), 0) for _ in range(2)] == [
+        False,
+        True,
+    ]
     assert not leaf[0].division_weight
 
 

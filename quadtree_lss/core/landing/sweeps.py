@@ -33,9 +33,7 @@ def disc_moments(cells: Array, half: Index, total: Array, along_x: Array, along_
     n: cython.Py_ssize_t = cells.shape[0]
     reach: cython.Py_ssize_t = half.shape[0] // 2
     slopes: cython.bint = along_x.shape[0] > 0
-    sums = cython.declare(
-        cython.double[:, :, ::1], np.zeros((2, n + 2 * reach, n + 2 * reach + 1))
-    )
+    sums = cython.declare(cython.double[:, :, ::1], np.zeros((2, n + 2 * reach, n + 2 * reach + 1)))
     with cython.nogil:
         for i in range(n + 2 * reach):
             row = min(max(i - reach, 0), n - 1)

@@ -213,10 +213,7 @@ def hides_rock(rules: Rules, leaf: Record, side: float) -> cython.bint:
         least = max(1.0, max(rules.divide_area / (side * side), STRAY) * counted)
         if leaf.raised_sum >= noise + max(least, 3.0 * sqrt(noise)):
             return True
-    return (
-        leaf.feature[4] <= rules.rock_sigma
-        and feature_height(leaf.feature) >= rules.rock_height
-    )
+    return leaf.feature[4] <= rules.rock_sigma and feature_height(leaf.feature) >= rules.rock_height
 
 
 def asks_in(

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.feature import as_boulder
-from quadtree_lss.core.mapping.alignment import LEAST_LIFT, Offset, lift, offset_of
+from quadtree_lss.core.mapping.alignment import LEAST_LIFT, lift, offset_of
+from quadtree_lss.core.mapping.contradiction import Contradiction, Verdict, departs
 from quadtree_lss.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS
-from quadtree_lss.core.sensing.register import Points, register
+from quadtree_lss.core.sensing.register import Points, RegisteredScan, register
 from quadtree_lss.core.sensing.sweep import Sweep
 from quadtree_lss.core.tree import checkpoint
 from quadtree_lss.core.tree.cell_map import CellMap
@@ -43,7 +44,8 @@ class ScanReport:
         stamp_ns: The scan's stamp.
         points: Points in the message.
         points_used: Points that entered the map; with ``dropped`` they are all points.
-        dropped: Points that were unsound or outside, by reason (``sensing.register``).
+        dropped: Points that were unsound or outside, by reason (``sensing.register``), or all the
+            others as ``contradiction``: the scan was refused.
         leaves: Leaves after the scan.
         divisions: Cells divided by it.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
@@ -52,6 +54,8 @@ class ScanReport:
         centre: x and y of the middle of the sound returns, map frame, m; None if there was none.
         offset: By how much the scan's ground lay over the map's by its pose, m; 0 where that was
             not compared.
+        overruled: Whether the map was lifted to the scan, or forgotten, because the last scans
+            contradicted it and agreed with each other.
     """
 
     stamp_ns: int
@@ -64,13 +68,14 @@ class ScanReport:
     noise_ratio: float
     centre: tuple[float, float] | None
     offset: float
+    overruled: bool = False
 
 
 class Mapper:
     """Keeps the quadtree; ``update`` takes a scan and its pose, ``snapshot`` gives the map.
 
-    Not thread-safe. A scan either enters whole or, if none of its points is sound, changes
-    nothing.
+    Not thread-safe. A scan either enters whole or, if none of its points is sound or it contradicts
+    the map, changes nothing.
 
     Attributes:
         leaves: The table of leaves.
@@ -92,6 +97,7 @@ class Mapper:
         self._start_ns = 0
         self._noise_ratio = float("nan")
         self._offset = (float("nan"), float("nan"))
+        self._against = Contradiction()
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan.
@@ -103,43 +109,65 @@ class Mapper:
             sweep: How the lidar moved while it took the scan; None if at once.
         """
         scan, dropped = register(points_lidar, pose, self.config.lidar, self.config.domain, sweep)
+        used = len(scan.key)
         divisions = refused = 0
-        offset = None
-        if len(scan.key):
-            if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
-                self.stamp_ns = pose.stamp_ns
-            self._start_ns = self._start_ns or pose.stamp_ns
-            now = 1e-9 * (pose.stamp_ns - self._start_ns)
-            change = ScanUpdate(self.leaves, self._rules, scan, now)
-            change.fit()
-            if self.config.mapping.align:
-                offset = self._align(change, now)
-            change.settle()
-            self._check_noise(change.ratio)
-            divisions, refused = change.divisions, change.refused
+        offset, verdict = 0.0, Verdict.SOUND
+        if used:
+            now = 1e-9 * (pose.stamp_ns - (self._start_ns or pose.stamp_ns))
+            change, verdict = self._confront(scan, now)
+            if verdict is Verdict.REFUSED:
+                dropped["contradiction"], used = used, 0
+                offset = self._against.height
+            else:
+                if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
+                    self.stamp_ns = pose.stamp_ns
+                self._start_ns = self._start_ns or pose.stamp_ns
+                if self.config.mapping.align:
+                    offset = self._align(change, now)
+                change.settle()
+                self._check_noise(change.ratio)
+                divisions, refused = change.divisions, change.refused
         return ScanReport(
             stamp_ns=pose.stamp_ns,
             points=points_lidar.size // 3,
-            points_used=len(scan.key),
+            points_used=used,
             dropped=dropped,
             leaves=self.leaves.count,
             divisions=divisions,
             refused_divisions=refused,
             noise_ratio=self._noise_ratio,
             centre=scan.centre,
-            offset=0.0 if offset is None else offset.height,
+            offset=offset,
+            overruled=verdict is Verdict.OVERRULES,
         )
 
-    def _align(self, change: ScanUpdate, now: float) -> Offset | None:
-        """Let the scan and the map meet at one height."""
+    def _confront(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Verdict]:
+        """A scan fitted to the leaves, and whether the map bears it; where not, it is put right."""
+        change = ScanUpdate(self.leaves, self._rules, scan, now)
+        change.fit()
+        cells = change.compare()
+        verdict = self._against.judge(cells)
+        if verdict is Verdict.OVERRULES:
+            height = float(np.median(cells[0]))
+            if departs(cells, height):
+                self.leaves.plant()
+            else:
+                lift(self.leaves, height, -np.inf)
+            change = ScanUpdate(self.leaves, self._rules, scan, now)
+            change.fit()
+        return change, verdict
+
+    def _align(self, change: ScanUpdate, now: float) -> float:
+        """Let the scan and the map meet at one height; by how much it lay over the map, m."""
         offset = offset_of(change.compare(), now, self.config.pose.correlation_time)
-        if offset is not None:
-            raised = offset.map if abs(offset.map) >= LEAST_LIFT else 0.0
-            if raised:
-                lift(self.leaves, raised, offset.since)
-            self._offset = (offset.height - raised, offset.variance)
-            change.align(offset.scan)
-        return offset
+        if offset is None:
+            return 0.0
+        raised = offset.map if abs(offset.map) >= LEAST_LIFT else 0.0
+        if raised:
+            lift(self.leaves, raised, offset.since)
+        self._offset = (offset.height - raised, offset.variance)
+        change.align(offset.scan)
+        return offset.height
 
     def _check_noise(self, ratio: Array) -> None:
         """Running mean of observed over configured range noise.
@@ -203,6 +231,7 @@ class Mapper:
             "start_ns": np.array(self._start_ns),
             "noise_ratio": np.array(self._noise_ratio),
             "offset": np.array(self._offset),
+            "against": np.array(astuple(self._against), dtype=np.float64),
         }
         return checkpoint.identified(state, self.domain)
 
@@ -222,6 +251,8 @@ class Mapper:
         self._noise_ratio = float(state["noise_ratio"])
         height, variance = state["offset"].tolist()
         self._offset = (height, variance)
+        count, height, variance = state["against"].tolist()
+        self._against = Contradiction(int(count), height, variance)
 
 
 def _matrices(flat: Array) -> Array:

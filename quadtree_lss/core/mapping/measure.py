@@ -190,9 +190,7 @@ def measure(
     run.unseen = min(max(wide / side, 0.0), 1.0)
     seen = max(1.0 - run.unseen, 0.1)
     distance = sqrt(
-        run.mean[0] * run.mean[0]
-        + run.mean[1] * run.mean[1]
-        + run.mean[2] * run.mean[2]
+        run.mean[0] * run.mean[0] + run.mean[1] * run.mean[1] + run.mean[2] * run.mean[2]
     )
     ray_x = run.mean[0] / distance
     ray_y = run.mean[1] / distance
@@ -204,9 +202,7 @@ def measure(
     else:
         tilt = run.unseen * UNSEEN_TILT
         spread = rules.range_noise * rules.range_noise
-        height_normal(
-            run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, run.normal
-        )
+        height_normal(run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, run.normal)
         if rules.ml and count > 3.0:
             first = run.normal[0]
             second = run.normal[1]

@@ -6,7 +6,7 @@ from quadtree_lss.core.mapping.division cimport asks, hides_rock, judge
 from quadtree_lss.core.mapping.features cimport update_feature
 from quadtree_lss.core.mapping.measure cimport Rules, Run, measure, record
 from quadtree_lss.core.mapping.residuals cimport rest
-from quadtree_lss.core.tree.leaves cimport HINTS, INHERITED, MEASURED, NOTHING, Leaf, LeafTable
+from quadtree_lss.core.tree.leaves cimport HINTS, INHERITED, MEASURED, NOTHING, Leaf, LeafTable, clear
 
 cdef class ScanUpdate:
     cdef LeafTable table
@@ -33,6 +33,7 @@ cdef class ScanUpdate:
     cdef readonly Py_ssize_t divisions
     cdef readonly Py_ssize_t refused
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
     cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil

@@ -20,6 +20,7 @@ if not cython.compiled:
     from quadtree_lss.core.mapping.features import update_feature
     from quadtree_lss.core.mapping.measure import measure, record
     from quadtree_lss.core.mapping.residuals import rest
+    from quadtree_lss.core.tree.leaves import clear
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
 
@@ -31,6 +32,9 @@ MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
 LEVEL_SIGMA = cython.declare(cython.double, 0.5)
 #: ... and this high or low, m.
 HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
+#: A run contradicts a plane that is so many deviations off, with `SLACK` m^2 to spare.
+CONTRADICTING = cython.declare(cython.double, 30.0)
+SLACK = cython.declare(cython.double, 0.01)
 #: Points of a scan in a cell that tell the range noise.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 
@@ -74,7 +78,6 @@ class ScanUpdate:
         rows = np.empty(count, dtype=np.intp)
         self.begins, self.rows = begins, rows
         for i in range(count):
-            self.table.seen[self.key[i]] = 1
             if self.table.over[self.key[i]] != last:
                 last = self.table.over[self.key[i]]
                 self.begins[cells] = i
@@ -145,6 +148,8 @@ class ScanUpdate:
         self.ratio = np.empty((2, len(self.key)))
         self.ratios, self.weights = self.ratio[0], self.ratio[1]
         with cython.nogil:
+            for i in range(self.key.shape[0]):
+                self.table.seen[self.key[i]] = 1
             for i in range(self.cells):
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 begin, end = self.begins[i], self.begins[i + 1]
@@ -171,6 +176,18 @@ class ScanUpdate:
         y = leaf.y - self.origin[1]
         side = self.table.side(leaf.level)
         measure(self.rules, self.points, begin, end, x, y, side, leaf.normal, self.sigma, run)
+
+    def _contradicts(self, leaf: Record, run: Record) -> cython.bint:
+        """Whether a run is of another place altogether than a plane, beyond any covariance.
+
+        A scan with a wrong pose over ground that no other had seen leaves such planes; to average
+        with them would keep them for ever. They are kept apart, and points are votes.
+        """
+        if leaf.known < INHERITED:
+            return False
+        variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
+        off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
+        return off * off > CONTRADICTING * CONTRADICTING * (variance + SLACK)
 
     def _fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
         """Fuse a run's fit with what the leaf knows (paper IV.C), however little either is.
@@ -249,6 +266,14 @@ class ScanUpdate:
     ) -> None:
         """Take a run of points into a leaf or its descendants."""
         leaf = self.table.at(row)
+        if self._contradicts(leaf, run):
+            leaf.points -= run.points
+            if leaf.points > 0.0:
+                return
+            clear(leaf)
+            leaf.known = NOTHING
+            leaf.normal[0] = leaf.normal[1] = 0.0
+            leaf.normal[2] = 1.0
         fresh: cython.bint = leaf.known <= HINTS
         judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
         self._fuse(leaf, run, same_scan)

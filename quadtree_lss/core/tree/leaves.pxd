@@ -39,6 +39,8 @@ cdef struct Leaf:
 
 cdef Leaf* leaf_at(Leaf[::1] rows, Py_ssize_t row) noexcept nogil
 
+cdef void clear(Leaf* leaf) noexcept nogil
+
 cdef extern from * nogil:
     void prefetch "__builtin_prefetch" (const void* at)
 

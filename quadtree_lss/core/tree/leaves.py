@@ -24,6 +24,10 @@ if not cython.compiled:
     NAN = float("nan")
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
 
+    def prefetch(at: object) -> None:
+        """Only a compiled program knows where its numbers lie."""
+
+
 Index = NDArray[np.intp]
 #: One record of a table: a pointer to a C structure, or a record of NumPy.
 Record: TypeAlias = Any
@@ -62,6 +66,18 @@ def leaf_at(rows: NDArray[np.void], row: cython.Py_ssize_t) -> Record:
         return cython.address(rows[row])
     else:
         return rows[row]
+
+
+def clear(leaf: Record) -> None:
+    """Forget all that was found in a leaf but for its plane."""
+    i: cython.int
+    leaf.points = 0.0
+    leaf.distance_sum = leaf.noise_sum = 0.0
+    leaf.exception_sum = leaf.exception_noise = 0.0
+    leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
+    leaf.division_sum = leaf.division_weight = leaf.square_sum = 0.0
+    for i in range(5):
+        leaf.feature[i] = NAN
 
 
 class LeafTable:
@@ -177,7 +193,6 @@ class LeafTable:
         basis = cython.declare(cython.double[6])
         child: cython.Py_ssize_t
         at: cython.Py_ssize_t
-        i: cython.int
         parent = self.at(row)
         level: cython.int = parent.level
         ix: cython.int = 2 * parent.ix
@@ -206,13 +221,7 @@ class LeafTable:
                 leaf.range_part[8] += square
             else:
                 leaf.known = NOTHING
-            leaf.points = 0.0
-            leaf.distance_sum = leaf.noise_sum = 0.0
-            leaf.exception_sum = leaf.exception_noise = 0.0
-            leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
-            leaf.division_sum = leaf.division_weight = leaf.square_sum = 0.0
-            for i in range(5):
-                leaf.feature[i] = NAN
+            clear(leaf)
             self._place(at, level + 1, ix + (child & 1), iy + (child >> 1))
         self.count += 3
         return True

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the map claims against what it errs by, when a lander hovers while pose errors persist.
+
+Flat ground seen from 100 m, 20 scans a second, pose errors of 0.3 m and 2 mrad along and about
+each axis, as claimed: independent from scan to scan (white), constant, or Gauss-Markov. The
+correlation time is the errors' own. Ratios are root mean square over flights and cells; calibrated
+is 1, must 0.5 .. 1.5.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import machine, table
+
+from quadtree_lss.config.settings import Config, config_from_values
+from quadtree_lss.core.geometry.rotations import exp
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
+
+HEIGHT, RATE = 100.0, 20.0
+SIGMA = np.array([0.3] * 3 + [0.002] * 3)
+NOISE = 0.05
+DOWN = np.diag([1.0, -1.0, -1.0])
+#: Kinds of errors by their correlation time, s.
+KINDS = {"white": 0.0, "Gauss-Markov 100 s": 100.0, "constant": 1e6}
+
+
+def main() -> None:
+    """Print one table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--flights", type=int, default=12)
+    parser.add_argument("--scans", type=int, nargs="+", default=[100, 1000, 10000])
+    parser.add_argument("--first-seed", type=int, default=901)
+    options = parser.parse_args()
+    print(machine())
+    rows = []
+    seeds = range(options.first_seed, options.first_seed + options.flights)
+    for align in (True, False):
+        for kind, correlation_time in KINDS.items():
+            config = hovering(correlation_time, align)
+            flights = np.array([hover(config, seed, sorted(options.scans)) for seed in seeds])
+            for at, scans in enumerate(sorted(options.scans)):
+                error, claimed = flights[:, at, 0], flights[:, at, 1]
+                ratio = np.sqrt(np.mean((error / claimed) ** 2, axis=(0, 1)))
+                off, says = (np.sqrt(np.mean(v**2, axis=(0, 1))) for v in (error, claimed))
+                rows.append(
+                    [kind if at == 0 else "", "yes" if align else "no", f"{scans:,}"]
+                    + [f"{off[2]:.3f}", f"{says[2]:.3f}", f"{ratio[2]:.2f}"]
+                    + [f"{1e3 * off[0]:.2f}", f"{1e3 * says[0]:.2f}", f"{ratio[0]:.2f}"]
+                )
+    table(
+        f"{options.flights} flights, seeds {seeds[0]} to {seeds[-1]}",
+        ["errors", "aligned", "scans", "height m", "claimed", "ratio"]
+        + ["slope mrad", "claimed", "ratio"],
+        rows,
+    )
+
+
+def hovering(correlation_time: float, align: bool) -> Config:
+    """16 cells of 4 m."""
+    domain = {"xmin": -8.0, "ymin": -8.0, "size": 16.0, "min_level": 2, "max_level": 2}
+    values = {f"domain.{name}": value for name, value in domain.items()}
+    return config_from_values(
+        values
+        | {"lidar.range_noise": NOISE, "lidar.outlier_gate": 0.0, "mapping.align": align}
+        | {"pose.correlation_time": correlation_time, "features.enabled": False}
+    )
+
+
+def hover(config: Config, seed: int, counts: list[int]) -> np.ndarray:
+    """Errors and claimed deviations after so many scans: (counts, 2, cells, 3), rad and m."""
+    rng = np.random.default_rng(seed)
+    mapper = Mapper(config)
+    covariance = np.diag(SIGMA**2)
+    position = np.array([0.0, 0.0, HEIGHT])
+    tau = config.pose.correlation_time
+    keep = np.exp(-1.0 / (RATE * tau)) if tau > 0.0 else 0.0
+    error = SIGMA * rng.standard_normal(6)
+    found = []
+    for scan in range(1, counts[-1] + 1):
+        # The pose is off by the error: ground is seen from a place that is off the other way.
+        ground = np.column_stack([16.0 * rng.random((400, 2)) - 8.0, np.zeros(400)])
+        turn = exp(error[3:])
+        seen = (ground - (position - error[:3])) @ turn.T @ DOWN
+        distance = np.linalg.norm(seen, axis=1, keepdims=True)
+        seen *= 1.0 + NOISE * rng.standard_normal(distance.shape) / distance
+        mapper.update(seen, Pose(round(1e9 * scan / RATE), position, DOWN, covariance))
+        error = keep * error + np.sqrt(1.0 - keep * keep) * SIGMA * rng.standard_normal(6)
+        if scan in counts:
+            cells = mapper.snapshot()
+            off = np.column_stack([cells.normal[:, :2], cells.z])
+            found.append([off, np.sqrt(np.einsum("mii->mi", cells.covariance))])
+    return np.array(found)
+
+
+if __name__ == "__main__":
+    main()

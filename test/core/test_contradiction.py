@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One wrong pose poisons nothing; many that agree with each other are right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from core.builders import configured, make_pose, pose_covariance, scan, scattered
+
+from quadtree_lss.core.geometry.rotations import exp
+from quadtree_lss.core.mapping.contradiction import AGREEING
+from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.core.sensing.lidar import Pose
+
+NOISE = 0.02
+CLAIMED = pose_covariance(0.05, 1e-3)
+
+
+def hills(x, y):
+    return 0.3 * np.sin(0.8 * x) * np.cos(0.7 * y)
+
+
+class Flight:
+    """A lander that hovers over hills; each scan half a second after the one before."""
+
+    def __init__(self, seed: int = 1, size: float = 16.0) -> None:
+        domain = {"xmin": 0.0, "ymin": 0.0, "size": size, "min_level": 2, "max_level": 4}
+        config = configured(domain=domain, lidar={"range_noise": NOISE})
+        self.size, self.above = size, np.array([0.5 * size, 0.5 * size, 60.0])
+        self.mapper = Mapper(config)
+        self.rng = np.random.default_rng(seed)
+        self.scans = 0
+
+    def fly(self, off=(0.0, 0.0, 0.0), turned=(0.0, 0.0, 0.0), extent=None) -> ScanReport:
+        """One scan from x to x, by default of all, its pose off and turned by so much."""
+        west, east = extent or (0.0, self.size)
+        self.scans += 1
+        true = make_pose(self.above, CLAIMED, self.scans * 500_000_000)
+        x = self.rng.uniform(west, east, 6000)
+        y = self.rng.uniform(0.0, self.size, 6000)
+        points = scan(hills, x, y, true, NOISE, self.rng)
+        rotation = exp(np.array(turned)) @ true.rotation_map_lidar
+        pose = Pose(true.stamp_ns, true.position + off, rotation, CLAIMED)
+        return self.mapper.update(points, pose)
+
+    def errors(self, datum: float = 0.0) -> np.ndarray:
+        """Elevation over the ground, at the leaves with a plane, less the datum."""
+        cells = self.mapper.snapshot()
+        known = cells.estimated
+        return (cells.z - hills(cells.x, cells.y))[known] - datum
+
+
+def rows(mapper: Mapper) -> bytes:
+    return mapper.leaves.rows[: mapper.leaves.count].tobytes() + mapper.leaves.observed.tobytes()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"off": (0.0, 0.0, 3.0)},
+        {"off": (0.0, 0.0, -1000.0)},
+        {"off": (0.0, 0.0, 2e7)},
+        {"turned": (0.15, 0.0, 0.0)},
+    ],
+)
+def test_a_scan_that_contradicts_the_map_changes_nothing(wrong):
+    flight = Flight(size=64.0)
+    for _ in range(5):
+        flight.fly()
+    before = rows(flight.mapper)
+    report = flight.fly(**wrong)
+    assert report.points_used == 0
+    assert report.dropped["contradiction"] > 1000
+    assert sum(report.dropped.values()) == report.points
+    assert rows(flight.mapper) == before
+    assert flight.fly().points_used > 5000
+    assert np.abs(flight.errors()).max() < 0.2
+
+
+def test_a_few_wrong_poses_in_a_row_do_not_win_and_neither_do_many_that_disagree():
+    flight = Flight()
+    for _ in range(3):
+        flight.fly()
+    for _ in range(AGREEING - 1):
+        flight.fly(off=(0.0, 0.0, 4.0))
+    flight.fly()
+    for number in range(3 * AGREEING):
+        assert flight.fly(off=(0.0, 0.0, 4.0 * (2 + number % 3))).points_used == 0
+    flight.fly()
+    assert np.abs(flight.errors()).max() < 0.2
+
+
+def test_many_that_agree_win_and_what_was_mapped_goes_with_them():
+    flight = Flight()
+    for _ in range(5):
+        flight.fly()
+    leaves = flight.mapper.leaves.count
+    reports = [flight.fly(off=(0.0, 0.0, 4.0), extent=(0.0, 8.0)) for _ in range(AGREEING)]
+    assert [report.overruled for report in reports] == [False] * (AGREEING - 1) + [True]
+    assert flight.mapper.leaves.count >= leaves
+    # The half that was not seen again was lifted, too.
+    assert np.abs(flight.errors(4.0)).max() < 0.2
+
+
+def test_a_map_that_cannot_be_lifted_to_them_is_forgotten():
+    flight = Flight(size=64.0)
+    for _ in range(5):
+        flight.fly()
+    for _ in range(AGREEING):
+        report = flight.fly(turned=(0.2, 0.0, 0.0))
+    assert report.overruled
+    assert report.points_used > 1000
+    known = flight.mapper.snapshot()
+    # Level ground is now inclined as the poses say.
+    assert np.median(known.normal[known.measured, 1]) == pytest.approx(-np.sin(0.2), abs=0.03)
+
+
+def test_a_map_begun_by_a_wrong_pose_comes_to_where_all_others_put_it():
+    flight = Flight()
+    flight.fly(off=(0.0, 0.0, 1000.0))
+    for _ in range(AGREEING + 3):
+        flight.fly()
+    assert np.abs(flight.errors()).max() < 0.2
+
+
+@pytest.mark.parametrize("height", [1000.0, -30.0, 2e7])
+def test_planes_of_a_wrong_pose_over_new_ground_go_with_the_next_scan(height):
+    """The half that no other scan has seen has nothing to contradict."""
+    flight = Flight()
+    for _ in range(5):
+        flight.fly(extent=(0.0, 8.0))
+    assert flight.fly(off=(0.0, 0.0, height), extent=(8.0, 16.0)).points_used > 1000
+    assert np.abs(flight.errors()).max() > 20.0
+    for _ in range(8):
+        flight.fly()
+    assert np.abs(flight.errors()).max() < 0.3
+
+
+def test_the_count_of_the_refused_goes_on_after_a_restart():
+    flight = Flight()
+    for _ in range(5):
+        flight.fly()
+    for _ in range(AGREEING - 1):
+        flight.fly(off=(0.0, 0.0, 4.0))
+    state = flight.mapper.export_state()
+    flight.mapper = Mapper(flight.mapper.config)
+    flight.mapper.import_state(state)
+    assert flight.fly(off=(0.0, 0.0, 4.0)).overruled
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_claim_moves_the_map_beyond_what_the_others_allow(seed):
+    """Exact poses that claim anything a message may claim, among such that know."""
+    rng = np.random.default_rng(seed)
+    flight = Flight(seed)
+    for number in range(60):
+        claimed = CLAIMED.copy()
+        if rng.random() < 0.4:
+            root = rng.standard_normal((6, 6)) * 10.0 ** rng.uniform(-6, 3, 6)[:, None]
+            claimed = root @ root.T
+            widest = claimed.diagonal()[3:].max()
+            scale = np.array([1.0] * 3 + [min(1.0, 0.5 / np.sqrt(widest))] * 3)
+            claimed *= np.outer(scale, scale)
+        true = make_pose(flight.above, claimed, (number + 1) * 50_000_000)
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 3000)
+        flight.mapper.update(scan(hills, x, y, true, NOISE, rng), true)
+        assert np.abs(flight.errors()).max(initial=0.0) < 0.25 or number < 3
