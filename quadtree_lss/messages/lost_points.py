@@ -24,6 +24,9 @@ TRIED_POINTS = 500
 NO_POINTS_USED = "no_points_used"
 """Key of the notice that `unused_points_text` is the text of."""
 
+MAP_OVERRULED = "map_overruled"
+"""Key of the notice that `overruled_text` is the text of."""
+
 REASONS = {
     "no_return": "without a return",
     "range": "out of range (lidar.min_range, lidar.max_range)",
@@ -53,6 +56,16 @@ def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str
             text += f", the scan's middle is at x {report.centre[0]:.1f}, y {report.centre[1]:.1f}"
         text += f"; {why}" if why else ""
     return text
+
+
+def overruled_text(report: ScanReport) -> str | None:
+    """That scans which contradicted the map have won, in one line; None if they did not."""
+    if not report.overruled:
+        return None
+    return (
+        f"the map was moved to scan {seconds(report.stamp_ns)}, or begun anew: the last scans"
+        " contradicted it and agreed with each other"
+    )
 
 
 def lost_points_text(lost: Mapping[str, int]) -> str:

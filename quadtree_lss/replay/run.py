@@ -15,7 +15,7 @@ from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import one_line
 from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
-from quadtree_lss.messages.lost_points import likely_reason
+from quadtree_lss.messages.lost_points import MAP_OVERRULED, likely_reason, overruled_text
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.landing import LandingTopics
@@ -196,6 +196,9 @@ class Run:
         if not report.points_used and report.dropped["outside"] and self._missed_at is None:
             self._missed_at = report.centre
             self._missed_why = likely_reason(scan.points_lidar, scan.pose, self.config)
+        overruled = overruled_text(report)
+        if overruled is not None:
+            self._tell(MAP_OVERRULED, overruled)
         self.refused_divisions += report.refused_divisions
         self.noise_ratio = report.noise_ratio
         self.timings.append(

@@ -20,7 +20,13 @@ from visualization_msgs.msg import MarkerArray
 from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.core.sensing.pose_buffer import seconds
 from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
-from quadtree_lss.messages.lost_points import NO_POINTS_USED, likely_reason, unused_points_text
+from quadtree_lss.messages.lost_points import (
+    MAP_OVERRULED,
+    NO_POINTS_USED,
+    likely_reason,
+    overruled_text,
+    unused_points_text,
+)
 from quadtree_lss.ros.announce import announce
 from quadtree_lss.ros.checkpoints import Checkpoints
 from quadtree_lss.ros.diagnostics import OK, WARN, Diagnostics, Status
@@ -226,10 +232,14 @@ class MappingNode(Node):
         self._divisions_refused += report.refused_divisions
         self._points_dropped.update(report.dropped)
         config = self._settings.config
-        why = "" if report.points_used else likely_reason(scan.points_lidar, scan.pose, config)
+        missed = not report.points_used and report.dropped["outside"]
+        why = likely_reason(scan.points_lidar, scan.pose, config) if missed else ""
         unused = unused_points_text(report, self._mapper.domain, why)
         if unused is not None:
             self._problems.report(NO_POINTS_USED, unused)
+        overruled = overruled_text(report)
+        if overruled is not None:
+            self._problems.report(MAP_OVERRULED, overruled)
         self._map_changed(report.points_used > 0)
 
     def _map_changed(self, content: bool = True) -> None:

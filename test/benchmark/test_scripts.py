@@ -19,6 +19,7 @@ SMALL = {
         ["--parabola", "201", "--morpheus", "202", "--duration", "2"],
         ["ml, indep., mahalanobis"],
     ),
+    "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),
     "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),

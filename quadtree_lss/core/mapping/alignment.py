@@ -32,7 +32,7 @@ FLOOR = 0.04**2
 EXACT = 1e-9
 #: An offset of so many deviations is a jump of the pose's error.
 JUMP = 3.0
-#: Less is not worth moving the whole map for, m: landing looks anew at ground that moved.
+#: The map is lifted when it ought to be by so much, m: landing looks anew at ground that moved.
 LEAST_LIFT = 5e-4
 #: What a single scan counts as, s.
 INSTANT = cython.declare(cython.double, 1e-3)

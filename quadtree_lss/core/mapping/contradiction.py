@@ -52,8 +52,8 @@ class Contradiction:
         In each of the M cells seen before it stands off by b_i, of variance v_i: from range noise
         and from what both poses claim. Most |b_i| / sqrt(v_i) exceed `DEVIATIONS` only where a
         height or an attitude is beyond what is claimed, however rough the ground: rocks, shadows
-        and edges are in few cells, and wrong ground in the map is in some. `AGREEING` refused scans whose b are the same but for what
-        their own poses claim win.
+        and edges are in few cells, and wrong ground in the map is in some. `AGREEING` refused scans
+        whose b are the same but for what their own poses claim win.
 
         Args:
             cells: (6, M) of `ScanUpdate.compare`.

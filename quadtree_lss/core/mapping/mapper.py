@@ -98,6 +98,8 @@ class Mapper:
         self._noise_ratio = float("nan")
         self._offset = (float("nan"), float("nan"))
         self._against = Contradiction()
+        # By how much the map ought to be lifted, m: too little to be done.
+        self._owed = 0.0
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan.
@@ -149,6 +151,7 @@ class Mapper:
         verdict = self._against.judge(cells)
         if verdict is Verdict.OVERRULES:
             height = float(np.median(cells[0]))
+            self._owed = 0.0
             if departs(cells, height):
                 self.leaves.plant()
             else:
@@ -159,14 +162,17 @@ class Mapper:
 
     def _align(self, change: ScanUpdate, now: float) -> float:
         """Let the scan and the map meet at one height; by how much it lay over the map, m."""
-        offset = offset_of(change.compare(), now, self.config.pose.correlation_time)
+        cells = change.compare()
+        cells[0] -= self._owed
+        offset = offset_of(cells, now, self.config.pose.correlation_time)
         if offset is None:
             return 0.0
-        raised = offset.map if abs(offset.map) >= LEAST_LIFT else 0.0
-        if raised:
-            lift(self.leaves, raised, offset.since)
-        self._offset = (offset.height - raised, offset.variance)
-        change.align(offset.scan)
+        self._owed += offset.map
+        if abs(self._owed) >= LEAST_LIFT:
+            lift(self.leaves, self._owed, offset.since)
+            self._owed = 0.0
+        self._offset = (offset.height - offset.map + self._owed, offset.variance)
+        change.align(offset.scan + self._owed)
         return offset.height
 
     def _check_noise(self, ratio: Array) -> None:
@@ -232,6 +238,7 @@ class Mapper:
             "noise_ratio": np.array(self._noise_ratio),
             "offset": np.array(self._offset),
             "against": np.array(astuple(self._against), dtype=np.float64),
+            "owed": np.array(self._owed),
         }
         return checkpoint.identified(state, self.domain)
 
@@ -251,6 +258,7 @@ class Mapper:
         self._noise_ratio = float(state["noise_ratio"])
         height, variance = state["offset"].tolist()
         self._offset = (height, variance)
+        self._owed = float(state["owed"])
         count, height, variance = state["against"].tolist()
         self._against = Contradiction(int(count), height, variance)
 

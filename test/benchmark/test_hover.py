@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the map claims is what it errs by, however long the same ground is seen."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
+
+import hover
+
+CASES = [(name, align) for name in hover.KINDS for align in (True, False)]
+
+
+def ratios(kind: str, align: bool, counts: list[int], flights: int) -> np.ndarray:
+    """Error over claimed deviation, root mean square: (counts, 3)."""
+    config = hover.hovering(hover.KINDS[kind], align)
+    found = np.array([hover.hover(config, 950 + k, counts) for k in range(flights)])
+    return np.sqrt(np.mean((found[:, :, 0] / found[:, :, 1]) ** 2, axis=(0, 2)))
+
+
+@pytest.mark.parametrize(("kind", "align"), CASES)
+def test_errors_are_as_claimed(kind, align):
+    """Of height and slopes; few flights share few errors, so the bounds are wide."""
+    found = ratios(kind, align, [100, 1000], 5)
+    assert (found > 0.35).all()
+    assert (found < 1.9).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "align"), CASES)
+def test_errors_are_as_claimed_after_ten_thousand_scans(kind, align):
+    found = ratios(kind, align, [100, 1000, 10000], 8)
+    assert (found > 0.5).all()
+    assert (found < 1.5).all()
