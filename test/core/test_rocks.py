@@ -94,6 +94,20 @@ def test_raised_points_alone_divide():
         np.testing.assert_array_equal(cells.size < 4.0, under & (area > 0.0))
 
 
+def test_pits_divide_by_their_exceptions():
+    """A pit as narrow as a rock has no raised points, and too few points to move a mean."""
+    for exceptions in (0.0, 1.5):
+        config = configured(
+            domain=LEAVES_4M,
+            lidar={"range_noise": NOISE},
+            mapping={"divide_exceptions": exceptions},
+        )
+        ground = functools.partial(bump, x0=6.0, y0=6.0, radius=0.3, height=-0.6)
+        cells = mapped(config, ground, density=400.0, scans=2).snapshot()
+        under = (np.abs(cells.x - 6.0) < 2.0) & (np.abs(cells.y - 6.0) < 2.0)
+        np.testing.assert_array_equal(cells.size < 4.0, under & (exceptions > 0.0))
+
+
 @pytest.mark.parametrize(
     "ground",
     [
