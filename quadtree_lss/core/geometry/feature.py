@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
 Array = NDArray[np.float64]
 
@@ -23,19 +22,11 @@ def peak(state: Array) -> Array:
     return out
 
 
-def boulder_height(state: Array) -> Array:
-    """Height of the boulders that fitted bells stand for: (..., 5) to (...), m.
+def widened(state: Array) -> Array:
+    """States (M, 5) of fitted bells with the height of what they were fitted to.
 
-    A bell fitted to a hemisphere by least squares peaks a quarter above it.
-    """
-    return peak(state) / SHAPE
-
-
-def as_boulder(state: Array) -> Array:
-    """States (M, 5) of fitted bells turned into those of boulders of the same volume.
-
-    The volume k^2 is right; widening sigma by sqrt(`SHAPE`) lowers the peak to `boulder_height`
-    and keeps it.
+    A bell fitted to a hemisphere by least squares peaks a quarter above it. The volume k^2 is
+    right; widening sigma by sqrt(`SHAPE`) lowers the peak and keeps it.
     """
     out = state.copy()
     out[:, 4] *= np.sqrt(SHAPE)
@@ -46,17 +37,4 @@ def height(state: Array, x: Array, y: Array) -> Array:
     """Eq. 57: height of features (..., 5) at x, y (...) about the cell's centre, A left out."""
     square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2
     out: Array = peak(state) * np.exp(-0.5 * square / state[..., 4] ** 2)
-    return out
-
-
-def mean_height(state: Array, x: Array, y: Array, half: float) -> Array:
-    """Mean of Eq. 57 over squares of half side ``half`` m about x, y (...), A left out, m.
-
-    The bell is a product of two normal densities times its volume k^2.
-    """
-    scale = np.sqrt(2.0) * state[..., 4]
-    share = 1.0
-    for away in (x - state[..., 2], y - state[..., 3]):
-        share = share * 0.5 * (erf((away + half) / scale) - erf((away - half) / scale))
-    out: Array = state[..., 1] ** 2 * share / (2.0 * half) ** 2
     return out

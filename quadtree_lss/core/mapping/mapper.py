@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import Config
-from quadtree_lss.core.geometry.feature import as_boulder
+from quadtree_lss.core.geometry.feature import widened
 from quadtree_lss.core.mapping.alignment import LEAST_LIFT, lift, offset_of
 from quadtree_lss.core.mapping.contradiction import Contradiction, Verdict, departs
 from quadtree_lss.core.mapping.measure import Rules, unseen_parts
@@ -222,7 +222,7 @@ class Mapper:
             measured=measured,
             roughness=np.where(measured, area * mean, np.nan),
             exception_fraction=np.where(measured, leaves["exception_sum"] / counted, np.nan),
-            feature=as_boulder(leaves["feature"]),
+            feature=widened(leaves["feature"]),
             observed=observed.view(np.bool_),
             offset_z=self._offset[0],
             offset_variance=self._offset[1],

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+from math import acos, hypot, sqrt
+
 import numpy as np
 
-from quadtree_lss.core.geometry.rotations import log
 from quadtree_lss.core.sensing.lidar import Pose
 
 #: Deviations that a pose may lie from where the two before it lead.
@@ -72,7 +73,10 @@ def leads_to(before: Pose | None, last: Pose, pose: Pose) -> bool:
     if before is not None:
         step = step - ahead * (last.position - before.position)
         variances = variances + ahead**2 * before.covariance.diagonal()
-    moved = SLACK + 0.5 * ACCELERATION * seconds**2 + DEVIATIONS * np.sqrt(variances[:3].sum())
-    turned = TURN + TURN_RATE * seconds + DEVIATIONS * np.sqrt(variances[3:].sum())
-    angle = np.linalg.norm(log(pose.rotation_map_lidar @ last.rotation_map_lidar.T))
-    return bool(np.linalg.norm(step) <= moved and angle <= turned)
+    x, y, z, roll, pitch, yaw = variances.tolist()
+    moved = SLACK + 0.5 * ACCELERATION * seconds**2 + DEVIATIONS * sqrt(x + y + z)
+    turned = TURN + TURN_RATE * seconds + DEVIATIONS * sqrt(roll + pitch + yaw)
+    # tr(R_1 R_2^T) = 1 + 2 cos(angle) is the sum of the products of their entries.
+    cosine = 0.5 * float(np.vdot(pose.rotation_map_lidar, last.rotation_map_lidar)) - 0.5
+    angle = acos(min(max(cosine, -1.0), 1.0))
+    return hypot(*step.tolist()) <= moved and angle <= turned

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport NAN
-from quadtree_lss.core.geometry.morton cimport encode, squeeze
+from quadtree_lss.core.geometry.morton cimport encode
 from quadtree_lss.core.geometry.plane cimport shift_origin
 from quadtree_lss.core.geometry.sphere cimport basis_at
 

@@ -14,10 +14,11 @@ import cython
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.core.geometry.morton import SPREAD
 from quadtree_lss.core.tree.domain import Domain
 
 if not cython.compiled:
-    from quadtree_lss.core.geometry.morton import encode, squeeze
+    from quadtree_lss.core.geometry.morton import encode
     from quadtree_lss.core.geometry.plane import shift_origin
     from quadtree_lss.core.geometry.sphere import basis_at
 
@@ -247,9 +248,12 @@ class LeafTable:
 @cython.boundscheck(False)
 def unfold(values: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
     """Values (n^2,) of finest cells in Morton order, laid out by row and column (n, n)."""
-    code: cython.Py_ssize_t
-    for code in range(len(values)):
-        out[squeeze(code >> 1), squeeze(code)] = values[code]
+    row: cython.Py_ssize_t
+    column: cython.Py_ssize_t
+    places = cython.declare(cython.longlong[::1], SPREAD)
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            out[row, column] = values[places[column] | places[row] << 1]
 
 
 @cython.boundscheck(False)
