@@ -160,9 +160,9 @@ def room_about(points: PointAssessment, domain: Domain, zone: float, x: Array, y
         # Cells have an extent, points of the lattice have none.
         half = 0.5 * (domain.finest_count + 1 - len(marked))
         for k in range(len(x)):
-            dx = np.abs(x[k] / domain.finest_size - column - half) - half
-            dy = np.abs(y[k] / domain.finest_size - row - half) - half
-            away = np.hypot(np.maximum(dx, 0.0), np.maximum(dy, 0.0)).min() * domain.finest_size
+            dx = np.maximum(np.abs(x[k] / domain.finest_size - column - half) - half, 0.0)
+            dy = np.maximum(np.abs(y[k] / domain.finest_size - row - half) - half, 0.0)
+            away = np.sqrt((dx * dx + dy * dy).min()) * domain.finest_size
             out[k] = min(out[k], away - reach)
     return np.maximum(out, 0.0)
 
