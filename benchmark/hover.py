@@ -47,12 +47,12 @@ def main() -> None:
             flights = np.array([hover(config, seed, sorted(options.scans)) for seed in seeds])
             for at, scans in enumerate(sorted(options.scans)):
                 error, claimed = flights[:, at, 0], flights[:, at, 1]
-                ratio = np.sqrt(np.mean((error / claimed) ** 2, axis=(0, 1)))
-                off, says = (np.sqrt(np.mean(v**2, axis=(0, 1))) for v in (error, claimed))
+                (tilt, height), (says_tilt, says_height) = both(error), both(claimed)
+                ratio_tilt, ratio_height = both(error / claimed)
                 rows.append(
                     [kind if at == 0 else "", "yes" if align else "no", f"{scans:,}"]
-                    + [f"{off[2]:.3f}", f"{says[2]:.3f}", f"{ratio[2]:.2f}"]
-                    + [f"{1e3 * off[0]:.2f}", f"{1e3 * says[0]:.2f}", f"{ratio[0]:.2f}"]
+                    + [f"{height:.3f}", f"{says_height:.3f}", f"{ratio_height:.2f}"]
+                    + [f"{1e3 * tilt:.2f}", f"{1e3 * says_tilt:.2f}", f"{ratio_tilt:.2f}"]
                 )
     table(
         f"{options.flights} flights, seeds {seeds[0]} to {seeds[-1]}",
@@ -60,6 +60,12 @@ def main() -> None:
         + ["slope mrad", "claimed", "ratio"],
         rows,
     )
+
+
+def both(values: np.ndarray) -> tuple[float, float]:
+    """Root mean squares of (flights, cells, 3): of either slope, and of heights."""
+    square = np.mean(values**2, axis=(0, 1))
+    return float(np.sqrt(0.5 * (square[0] + square[1]))), float(np.sqrt(square[2]))
 
 
 def hovering(correlation_time: float, align: bool) -> Config:

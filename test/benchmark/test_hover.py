@@ -16,11 +16,14 @@ import hover
 CASES = [(name, align) for name in hover.KINDS for align in (True, False)]
 
 
-def ratios(kind: str, align: bool, counts: list[int], flights: int) -> np.ndarray:
-    """Error over claimed deviation, root mean square: (counts, 3)."""
+def ratios(
+    kind: str, align: bool, counts: list[int], flights: int, first_seed: int = 950
+) -> np.ndarray:
+    """Error over claimed deviation, root mean square: (counts, 2) of slopes and heights."""
     config = hover.hovering(hover.KINDS[kind], align)
-    found = np.array([hover.hover(config, 950 + k, counts) for k in range(flights)])
-    return np.sqrt(np.mean((found[:, :, 0] / found[:, :, 1]) ** 2, axis=(0, 2)))
+    found = np.array([hover.hover(config, first_seed + k, counts) for k in range(flights)])
+    ratio = found[:, :, 0] / found[:, :, 1]
+    return np.array([hover.both(ratio[:, at]) for at in range(len(counts))])
 
 
 @pytest.mark.parametrize(("kind", "align"), CASES)
@@ -34,6 +37,7 @@ def test_errors_are_as_claimed(kind, align):
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "align"), CASES)
 def test_errors_are_as_claimed_after_ten_thousand_scans(kind, align):
-    found = ratios(kind, align, [100, 1000, 10000], 8)
+    """The flights of docs/mapping.md: twelve draws of an error that persists scatter by a fifth."""
+    found = ratios(kind, align, [100, 1000, 10000], 12, 901)
     assert (found > 0.5).all()
     assert (found < 1.5).all()
