@@ -224,4 +224,6 @@ def make_request(
 
 def quaternions(rotations: FloatArray) -> FloatArray:
     """Unit quaternions (n, 4) x, y, z, w of rotations (n, 3, 3)."""
+    if not len(rotations):  # which SciPy 1.11 does not take
+        return np.zeros((0, 4))
     return np.asarray(Rotation.from_matrix(rotations).as_quat())
