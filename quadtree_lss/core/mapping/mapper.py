@@ -116,7 +116,7 @@ class Mapper:
         offset, verdict = 0.0, Verdict.SOUND
         if used:
             now = 1e-9 * (pose.stamp_ns - (self._start_ns or pose.stamp_ns))
-            change, verdict = self._confront(scan, now)
+            change, cells, verdict = self._confront(scan, now)
             if verdict is Verdict.REFUSED:
                 dropped["contradiction"], used = used, 0
                 offset = self._against.height
@@ -125,7 +125,7 @@ class Mapper:
                     self.stamp_ns = pose.stamp_ns
                 self._start_ns = self._start_ns or pose.stamp_ns
                 if self.config.mapping.align:
-                    offset = self._align(change, now)
+                    offset = self._align(change, cells, now)
                 change.settle()
                 self._check_noise(change.ratio)
                 divisions, refused = change.divisions, change.refused
@@ -143,8 +143,11 @@ class Mapper:
             overruled=verdict is Verdict.OVERRULES,
         )
 
-    def _confront(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Verdict]:
-        """A scan fitted to the leaves, and whether the map bears it; where not, it is put right."""
+    def _confront(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Array, Verdict]:
+        """A scan fitted to the leaves, how it compares with them, and what is to become of it.
+
+        Where it overrules the map, that is put right.
+        """
         change = ScanUpdate(self.leaves, self._rules, scan, now)
         change.fit()
         cells = change.compare()
@@ -158,11 +161,17 @@ class Mapper:
                 lift(self.leaves, height, -np.inf)
             change = ScanUpdate(self.leaves, self._rules, scan, now)
             change.fit()
-        return change, verdict
+            cells = change.compare()
+        return change, cells, verdict
 
-    def _align(self, change: ScanUpdate, now: float) -> float:
-        """Let the scan and the map meet at one height; by how much it lay over the map, m."""
-        cells = change.compare()
+    def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
+        """Let the scan and the map meet at one height; by how much it lay over the map, m.
+
+        Args:
+            change: The scan.
+            cells: (6, M) of `ScanUpdate.compare`.
+            now: Time of the scan, s.
+        """
         cells[0] -= self._owed
         offset = offset_of(cells, now, self.config.pose.correlation_time)
         if offset is None:
