@@ -7,13 +7,16 @@ Each command of ``quadtree-lss`` is one of these functions and returns a result 
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config, ConfigError
 from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector, Sites
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.tree.cell_map import CellMap, Ground, Profile
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.intake import ReadyScan
 from quadtree_lss.replay.bags import Bag, BagError
 from quadtree_lss.replay.info import BagInfo, inspect_bag
 from quadtree_lss.replay.replay import ReplayError, ReplayResult, replay
+from quadtree_lss.replay.saved import Grid, Results, ResultsError, load_results
+from quadtree_lss.replay.steps import Step, steps
 from quadtree_lss.replay.stream import scans
 
 __all__ = [
@@ -23,16 +26,26 @@ __all__ = [
     "CellMap",
     "Config",
     "ConfigError",
+    "Grid",
+    "Ground",
     "LandingAssessment",
     "LandingSiteSelector",
     "Mapper",
+    "Pose",
+    "Profile",
     "QuadtreeLssError",
     "ReadyScan",
     "ReplayError",
     "ReplayResult",
+    "Results",
+    "ResultsError",
+    "ScanReport",
     "Sites",
+    "Step",
     "inspect_bag",
     "load_config",
+    "load_results",
     "replay",
     "scans",
+    "steps",
 ]

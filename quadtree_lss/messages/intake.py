@@ -49,6 +49,10 @@ class ReadyScan(NamedTuple):
     pose: Pose
     sweep: Sweep | None = None
 
+    def __repr__(self) -> str:
+        shape = " x ".join(map(str, self.points_lidar.shape[:-1]))
+        return f"<ReadyScan: {shape} points at {self.stamp_ns} ns>"
+
 
 class _Cloud(NamedTuple):
     """What waits for its pose; ``times`` as of `offsets_from_cloud`."""

@@ -13,7 +13,7 @@ from quadtree_lss.replay.passes import TargetChange
 from quadtree_lss.replay.results import ScanTiming, plain
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ReplayResult:
     """What a replay produced.
 
@@ -38,6 +38,11 @@ class ReplayResult:
     warnings: tuple[str, ...]
     interrupted: bool = False
     targets: tuple[TargetChange, ...] = ()
+
+    def __repr__(self) -> str:
+        part = ", interrupted" if self.interrupted else ""
+        where = "" if self.out is None else f", in {self.out}"
+        return f"<ReplayResult: {len(self.timings)} scans{part}{where}; {self.assessment}>"
 
     def as_dict(self) -> dict[str, Any]:
         """The summary with the ranked sites, in JSON's types."""

@@ -167,15 +167,19 @@ def write_cells(path: Path, cells: CellMap) -> None:
             "ny": cells.normal[:, 1],
             "nz": cells.normal[:, 2],
             "covariance": cells.covariance,
+            "covariance_pose": cells.covariance_pose,
             "count": cells.count,
             "measured": cells.measured,
             "roughness": cells.roughness,
             "exception_fraction": cells.exception_fraction,
             "feature": cells.feature,
             "observed": np.bincount(cells.leaf_raster()[cells.observed], minlength=len(cells.z)),
+            "observed_cells": cells.observed,
             "domain": np.array(
                 [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
             ),
+            "stamp_ns": np.array(cells.stamp_ns),
+            "offset": np.array([cells.offset_z, cells.offset_variance]),
         },
     )
 

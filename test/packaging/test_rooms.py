@@ -30,6 +30,7 @@ MAY_IMPORT = {
     "campaign": "config evaluation replay simulation",
     "commands": "config replay simulation evaluation campaign ros",
     "api": f"config {CORE} messages replay",
+    "plot": f"{CORE} report",
     "cli": "build commands",
 }
 

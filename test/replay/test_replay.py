@@ -99,6 +99,8 @@ def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
     flat = [*flat.split(), "observed"]
     expected = dict.fromkeys(flat, (m,))
     expected |= {"covariance": (m, 3, 3), "feature": (m, 5), "domain": (5,)}
+    expected |= {"covariance_pose": (m, 3, 3), "observed_cells": (64, 64)}
+    expected |= {"offset": (2,), "stamp_ns": ()}
     assert shapes == expected
     assert cells["measured"].dtype == np.bool_
     np.testing.assert_array_equal(cells["domain"], [-16.0, -16.0, 32.0, 3, 6])

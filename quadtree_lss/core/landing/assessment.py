@@ -23,7 +23,7 @@ Bits = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sites:
     """Ranked sites, best first; K rows, map frame.
 
@@ -56,6 +56,15 @@ class Sites:
         """Some of them."""
         return Sites(*(getattr(self, column.name)[rows] for column in fields(self)))
 
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "<Sites: none>"
+        x, y, z = self.position[0]
+        return f"<Sites: {len(self)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m>"
+
 
 @dataclass(frozen=True)
 class Selected:
@@ -83,7 +92,7 @@ class Selected:
         return self.site.position[0] if self.id else np.full(3, np.nan)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LandingAssessment:
     """Where the map allows landing.
 
@@ -116,6 +125,10 @@ class LandingAssessment:
     offset_z: float
     offset_variance: float
     ground: tuple[GridSampler, TerrainRaster, PointAssessment] | None = None
+
+    def __repr__(self) -> str:
+        ny, nx = self.score.shape
+        return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
 
     def _layer(self, values: Callable[..., Array]) -> Array:
         out = np.full(self.score.shape, np.nan)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.core.geometry.heights import height_by_error
 from quadtree_lss.core.landing.lattice import disc
 from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.tree.cell_map import CellMap
@@ -49,7 +50,7 @@ def ground_covariance(
     middle_x = domain.xmin + (cells.ix[leaf] + 0.5) * size
     middle_y = domain.ymin + (cells.iy[leaf] + 0.5) * size
     normal = cells.normal[leaf]
-    heights = _heights(
+    heights = height_by_error(
         normal[of_cell], x + over.x - middle_x[of_cell], y + over.y - middle_y[of_cell]
     )
     of_leaf = np.zeros((len(leaf), 3, 3))
@@ -58,7 +59,7 @@ def ground_covariance(
     out = np.sum(of_leaf @ cells.covariance_range[leaf[known]] @ of_leaf.swapaxes(1, 2), axis=0)
     nearest = of_cell[np.argmin(np.where(known[of_cell], np.hypot(over.x, over.y), np.inf))]
     across = x + over.x - middle_x[nearest], y + over.y - middle_y[nearest]
-    common = share @ _heights(np.tile(normal[nearest], (len(over.x), 1)), *across)
+    common = share @ height_by_error(np.tile(normal[nearest], (len(over.x), 1)), *across)
     out += common @ cells.covariance_pose[leaf[nearest]] @ common.T
     # Ground that rises along y is turned about x, ground that rises along x about -y.
     turn = np.zeros((6, 3))
@@ -66,16 +67,3 @@ def ground_covariance(
     covariance = turn @ out @ turn.T
     covariance[5, 5] = ANY_HEADING
     return np.asarray(covariance)
-
-
-def _heights(normal: Array, x: Array, y: Array) -> Array:
-    """Derivative (K, 3) of planes' heights at x, y (K,) from their origins by their errors.
-
-    The error is a tilt along the axes of Eq. 2 and a shift along the normal (K, 3).
-    """
-    nx, ny, nz = normal.T
-    share, rise = 1.0 / (1.0 + nz), -(x * nx + y * ny) / nz
-    along = x * nx + y * ny
-    first = x - share * nx * along - nx * rise
-    second = y - share * ny * along - ny * rise
-    return np.asarray(np.column_stack([-first, -second, np.ones_like(x)]) / nz[:, None])

@@ -90,6 +90,13 @@ class Mapper:
         self._rules = Rules(config)
         self.reset()
 
+    def __repr__(self) -> str:
+        d = self.domain
+        return (
+            f"<Mapper: {self.leaves.count} leaves on {d.size:g} x {d.size:g} m;"
+            f" newest scan at {self.stamp_ns} ns>"
+        )
+
     def reset(self) -> None:
         """Forget everything that was mapped."""
         self.leaves.plant()

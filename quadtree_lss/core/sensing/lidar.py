@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 MAX_VARIANCE = 1e6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Pose:
     """Estimated lidar pose at one instant.
 
@@ -35,6 +35,58 @@ class Pose:
     position: Array
     rotation_map_lidar: Array
     covariance: Array
+
+    @classmethod
+    def from_matrix(
+        cls,
+        matrix: ArrayLike,
+        stamp_ns: int = 0,
+        *,
+        covariance: ArrayLike | None = None,
+        position_sigma: float = 0.1,
+        attitude_sigma_deg: float = 0.05,
+    ) -> Pose:
+        """A pose from the homogeneous transform that takes points of the lidar to the map.
+
+        Args:
+            matrix: (4, 4): rotation, position in the last column, m, and the row 0, 0, 0, 1.
+            stamp_ns: Time of the scan.
+            covariance: (6, 6) as above; None takes the two standard deviations, of each axis.
+            position_sigma, attitude_sigma_deg: m, deg.
+
+        Raises:
+            ValueError: the matrix is no rotation with a translation, or the covariance is not
+                (6, 6) and finite.
+        """
+        t = np.array(matrix, dtype=np.float64)
+        if t.shape != (4, 4) or not np.isfinite(t).all() or not np.allclose(t[3], (0, 0, 0, 1)):
+            msg = "a pose is a (4, 4) matrix of finite numbers with the last row 0, 0, 0, 1"
+            raise ValueError(msg)
+        rotation = t[:3, :3]
+        unit = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+        if not unit or np.linalg.det(rotation) < 0.0:
+            msg = "the upper left (3, 3) of the matrix is no rotation"
+            raise ValueError(msg)
+        left, _, right = np.linalg.svd(rotation)
+        if covariance is None:
+            sigmas = np.repeat([position_sigma, np.radians(attitude_sigma_deg)], 3)
+            covariance = np.diag(sigmas**2)
+        known = np.array(covariance, dtype=np.float64)
+        if known.shape != (6, 6) or not np.isfinite(known).all():
+            msg = "a pose's covariance is a (6, 6) matrix of finite numbers"
+            raise ValueError(msg)
+        return cls(int(stamp_ns), t[:3, 3].copy(), np.asarray(left @ right), known)
+
+    @property
+    def matrix(self) -> Array:
+        """(4, 4) that takes points in lidar axes to the map."""
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = self.rotation_map_lidar, self.position
+        return out
+
+    def __repr__(self) -> str:
+        x, y, z = self.position
+        return f"<Pose: x {x:.3f}, y {y:.3f}, z {z:.3f} m at {self.stamp_ns} ns>"
 
 
 def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLike) -> Array:

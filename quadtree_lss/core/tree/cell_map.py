@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from quadtree_lss.core.geometry.heights import height_by_error
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import leaf_raster
 
@@ -15,7 +18,29 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+class Ground(NamedTuple):
+    """The ground at places, arrays of their shape; NaN where there is no estimate."""
+
+    height: Array
+    """m."""
+    slope_deg: Array
+    deviation: Array
+    """Standard deviation of the height by the plane's covariance, m."""
+
+
+class Profile(NamedTuple):
+    """The ground along a line: arrays (K,)."""
+
+    distance: Array
+    """From the start, m."""
+    x: Array
+    y: Array
+    height: Array
+    slope_deg: Array
+    deviation: Array
+
+
+@dataclass(frozen=True, repr=False)
 class CellMap:
     """What the mapping publishes: one row per leaf in Morton order, map frame, m and rad.
 
@@ -85,6 +110,72 @@ class CellMap:
     def estimated(self) -> Mask:
         """(M,) True where there is a plane, measured or inherited."""
         return np.isfinite(self.z)
+
+    def at(self, x: ArrayLike, y: ArrayLike) -> Ground:
+        """Height, slope and deviation of the plane over each place.
+
+        Rocks that stand out of a plane are not in its height (``feature``); a place on a border
+        belongs to the cell north and east of it, as measurements do.
+
+        Args:
+            x, y: Places in the map frame, m, of any shape; they broadcast.
+        """
+        at_x, at_y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        place_x, place_y = at_x.ravel(), at_y.ravel()
+        domain = self.domain
+        with np.errstate(invalid="ignore"):
+            column = np.floor((place_x - domain.xmin) / domain.finest_size)
+            row = np.floor((place_y - domain.ymin) / domain.finest_size)
+            ends = (column >= 0) & (column < domain.finest_count)
+            inside = ends & (row >= 0) & (row < domain.finest_count)
+        out = np.full((3, len(place_x)), np.nan)
+        leaf = self._leaves[row[inside].astype(np.intp), column[inside].astype(np.intp)]
+        normal = self.normal[leaf]
+        east, north = place_x[inside] - self.x[leaf], place_y[inside] - self.y[leaf]
+        rise = -(normal[:, 0] * east + normal[:, 1] * north) / normal[:, 2]
+        out[0, inside] = self.z[leaf] + rise
+        out[1, inside] = np.degrees(np.arccos(np.clip(normal[:, 2], -1.0, 1.0)))
+        by = height_by_error(normal, east, north)
+        variance = np.einsum("ki,kij,kj->k", by, self.covariance[leaf], by)
+        out[2, inside] = np.sqrt(np.maximum(variance, 0.0))
+        height, slope, deviation = (values.reshape(at_x.shape)[()] for values in out)
+        return Ground(height, slope, deviation)
+
+    def profile(self, start: ArrayLike, end: ArrayLike, step: float | None = None) -> Profile:
+        """The ground along the straight line between two places.
+
+        Args:
+            start, end: (2,) x and y, map frame, m.
+            step: Distance of the samples, m; by default half a finest cell. Both ends are samples.
+
+        Raises:
+            ValueError: the step is not positive, or a place is no pair of finite numbers.
+        """
+        first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
+        if first.shape != (2,) or last.shape != (2,) or not np.isfinite([first, last]).all():
+            msg = "start and end of a profile are pairs (x, y) of finite numbers"
+            raise ValueError(msg)
+        if step is None:
+            step = 0.5 * self.domain.finest_size
+        if not step > 0.0:
+            msg = f"step = {step} m is not positive"
+            raise ValueError(msg)
+        length = float(np.hypot(*(last - first)))
+        distance = np.linspace(0.0, length, int(np.ceil(length / step)) + 1)
+        x, y = (first + (distance / (length or 1.0))[:, None] * (last - first)).T
+        return Profile(distance, x, y, *self.at(x, y))
+
+    def __repr__(self) -> str:
+        d = self.domain
+        return (
+            f"<CellMap: {len(self.level)} leaves, {np.count_nonzero(self.measured)} measured;"
+            f" x {d.xmin:g} ... {d.xmin + d.size:g}, y {d.ymin:g} ... {d.ymin + d.size:g} m;"
+            f" cells of {float(d.cell_size(d.min_level)):g} ... {d.finest_size:g} m>"
+        )
+
+    @cached_property
+    def _leaves(self) -> NDArray[np.int32]:
+        return self.leaf_raster()
 
     def leaf_raster(self) -> NDArray[np.int32]:
         """(n, n) [iy, ix] row of the leaf that covers each finest cell."""

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map asked at places and along lines; poses as matrices; what objects say of themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
+
+CONFIG = load_config(
+    (),
+    {
+        "domain.xmin": -8.0,
+        "domain.ymin": -8.0,
+        "domain.size": 16.0,
+        "domain.min_level": 2,
+        "domain.max_level": 4,
+        "lidar.range_noise": 0.02,
+    },
+)
+ABOVE = np.array([[1, 0, 0, 1], [0, -1, 0, 2], [0, 0, -1, 50], [0, 0, 0, 1]], float)
+
+
+def inclined(x, y):
+    return 3.0 + 0.1 * x - 0.05 * y
+
+
+def cloud(rng):
+    """Points on an inclined plane in the axes of a lidar at `ABOVE`, 2 cm of noise."""
+    x, y = rng.uniform(-6.0, 6.0, (2, 4000))
+    points = np.column_stack([x, y, inclined(x, y)]) - ABOVE[:3, 3]
+    ray = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return (points + rng.normal(scale=0.02, size=(len(x), 1)) * ray) @ ABOVE[:3, :3]
+
+
+@pytest.fixture(scope="module")
+def mapper():
+    made = Mapper(CONFIG)
+    made.update(cloud(np.random.default_rng(1)), Pose.from_matrix(ABOVE, position_sigma=0.01))
+    return made
+
+
+@pytest.fixture(scope="module")
+def cells(mapper):
+    return mapper.snapshot()
+
+
+def test_height_and_slope_are_those_of_the_ground(cells):
+    x, y = np.random.default_rng(2).uniform(-5.0, 5.0, (2, 50, 3))
+    found = cells.at(x, y)
+    assert found.height.shape == found.slope_deg.shape == found.deviation.shape == (50, 3)
+    np.testing.assert_allclose(found.height, inclined(x, y), atol=0.03)
+    np.testing.assert_allclose(found.slope_deg, np.degrees(np.arctan(np.hypot(0.1, 0.05))), atol=1)
+
+
+def test_the_deviation_is_the_spread_of_planes_drawn_from_the_covariance(cells):
+    """Monte Carlo: planes with errors of the leaf's covariance, as the manifold has them."""
+    from quadtree_lss.core.geometry.sphere import plus
+
+    leaf = int(np.flatnonzero(cells.measured)[3])
+    place = np.array([cells.x[leaf] + 0.3 * cells.size[leaf], cells.y[leaf]])
+    errors = np.random.default_rng(3).multivariate_normal(np.zeros(3), cells.covariance[leaf], 4000)
+    normal = cells.normal[leaf]
+    heights = []
+    for error in errors:
+        turned = plus(normal, error[:2])
+        east, north = place - (cells.x[leaf], cells.y[leaf])
+        heights.append(
+            cells.z[leaf] + (error[2] - turned[0] * east - turned[1] * north) / turned[2]
+        )
+    assert cells.at(*place).deviation == pytest.approx(np.std(heights), rel=0.06)
+
+
+def test_places_without_an_estimate_are_nan_and_scalars_stay_scalars(cells):
+    outside = cells.at([-9.0, 8.0, np.nan, 0.0], [0.0, 0.0, 0.0, -8.1])
+    assert all(np.isnan(values).all() for values in outside)
+    one = cells.at(0.0, 0.0)
+    assert np.ndim(one.height) == 0 and one.height == pytest.approx(3.0, abs=0.03)
+    crossed = cells.at(np.linspace(-1, 1, 4), np.linspace(-1, 1, 3)[:, None])
+    assert crossed.height.shape == (3, 4)
+
+
+def test_a_profile_has_both_ends_and_even_steps(cells):
+    along = cells.profile((-4.0, -3.0), (4.0, 3.0), step=0.3)
+    assert along.distance[0] == 0.0 and along.distance[-1] == pytest.approx(10.0)
+    assert np.ptp(np.diff(along.distance)) < 1e-12 and np.diff(along.distance)[0] <= 0.3
+    np.testing.assert_array_equal(along.height, cells.at(along.x, along.y).height)
+    assert len(cells.profile((1, 1), (1, 1)).distance) == 1
+    for bad in ({"step": 0.0}, {"step": float("nan")}):
+        with pytest.raises(ValueError, match="step"):
+            cells.profile((0, 0), (1, 1), **bad)
+    with pytest.raises(ValueError, match="pairs"):
+        cells.profile((0, 0, 0), (1, 1))
+
+
+def test_a_matrix_takes_points_where_the_pose_does():
+    pose = Pose.from_matrix(ABOVE, 17, position_sigma=0.2, attitude_sigma_deg=0.1)
+    np.testing.assert_allclose(pose.matrix, ABOVE)
+    assert pose.stamp_ns == 17
+    sigmas = np.sqrt(np.diag(pose.covariance))
+    np.testing.assert_allclose(sigmas, [0.2] * 3 + [np.radians(0.1)] * 3)
+    given = np.diag(np.arange(1.0, 7.0))
+    np.testing.assert_array_equal(Pose.from_matrix(ABOVE, covariance=given).covariance, given)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "word"),
+    [
+        (np.eye(3), r"\(4, 4\)"),
+        (np.diag([1.0, 1.0, np.nan, 1.0]), "finite"),
+        (np.diag([1.0, 1.0, 1.0, 2.0]), "last row"),
+        (np.diag([1.0, 1.0, 2.0, 1.0]), "no rotation"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "no rotation"),
+    ],
+)
+def test_what_is_no_pose_is_refused(matrix, word):
+    with pytest.raises(ValueError, match=word):
+        Pose.from_matrix(matrix)
+
+
+def test_objects_say_what_they_are_in_a_line(mapper, cells):
+    from quadtree_lss.core.landing.sites import LandingSiteSelector
+
+    found = LandingSiteSelector(CONFIG).assess(cells)
+    for thing in (mapper, cells, found, found.sites, Pose.from_matrix(ABOVE)):
+        text = repr(thing)
+        assert len(text) < 200 and "\n" not in text and type(thing).__name__ in text
+    assert f"{len(cells.level)} leaves" in repr(cells) and "50.000" in repr(Pose.from_matrix(ABOVE))
+    assert len(found.sites) == len(found.sites.score) > 0
+    assert repr(found.sites.of(slice(0))) == "<Sites: none>"

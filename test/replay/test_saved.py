@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results read back from their folder, plotted, and a bag mapped scan by scan."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from replay.recordings import write_ros2
+
+from quadtree_lss import plot
+from quadtree_lss.api import (
+    LandingSiteSelector,
+    ResultsError,
+    load_config,
+    load_results,
+    replay,
+    steps,
+)
+
+CONFIG = load_config(
+    (),
+    {
+        "domain.xmin": -16.0,
+        "domain.ymin": -16.0,
+        "domain.size": 32.0,
+        "domain.min_level": 3,
+        "domain.max_level": 5,
+        "lss.max_gap": 3.0,
+    },
+)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return write_ros2(tmp_path_factory.mktemp("bag") / "bag", scans=6)
+
+
+@pytest.fixture(scope="module")
+def written(bag, tmp_path_factory):
+    return replay(bag, tmp_path_factory.mktemp("out"), CONFIG, report=False)
+
+
+def test_everything_comes_back(written):
+    results = load_results(written.out)
+    cells, found = written.cells, written.assessment
+    for name in ("level", "ix", "iy", "z", "normal", "count", "measured", "observed", "feature"):
+        np.testing.assert_array_equal(getattr(results.map, name), getattr(cells, name), name)
+    for name in ("covariance_range", "covariance_pose"):
+        one, other = getattr(results.map, name), getattr(cells, name)
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-15)
+    assert results.map.stamp_ns == cells.stamp_ns and results.map.domain == cells.domain
+    np.testing.assert_array_equal(results.map.offset_z, cells.offset_z)
+    for name, layer in results.grid.layers.items():
+        np.testing.assert_array_equal(layer, getattr(found, name), name)
+    assert results.grid.spacing == CONFIG.lss.grid_spacing
+    np.testing.assert_array_equal(results.positions, found.sites.position)
+    assert results.sites["rank"].dtype == np.int64
+    assert results.timing["stamp_ns"].tolist() == [row.stamp_ns for row in written.timings]
+    assert results.selected["reason"].tolist() == [row.reason for row in written.targets]
+    assert results.config == CONFIG and results.summary["scans"] == 6
+    assert "6 scans" in repr(results) and len(repr(results.grid)) < 300
+
+
+def test_sites_can_be_ranked_again_on_a_map_read_back(written):
+    again = LandingSiteSelector(CONFIG).assess(load_results(written.out).map)
+    np.testing.assert_allclose(again.sites.position, written.assessment.sites.position)
+    np.testing.assert_array_equal(again.safe, written.assessment.safe)
+
+
+def test_what_is_no_results_folder_is_said(written, tmp_path):
+    with pytest.raises(ResultsError, match="no folder"):
+        load_results(tmp_path / "none")
+    with pytest.raises(ResultsError, match="no summary.json"):
+        load_results(tmp_path)
+    (tmp_path / "latest").symlink_to(written.out)
+    with pytest.raises(ResultsError, match="did you mean .*latest"):
+        load_results(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "attribute"),
+    [
+        ("cells.npz", "map"),
+        ("grid.npz", "grid"),
+        ("summary.json", "summary"),
+        ("sites.csv", "sites"),
+    ],
+)
+def test_a_damaged_file_is_named(written, tmp_path, name, attribute):
+    for path in written.out.iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    content = (tmp_path / name).read_bytes()
+    for damaged in (
+        content[: len(content) // 2],
+        b"\x80\xff",
+        b"[1]" if "json" in name else b"a\n1,2",
+    ):
+        (tmp_path / name).write_bytes(damaged)
+        with pytest.raises(ResultsError, match=f"{name}: cannot be read"):
+            getattr(load_results(tmp_path), attribute)
+
+
+def test_an_older_map_asks_for_another_replay(written, tmp_path):
+    for name in ("summary.json", "grid.npz"):
+        (tmp_path / name).write_bytes((written.out / name).read_bytes())
+    arrays = dict(np.load(written.out / "cells.npz"))
+    del arrays["observed_cells"]
+    np.savez(tmp_path / "cells.npz", **arrays)
+    with pytest.raises(ResultsError, match="lacks observed_cells: replay the bag again"):
+        load_results(tmp_path).map  # noqa: B018
+
+
+def test_scan_by_scan_is_the_replay(bag, written):
+    seen = [(step.scan.stamp_ns, step.report.leaves) for step in steps(bag, CONFIG)]
+    assert seen == [(row.stamp_ns, row.leaves) for row in written.timings]
+    *_, last = steps(bag, CONFIG)
+    np.testing.assert_array_equal(last.mapper.snapshot().level, written.cells.level)
+    assert "points at" in repr(last.scan)
+    assert len(repr(written)) < 400
+
+
+def test_plots_go_on_the_axes_that_are_given(written):
+    results = load_results(written.out)
+    figure = Figure()
+    left, middle, right = figure.subplots(1, 3)
+    image = plot.elevation(left, results.map, edges=True)
+    shown = np.asarray(image.get_array())
+    assert shown.shape == (32, 32) and np.isfinite(shown).any() and image in left.images
+    marks = plot.sites(left, results.positions, radius=1.85)
+    assert [mark.get_text() for mark in marks] == [str(k + 1) for k in range(len(marks))] and marks
+    for name in (*results.grid.layers, "hazard"):
+        drawn = plot.layer(middle, results.grid, name)
+    assert plot.layer(middle, written.assessment, "slope_deg") in middle.images
+    assert drawn.get_array().max() <= 5
+    along = results.map.profile((-5, 0), (5, 0))
+    line = plot.profile(right, along)
+    np.testing.assert_array_equal(line.get_ydata(), along.height)
+    figure.savefig(written.out / "plot.png")
+
+
+def test_the_sunny_side_is_bright():
+    x = np.arange(20.0)
+    rising_east = np.tile(0.3 * x, (20, 1))
+    level, lit = plot.relief(np.zeros((20, 20)), 1.0), plot.relief(rising_east, 1.0)
+    dark = plot.relief(-rising_east, 1.0)  # the sun stands in the north-west
+    assert (level == 0.5).all() and (lit > 0.55).all() and (dark < 0.45).all()
