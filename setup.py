@@ -129,10 +129,14 @@ def forget_what_is_gone():
 
 
 def checked_copy():
-    """A copy of the core that waives no check of an index."""
+    """A copy of the kernels that waives no check of an index."""
     copy = GENERATED / "checked"
     shutil.rmtree(copy, ignore_errors=True)
-    for source in (Path(NAME, "__init__.py"), *Path(NAME, "core").rglob("*")):
+    for source in (
+        Path(NAME, "__init__.py"),
+        *Path(NAME, "core").rglob("*"),
+        *Path(NAME, "simulation").glob("*"),
+    ):
         if source.suffix in (".py", ".pxd"):
             text = source.read_text(encoding="utf-8")
             (copy / source).parent.mkdir(parents=True, exist_ok=True)
@@ -152,7 +156,9 @@ setup(
     python_requires=">=3.10",
     ext_modules=extensions(),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "core/*/*.pxd", "report/*.js", "report/*.css"]},
+    package_data={
+        NAME: ["py.typed", "core/*/*.pxd", "simulation/*.pxd", "report/*.js", "report/*.css"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The build of the compiled core: what it is made of, its name, whether it is of these sources.
+"""The build of the kernels: what it is made of, its name, whether it is of these sources.
 
-A kernel, a module of the core with a ``.pxd`` beside it, is compiled; its source runs as it is too:
-``QUADTREE_LSS_INTERPRETED=1`` takes the sources, for a debugger, a hundred times slower.
+A kernel, a module of core or simulation with a ``.pxd`` beside it, is compiled; its source runs as
+it is too: ``QUADTREE_LSS_INTERPRETED=1`` takes the sources, for a debugger, a hundred times slower.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.util
 import os
@@ -29,7 +30,7 @@ class BuildError(QuadtreeLssError, ImportError):
 
 def declarations(package: Path = PACKAGE) -> list[Path]:
     """The ``.pxd`` files, sorted."""
-    return sorted((package / "core").glob("*/*.pxd"))
+    return sorted([*package.glob("core/*/*.pxd"), *package.glob("simulation/*.pxd")])
 
 
 def kernels(package: Path = PACKAGE) -> list[Path]:
@@ -67,8 +68,9 @@ def interpreted() -> bool:
     return os.environ.get("QUADTREE_LSS_INTERPRETED", "0") not in ("", "0")
 
 
+@functools.cache
 def check() -> None:
-    """Lets the core be imported, which calls this first.
+    """Lets core or simulation be imported, which call this first.
 
     Raises:
         BuildError: it is not compiled for this Python, or of other sources than those beside it.
@@ -109,6 +111,6 @@ class _Sources:
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         source = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
-        if not name.startswith(f"{quadtree_lss.__name__}.core.") or source not in kernels():
+        if not name.startswith(f"{quadtree_lss.__name__}.") or source not in kernels():
             return None
         return importlib.util.spec_from_file_location(name, source)

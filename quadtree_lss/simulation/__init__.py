@@ -4,9 +4,13 @@
 Shares no code with the mapping system, which it is there to test.
 """
 
-from quadtree_lss.simulation.scenarios import SCENARIOS
-from quadtree_lss.simulation.simulate import SimulationResult, simulate
-from quadtree_lss.simulation.terrain import SimulationError, Terrain, load_terrain
+from quadtree_lss import build
+
+build.check()
+
+from quadtree_lss.simulation.scenarios import SCENARIOS  # noqa: E402
+from quadtree_lss.simulation.simulate import SimulationResult, simulate  # noqa: E402
+from quadtree_lss.simulation.terrain import SimulationError, Terrain, load_terrain  # noqa: E402
 
 __all__ = [
     "SCENARIOS",

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -26,6 +27,15 @@ def _beams(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
     )
 
 
+@cache
+def _pixel_beams(field_of_view_deg: float, pixels: int) -> FloatArray:
+    centred = (np.arange(pixels) + 0.5) / pixels - 0.5
+    angle = np.radians(field_of_view_deg) * centred
+    beams = _beams(angle[None, :], -angle[:, None])
+    beams.setflags(write=False)
+    return beams
+
+
 @dataclass(frozen=True)
 class FlashLidar:
     """Square array of ``pixels``² beams over a square field of view.
@@ -43,9 +53,7 @@ class FlashLidar:
 
     def directions(self) -> FloatArray:
         """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
-        centred = (np.arange(self.pixels) + 0.5) / self.pixels - 0.5
-        angle = np.radians(self.field_of_view_deg) * centred
-        return _beams(angle[None, :], -angle[:, None])
+        return _pixel_beams(self.field_of_view_deg, self.pixels)
 
     def outline(
         self, surface: Surface, position_map: FloatArray, rotation_map_lidar: FloatArray

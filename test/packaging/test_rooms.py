@@ -25,7 +25,7 @@ MAY_IMPORT = {
     "report": f"config {CORE}",
     "replay": f"config {CORE} messages report build",
     "ros": f"build config {CORE} messages replay",
-    "simulation": "",
+    "simulation": "build",
     "evaluation": f"config {CORE} replay simulation",
     "campaign": "config evaluation replay simulation",
     "commands": "config replay simulation evaluation campaign ros",

@@ -68,6 +68,48 @@ def test_hits_lie_on_rough_ground_and_nothing_is_in_front_of_them():
     assert clearance.min() > -1e-6
 
 
+def _first_hit_of_all_cells(terrain, origin, direction):
+    """The least root of ray minus bilinear surface over every cell, by numpy.roots."""
+    dx, dy = terrain.post
+    best = np.inf
+    for j in range(terrain.y.size - 1):
+        for i in range(terrain.x.size - 1):
+            z = terrain.elevation[j : j + 2, i : i + 2]
+            u = np.array([direction[0], origin[0] - terrain.x[i]]) / dx
+            v = np.array([direction[1], origin[1] - terrain.y[j]]) / dy
+            twist = z[0, 0] - z[0, 1] - z[1, 0] + z[1, 1]
+            surface = np.convolve(u, v) * twist
+            surface[1:] += (z[0, 1] - z[0, 0]) * u + (z[1, 0] - z[0, 0]) * v
+            surface[2] += z[0, 0]
+            surface[1:] -= [direction[2], origin[2]]
+            for root in np.roots(surface):
+                place = np.array([np.polyval(u, root.real), np.polyval(v, root.real)])
+                inside = np.all((place > -1e-9) & (place < 1.0 + 1e-9))
+                if abs(root.imag) < 1e-9 and root.real > 0.0 and inside:
+                    best = min(best, root.real)
+    return best if np.isfinite(best) else np.nan
+
+
+@pytest.mark.parametrize("seed", [6, 7, 8])
+def test_first_hit_is_the_least_root_of_all_cells(seed):
+    generator = np.random.default_rng(seed)
+    x, y = np.arange(12) * 0.5 - 3.0, np.arange(9) * 0.7 + 1.0
+    terrain = Terrain(x, y, generator.uniform(0.0, 1.5, (9, 12)))
+    origin = np.array([-6.0, 3.3, 4.0])
+    targets = np.column_stack(
+        [generator.uniform(-0.9, 5.0, 60), generator.uniform(0.0, 7.0, 60), np.zeros(60)]
+    )
+    targets[:10, 1] = origin[1]  # along x
+    directions = _fan(origin, targets)
+    over = np.array([0.37, 3.21, 9.0])
+    cases = [(origin, d) for d in directions] + [(over, np.array([0.0, 0.0, -1.0]))]
+    found = [terrain.cast(o, d[None])[0] for o, d in cases]
+    np.testing.assert_allclose(
+        found, [_first_hit_of_all_cells(terrain, o, d) for o, d in cases], atol=1e-6
+    )
+    assert np.isfinite(found).sum() > 20 and np.isnan(found).any()
+
+
 def test_block_hides_the_ground_behind_it():
     terrain = _terrain(lambda x, y: np.where((np.abs(x) < 0.55) & (np.abs(y) < 5.0), 1.0, 0.0))
     origin = np.array([-np.cos(np.pi / 6), 0.0, np.sin(np.pi / 6)]) * 100.0
@@ -121,6 +163,12 @@ def test_the_edge_of_a_dem_is_no_wall():
     terrain = _terrain(lambda x, y: np.where(np.abs(x + y) < 1.0, 5.0, 3.0))
     origin = np.array([-30.0, 0.0, 2.0])
     assert np.isnan(terrain.cast(origin, _fan(origin, [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]))).all()
+
+
+def test_a_ray_that_comes_from_below_the_ground_hits_nothing():
+    terrain = _terrain(lambda x, y: np.where(np.abs(x + y) < 1.0, 0.0, 3.0))
+    origin = np.array([-30.0, 0.0, 2.0])
+    assert np.isnan(terrain.cast(origin, _fan(origin, [[0.0, 0.0, 2.0], [0.0, 0.0, 1.0]]))).all()
 
 
 def test_beams_follow_the_lidar_frame():

@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from quadtree_lss.simulation.safety import Lander, contact_safe, safety_map
+from quadtree_lss.simulation.safety import Lander, contact_safe, safety_map, worst_contact
 
 TAN_LIMIT = np.tan(np.radians(10.0))
 
@@ -23,7 +23,11 @@ def _interpolated(x, y, z, px, py):
 
 
 def brute_force(x, y, z, px, py, lander):
-    """One place, one yaw, one set of three pads at a time; planes by solving three equations."""
+    """One place, one yaw, one set of three pads at a time; planes by solving three equations.
+
+    Tangent of the worst slope, and the worst rise of the ground above a plane.
+    """
+    slope, rise = 0.0, -np.inf
     radius = lander.diameter / 2
     gx, gy = np.meshgrid(x, y)
     footprint = (gx - px) ** 2 + (gy - py) ** 2 <= (radius + 1e-9) ** 2
@@ -42,12 +46,10 @@ def brute_force(x, y, z, px, py, lander):
             fx, fy, ground = pads[fourth]
             if ground > plane @ [1.0, fx - px, fy - py] + 1e-12:
                 continue  # the fourth pad would stand in the ground
-            if np.hypot(plane[1], plane[2]) > np.tan(np.radians(lander.max_slope_deg)):
-                return False
+            slope = max(slope, np.hypot(plane[1], plane[2]))
             over = z - (plane[0] + plane[1] * (gx - px) + plane[2] * (gy - py))
-            if over[footprint].max() > lander.max_roughness:
-                return False
-    return True
+            rise = max(rise, over[footprint].max())
+    return slope, rise
 
 
 def _ground(generator, x, y):
@@ -69,10 +71,16 @@ def test_equals_brute_force(seed, post):
     z = _ground(generator, x, y)
     lander = Lander(yaws=6)
     grid_x, grid_y = np.arange(-2.5, 2.6, 0.5), np.arange(-2.0, 2.1, 0.5)
-    fast = safety_map(x, y, z, grid_x, grid_y, lander)
-    slow = [[brute_force(x, y, z, px, py, lander) for px in grid_x] for py in grid_y]
-    np.testing.assert_array_equal(fast, slow)
-    assert 0.05 < fast.mean() < 0.98
+    points = [(px, py) for py in grid_y for px in grid_x]
+    slow = np.array([brute_force(x, y, z, px, py, lander) for px, py in points])
+    np.testing.assert_allclose(
+        np.stack(worst_contact(x, y, z, points, lander), axis=1), slow, rtol=0.0, atol=1e-9
+    )
+    safe = safety_map(x, y, z, grid_x, grid_y, lander)
+    np.testing.assert_array_equal(
+        safe.ravel(), (slow[:, 0] <= TAN_LIMIT) & (slow[:, 1] <= lander.max_roughness)
+    )
+    assert 0.05 < safe.mean() < 0.98
 
 
 AXIS = np.linspace(-6.0, 6.0, 121)
