@@ -179,6 +179,7 @@ setup(
         "matplotlib>=3.6",
         "PyYAML>=6.0",
         "tqdm>=4.64",
+        "argcomplete>=2.0",
         "rosbags>=0.11",
         "apsw>=3.45",
         "lz4>=4.0",
@@ -190,6 +191,14 @@ setup(
             "ros-jazzy-rclpy",
             "ros-jazzy-common-interfaces",
             "ros-jazzy-rmw-fastrtps-cpp",
+        ],
+        # Other programs' files: GeoTIFF, meshes, point clouds.
+        "exchange": [
+            "rasterio>=1.3",
+            "trimesh>=4.0",
+            "laspy>=2.4",
+            "lazrs>=0.5",
+            "pypcd4>=1.1",
         ],
         "test": [
             "pytest>=8.0",

@@ -18,6 +18,7 @@ from quadtree_lss.replay.replay import ReplayError, ReplayResult, replay
 from quadtree_lss.replay.saved import Grid, Results, ResultsError, load_results
 from quadtree_lss.replay.steps import Step, steps
 from quadtree_lss.replay.stream import scans
+from quadtree_lss.replay.suggest import Suggestion, suggest_config
 
 __all__ = [
     "Bag",
@@ -42,10 +43,12 @@ __all__ = [
     "ScanReport",
     "Sites",
     "Step",
+    "Suggestion",
     "inspect_bag",
     "load_config",
     "load_results",
     "replay",
     "scans",
     "steps",
+    "suggest_config",
 ]

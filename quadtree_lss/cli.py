@@ -13,9 +13,11 @@ from collections.abc import Callable, Sequence
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.commands import config, evaluate, info, replay, simulate
+from quadtree_lss.commands import completion, config, evaluate, info, replay, simulate
 from quadtree_lss.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, USAGE
+from quadtree_lss.commands.completion import complete
 from quadtree_lss.commands.console import first_line, quiet, say
+from quadtree_lss.commands.parser import Parser
 from quadtree_lss.errors import QuadtreeLssError
 
 # No part of ROS, and not in every Ubuntu: the nodes do without.
@@ -28,9 +30,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = without_ros_arguments(sys.argv[1:] if argv is None else argv)
     options = argparse.Namespace()
     try:
-        options = _parser().parse_args(arguments)
+        parser = _parser()
+        complete(parser)
+        options = parser.parse_args(arguments)
         run: Callable[[argparse.Namespace], int] = options.run
-        with quiet(getattr(options, "quiet", False) and not getattr(options, "json", False)):
+        with quiet(getattr(options, "quiet", False), getattr(options, "json", False)):
             code = run(options)
             sys.stdout.flush()
         return code
@@ -88,7 +92,7 @@ def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="quadtree-lss",
         description="Terrain map of planar elements and ranked landing sites from a flash lidar.",
         epilog=EXIT_CODES,
@@ -102,6 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     config.add(commands)
     simulate.add(commands)
     evaluate.add(commands)
+    completion.add(commands)
     return parser
 
 

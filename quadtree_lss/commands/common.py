@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from quadtree_lss.commands.completion import completed, config_names, parameter_settings
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.config.yaml_text import YamlError, parse_yaml
@@ -100,7 +101,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def add_config_options(parser: argparse._ActionsContainer) -> None:
     """``--config`` and ``--set``."""
-    parser.add_argument(
+    config = parser.add_argument(
         "--config",
         action="append",
         default=[],
@@ -108,13 +109,15 @@ def add_config_options(parser: argparse._ActionsContainer) -> None:
         help="ROS parameter file or shipped configuration (default, morpheus, parabola, …);"
         " several overlay each other, the later wins",
     )
-    parser.add_argument(
+    setting = parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="KEY=VALUE",
         help="set one parameter, for instance lss.margin=1.0; wins over every file",
     )
+    completed(config, config_names)
+    completed(setting, parameter_settings)
 
 
 def chosen_config(options: argparse.Namespace) -> Config:

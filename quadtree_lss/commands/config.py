@@ -14,6 +14,8 @@ from quadtree_lss.commands.common import (
     chosen_config,
     print_json,
 )
+from quadtree_lss.commands.completion import completed, names_of_action
+from quadtree_lss.commands.console import ProgressBar, show
 from quadtree_lss.config.loading import (
     check_files,
     dump_config,
@@ -23,13 +25,20 @@ from quadtree_lss.config.loading import (
 )
 from quadtree_lss.config.settings import values_from_config
 
-TEXT = "Print a configuration as a ROS parameter file, check files, explain parameters."
+ACTIONS = ("print", "check", "explain", "suggest")
+TEXT = (
+    "Print a configuration as a ROS parameter file, check files, explain parameters, or suggest"
+    " domain, noise and cells for a bag."
+)
 EXAMPLES = """examples:
   quadtree-lss config > my_lander.yaml                  (every parameter, explained)
   quadtree-lss config --config morpheus --set lss.margin=1.0
-  quadtree-lss config check my_lander.yaml other.yaml   (exit code 1 if one is wrong)
+  quadtree-lss config check my_lander.yaml other.yaml   (all errors; exit code 1 if there is one)
   quadtree-lss config explain lss.margin                (one parameter)
   quadtree-lss config explain lss                       (a section)
+  quadtree-lss config suggest flight_bag > flight.yaml  (domain, noise, cell sizes from its data)
+
+ACTION is print (the default), check, explain or suggest.
 """
 
 
@@ -37,8 +46,9 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
     parser = add_command(commands, "config", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("action", nargs="?", choices=("print", "check", "explain"), default="print")
-    add("names", nargs="*", metavar="NAME", help="files to check; keys or sections to explain")
+    add("action", nargs="?", choices=ACTIONS, default="print", metavar="ACTION")
+    text = "files to check; keys or sections to explain; the bag to suggest for"
+    completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
     add_config_options(parser)
     add("--plain", action="store_true", help="print without the explanations")
     add_json(parser)
@@ -51,6 +61,8 @@ def _run(options: argparse.Namespace) -> int:
         options.parser.error(f"config {options.action}: name at least one")
     if options.action == "check":
         return _check(options)
+    if options.action == "suggest":
+        return _suggest(options)
     rows = [row for name in options.names for row in explain(name)]
     if options.json:
         print_json({row.name: parameter_as_dict(row) for row in rows})
@@ -75,6 +87,20 @@ def _check(options: argparse.Namespace) -> int:
     if options.json:
         print_json(found)
     else:
-        for name, error in found.items():
-            print(f"{name}: {'good' if error is None else error}")
-    return DONE if all(error is None for error in found.values()) else ERROR
+        for name, errors in found.items():
+            show("\n".join(f"{name}: {line}" for line in errors or ["good"]))
+    return ERROR if any(found.values()) else DONE
+
+
+def _suggest(options: argparse.Namespace) -> int:
+    from quadtree_lss.replay.suggest import suggest_config
+
+    if len(options.names) != 1:
+        options.parser.error("config suggest takes one bag")
+    with ProgressBar("suggest", "s", options.verbose) as bar:
+        found = suggest_config(options.names[0], chosen_config(options), progress=bar.update)
+    if options.json:
+        print_json(found.as_dict())
+    else:
+        print(found.text(), end="")
+    return DONE

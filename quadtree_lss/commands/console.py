@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -12,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
+from quadtree_lss.commands.text import fold, table, width
 from quadtree_lss.errors import one_line
 
 if TYPE_CHECKING:
+    from quadtree_lss.core.landing.sites import Sites
     from quadtree_lss.replay.result import ReplayResult
 
-_BAR = "{desc} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} {unit}, {rate_fmt}, {remaining} left"
+_BAR = "{desc} {percentage:3.0f} % |{bar}| {n:.0f} of {total:.0f} {unit}, {speed}, {remaining} left"
 
 
 class _Quiet:
@@ -27,10 +30,11 @@ class _Quiet:
 
 
 @contextlib.contextmanager
-def quiet(on: bool) -> Iterator[None]:
-    """Within it, nothing but errors (and JSON, which is asked for) is shown."""
+def quiet(on: bool, json: bool = False) -> Iterator[None]:
+    """Within it, nothing but errors, and JSON if that is asked for, is shown."""
     before, _Quiet.on = _Quiet.on, on
-    hidden = contextlib.redirect_stdout(io.StringIO()) if on else contextlib.nullcontext()
+    hide = on and not json
+    hidden = contextlib.redirect_stdout(io.StringIO()) if hide else contextlib.nullcontext()
     try:
         with hidden:
             yield
@@ -38,11 +42,32 @@ def quiet(on: bool) -> Iterator[None]:
         _Quiet.on = before
 
 
+class _Bar(tqdm):  # type: ignore[type-arg]
+    """Tells its speed in words."""
+
+    @property
+    def format_dict(self) -> dict[str, Any]:
+        """As in the base class, with ``speed``."""
+        told = super().format_dict
+        rate, unit = told["rate"], told["unit"]
+        if rate is None and told["elapsed"] > 0.0:
+            rate = told["n"] / told["elapsed"]
+        number = "?" if not rate else f"{rate:.{0 if rate >= 100.0 else 1}f}"
+        told["speed"] = f"{number} x real time" if unit == "s" else f"{number} {unit}/s"
+        return told
+
+
 class ProgressBar:
-    """A progress bar on stderr that is told what is done of how much; silent without terminal."""
+    """A progress bar on stderr that is told what is done of how much; silent without terminal.
+
+    Args:
+        what: Is done.
+        unit: It is counted in, in the plural; ``s`` are seconds of a bag.
+        verbose: Show it even if stderr is no terminal.
+    """
 
     def __init__(self, what: str, unit: str, verbose: bool) -> None:
-        self._bar = tqdm(
+        self._bar = _Bar(
             desc=what,
             unit=unit,
             total=1,  # until `update` tells; None cannot be formatted
@@ -66,9 +91,14 @@ class ProgressBar:
 
 
 class Interruption:
-    """Context manager that turns the first Ctrl-C into a wish to stop; the second one stops."""
+    """Context manager that turns the first Ctrl-C into a wish to stop; the second one stops.
 
-    def __init__(self) -> None:
+    Args:
+        then: What is still done, which the first Ctrl-C tells at once.
+    """
+
+    def __init__(self, then: str) -> None:
+        self._then = then
         self._asked = False
         self._before: Any = None
 
@@ -88,6 +118,11 @@ class Interruption:
     def _note(self, number: int, frame: object) -> None:
         self._asked = True
         signal.signal(signal.SIGINT, self._before)
+        # Not by print: the signal may have come within one.
+        text = f"quadtree-lss: stopping: {one_line(self._then)} (Ctrl-C again stops at once)\n"
+        end = "\n" if sys.stderr.isatty() else ""
+        with contextlib.suppress(OSError):
+            os.write(2, f"{end}{text}".encode(errors="replace"))
 
 
 def wants_progress(verbose: bool) -> bool:
@@ -96,14 +131,19 @@ def wants_progress(verbose: bool) -> bool:
 
 
 def print_result(result: ReplayResult) -> None:
-    """Key figures of a replay and its ranked sites, on stdout."""
+    """Key figures of a replay and its ranked sites, on stdout; last, what to open."""
+    print(result_text(result, width()))
+
+
+def result_text(result: ReplayResult, columns: int) -> str:
+    """Key figures of a replay and its ranked sites for a terminal so wide."""
     from quadtree_lss.replay.points import points_line  # the core: slow to import
 
     summary, sites = result.summary, result.assessment.sites
     dropped = sum(summary["scans_dropped"].values())
     speed = f"{summary['duration']:.1f} s of bag at {summary['real_time_factor']:.1f} x real time"
     if result.timings:
-        print(
+        text = (
             f"{summary['scans']} scans mapped, {dropped} dropped; {summary['leaves']} leaves;"
             f" {speed}\n"
             f"{points_line(summary['points'], summary['points_dropped'])}\n"
@@ -113,22 +153,45 @@ def print_result(result: ReplayResult) -> None:
             f" peak memory {summary['peak_memory_mb']:.0f} MB"
         )
     else:
-        print(
+        text = (
             f"{summary['maps']} maps read, the last one assessed; {summary['leaves']} leaves;"
             f" {speed}\nlanding site selection {summary['lss_ms']:.1f} ms"
         )
+    lines = fold(text, columns).splitlines()
     if not len(sites.score):
-        print(f"no safe site: {result.assessment.explanation.removeprefix('no safe site: ')}")
+        reason = result.assessment.explanation.removeprefix("no safe site: ")
+        lines.append(fold(f"no safe site: {reason}", columns))
     else:
-        print("rank        x        y        z    score  slope  roughness  to hazard  subscale")
-    for k, (x, y, z) in enumerate(sites.position):
-        print(
-            f"{k + 1:4d} {x:8.2f} {y:8.2f} {z:8.2f} {sites.score[k]:8.4f}"
-            f" {sites.slope_deg[k]:5.1f}° {sites.roughness[k]:7.3f} m"
-            f" {sites.hazard_distance[k]:8.2f} m {sites.subscale_height[k]:7.2f} m"
-        )
+        lines.append(table(_SITE_HEADER, _site_rows(sites), columns))
     if result.out is not None:
-        print(f"results in {one_line(result.out)}")
+        lines.append(f"results in {one_line(result.out)}")
+        page = result.out / "report.html"
+        if page.exists():
+            lines.append(f"open {one_line(page)}")
+    return "\n".join(lines)
+
+
+_SITE_HEADER = ("rank", "x", "y", "z", "score", "slope", "roughness", "to hazard", "subscale")
+
+
+def _site_rows(sites: Sites) -> list[list[str]]:
+    return [
+        [
+            str(k + 1),
+            *(f"{value:.2f}" for value in sites.position[k]),
+            f"{sites.score[k]:.4f}",
+            f"{sites.slope_deg[k]:.1f}°",
+            f"{sites.roughness[k]:.3f} m",
+            f"{sites.hazard_distance[k]:.2f} m",
+            f"{sites.subscale_height[k]:.2f} m",
+        ]
+        for k in range(len(sites.score))
+    ]
+
+
+def show(text: str) -> None:
+    """Text on stdout, folded to the terminal; names of files stay whole."""
+    print(fold(text, width()))
 
 
 def say(text: str) -> None:

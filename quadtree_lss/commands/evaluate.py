@@ -18,7 +18,7 @@ from quadtree_lss.commands.common import (
     named,
     print_json,
 )
-from quadtree_lss.commands.console import Interruption, ProgressBar, say, warn
+from quadtree_lss.commands.console import Interruption, ProgressBar, say, show, warn
 from quadtree_lss.commands.simulate import SCENARIOS, add_flight_options
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ EXAMPLES = """examples:
       --bags many/flights --out paper_rules                    (flies nothing again)
 
 Exit code 3 if some seeds could not be scored. Ctrl-C ends --seeds there: the tables are those
-of the seeds scored so far. Once more stops at once.
+of the seeds scored so far. A second one stops at once.
 """
 
 _FLIGHT = (
@@ -91,13 +91,13 @@ def _run(options: argparse.Namespace) -> int:
 
         if options.bag is not None:
             options.parser.error("--bag goes with one DIR only")
-        with ProgressBar("consistency", "scan", options.verbose) as bar:
+        with ProgressBar("consistency", "scans", options.verbose) as bar:
             several = compare(options.results, options.truth, options.out, progress=bar.update)
         _show(options, several)
         return DONE
     from quadtree_lss.evaluation.evaluate import evaluate
 
-    with ProgressBar("consistency", "scan", options.verbose) as bar:
+    with ProgressBar("consistency", "scans", options.verbose) as bar:
         result = evaluate(
             options.results[0],
             options.truth,
@@ -123,7 +123,7 @@ def _show(
     if options.json:
         print_json({"out": str(result.out), **result.as_dict()})
     else:
-        print(result.table())
+        show(result.table())
         print(f"figures and numbers in {result.out}")
 
 
@@ -143,7 +143,9 @@ def _seeds(options: argparse.Namespace) -> int:
     chosen = {name: getattr(options, name) for name in _FLIGHT}
     chosen["terrain"] = None if options.terrain is None else str(options.terrain)
     flight = FlightOptions(**{name: value for name, value in chosen.items() if value is not None})
-    with Interruption() as interruption, ProgressBar("evaluate", "step", options.verbose) as bar:
+    then = f"writes the tables of the seeds scored so far into {out}"
+    verbose = options.verbose
+    with Interruption(then) as interruption, ProgressBar("evaluate", "steps", verbose) as bar:
         result = evaluate_seeds(
             seeds,
             out,

@@ -16,14 +16,14 @@ from quadtree_lss.commands.common import (
     named,
     print_json,
 )
-from quadtree_lss.commands.console import ProgressBar
+from quadtree_lss.commands.console import ProgressBar, show
 
-TEXT = "Tell what is in a bag, and whether a replay would work."
+TEXT = "Show what a bag contains and whether it is ready to replay."
 EXAMPLES = """examples:
   quadtree-lss info flight_bag
   quadtree-lss info flight_bag --config vehicle.yaml --json
 
-Exit code 1 if it would not work, for the reasons printed as problems.
+Exit code 1 if it cannot be replayed, for the reasons printed as problems.
 """
 
 
@@ -53,7 +53,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(info.as_dict())
     else:
-        print(info.table())
+        show(info.table())
     if not info.works:
         return ERROR
     return IN_PART if info.losses else DONE

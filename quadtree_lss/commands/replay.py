@@ -44,8 +44,8 @@ EXAMPLES = """examples:
   quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points
   quadtree-lss replay flight_bag --area='-9,-9 9,-9 9,9 -9,9' --keep-out=none --target=3,-4
 
-Ctrl-C ends the replay there: the results are those of what was processed so far. Once more
-stops at once.
+Ctrl-C ends the replay there: the results are those of what was processed so far. A second
+Ctrl-C stops at once.
 """
 
 
@@ -83,15 +83,19 @@ def _run(options: argparse.Namespace) -> int:
     if options.publish:
         return _publish(options)
     if options.rate is not None:
-        options.parser.error("--rate is for --publish: without it a replay is as fast as it can")
+        options.parser.error("--rate is for --publish: without it a replay runs as fast as it can")
     if options.namespace is not None or options.remap:
-        options.parser.error("--namespace and --remap are for --publish: nothing is sent without")
+        options.parser.error(
+            "--namespace and --remap are for --publish: without it nothing is sent"
+        )
     from quadtree_lss.replay.replay import replay
     from quadtree_lss.replay.results import link_latest, new_folder
 
     config = chosen_config(options)
     out = options.out if options.out is not None else new_folder(Path("results"))
-    with Interruption() as interruption, ProgressBar("replay", "s", options.verbose) as bar:
+    report = "" if options.no_report else ", draws the report"
+    then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
+    with Interruption(then) as interruption, ProgressBar("replay", "s", options.verbose) as bar:
         result = replay(
             options.bag,
             out,
@@ -135,8 +139,9 @@ def _publish(options: argparse.Namespace) -> int:
     offline = ("out", "config", "set", "no_report", "record", "area", "keep_out", "target")
     given = ", ".join(f"--{name.replace('_', '-')}" for name in offline if getattr(options, name))
     if given:
-        text = "goes" if "," not in given else "go"
-        options.parser.error(f"{given} {text} not with --publish: the nodes map and rank the sites")
+        text = "does" if "," not in given else "do"
+        text = f"{given} {text} not go with --publish: the nodes map and rank the sites"
+        options.parser.error(text)
     try:
         from quadtree_lss.ros.player import play
     except ImportError as error:

@@ -17,24 +17,36 @@ from quadtree_lss.commands.common import (
     share,
     whole,
 )
-from quadtree_lss.commands.console import Interruption, ProgressBar, say
+from quadtree_lss.commands.console import Interruption, ProgressBar, say, show
 
 SCENARIOS = ("morpheus", "parabola", "descent")
 TEXT = "Simulate a flight: a bag, and truth.npz beside it."
+FLIGHTS = """flights:
+  morpheus   the paper's Section VII: 20 s at 20 Hz on a 30 degree glide slope, 450 m off, 1 degree
+             gimballed lidar, over 60 x 60 m of rocks and craters
+  parabola   the paper's Section VI exactly: 61 scans at 1 Hz from 500 m, 10 degree lidar
+  descent    30 s at 5 Hz from 200 m down to 50 m, looking down with 20 degrees, over 60 x 60 m;
+             for measured ground by --terrain
+--terrain takes an elevation model: .npz with x (nx,), y (ny,) ascending in equal steps and
+elevation (ny, nx), m, z up, at least 9 x 9 m. Without it morpheus and descent fly over a field of
+rocks and craters. The flight is about the model's middle (parabola's about x 10, y 0): let
+domain.xmin, domain.ymin, domain.size of the replay fit, or take those of `config suggest BAG`.
+
+"""
 EXAMPLES = """examples:
   quadtree-lss simulate morpheus --seed 7 --out flight/bag      (flight/truth.npz beside it)
   quadtree-lss simulate parabola --seed 1 --out parabola/bag
   quadtree-lss simulate descent --terrain dem.npz --out descent/bag
   quadtree-lss simulate morpheus --flights 2 --outliers 0.02 --dropouts 0.05 --out two/bag
 
-Ctrl-C ends the flight there: bag and truth are those of what was flown so far. Once more stops
-at once and leaves no bag.
+Ctrl-C ends the flight there: bag and truth are those of what was flown so far. A second one
+stops at once and leaves no bag.
 """
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "simulate", _run, TEXT, EXAMPLES)
+    parser = add_command(commands, "simulate", _run, TEXT, FLIGHTS + EXAMPLES)
     add = parser.add_argument
     add("scenario", choices=SCENARIOS, help="which flight")
     add("--seed", type=whole(0), default=1, metavar="N", help="of terrain and noise (default 1)")
@@ -64,7 +76,9 @@ def add_flight_options(parser: argparse._ActionsContainer) -> None:
 def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.simulation.simulate import simulate
 
-    with Interruption() as interruption, ProgressBar("simulate", "scan", options.verbose) as bar:
+    then = f"closes {options.out} and writes truth.npz for what was flown so far"
+    verbose = options.verbose
+    with Interruption(then) as interruption, ProgressBar("simulate", "scans", verbose) as bar:
         result = simulate(
             options.scenario,
             options.out,
@@ -82,7 +96,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(result.as_dict())
     else:
-        print(result.table())
+        show(result.table())
     if result.interrupted:
         say(f"interrupted: the bag has the first {result.scans} scans")
         return INTERRUPTED

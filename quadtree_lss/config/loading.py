@@ -13,6 +13,7 @@ other, the later wins.
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
 import os
@@ -20,6 +21,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import yaml
@@ -30,6 +32,7 @@ from quadtree_lss.config.settings import (
     Parameter,
     checked_value,
     config_from_values,
+    contradictions,
     flatten,
     nearest_key,
     parameters,
@@ -80,14 +83,18 @@ def _check_keys(values: Mapping[str, object], where: str) -> None:
     """Each key by itself, so that the message can name the file."""
     table = {row.name: row for row in parameters()}
     for key, value in values.items():
-        if key not in table:
-            msg = f"{where}: unknown parameter '{key}'{_suggestion(key)}"
-            raise ConfigError(msg)
         try:
-            checked_value(table[key], value)
+            _check_key(table, key, value)
         except ConfigError as error:
             msg = f"{where}: {error}"
             raise ConfigError(msg) from None
+
+
+def _check_key(table: Mapping[str, Parameter], key: str, value: object) -> None:
+    if key not in table:
+        msg = f"unknown parameter '{key}'{_suggestion(key)}"
+        raise ConfigError(msg)
+    checked_value(table[key], value)
 
 
 def _suggestion(key: str) -> str:
@@ -111,9 +118,19 @@ def find_config(path: str | os.PathLike[str]) -> Path:
         for candidate in shipped:
             if candidate.name == name:
                 return candidate
-    names = ", ".join(sorted({p.stem for p in shipped})) or "none"
-    msg = f"no configuration file {str(path)!r} (shipped: {names})"
+    names = shipped_names()
+    msg = f"no configuration file {str(path)!r} (shipped: {', '.join(names) or 'none'})"
+    beside = [p.stem for p in given.parent.glob("*.yaml")] if given.parent.is_dir() else []
+    close = difflib.get_close_matches(given.stem, [*names, *beside], n=1)
+    if close:
+        near = close[0] if close[0] in names else given.with_name(f"{close[0]}.yaml")
+        msg += f"; did you mean '{near}'?"
     raise ConfigError(msg)
+
+
+def shipped_names() -> list[str]:
+    """Names of the shipped configurations."""
+    return sorted({path.stem for path in _shipped()})
 
 
 def _shipped() -> Iterator[Path]:
@@ -124,10 +141,14 @@ def _shipped() -> Iterator[Path]:
         yield from sorted(place.glob("*.yaml"))
 
 
-def read_values(path: str | os.PathLike[str]) -> dict[str, object]:
+def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -> dict[str, object]:
     """Dotted values of the sections ``/**`` and of this package's nodes, in the file's order.
 
     Sections of other nodes are left alone, unless their name looks like a misspelt one of ours.
+
+    Args:
+        path: The file.
+        faults: Gets what is wrong with single sections, instead of an error.
 
     Raises:
         ConfigError: not readable, no YAML, not in the form of a parameter file.
@@ -144,13 +165,17 @@ def read_values(path: str | os.PathLike[str]) -> dict[str, object]:
     values: dict[str, object] = {}
     sections = 0
     for name, section in _sections(content if isinstance(content, Mapping) else {}):
-        if _is_ours(name, path):
+        try:
+            if not _is_ours(name):
+                continue
             sections += 1
-            if section is not None and not isinstance(section, Mapping):
-                msg = f"{path}: ros__parameters of '{name}' holds no keys"
-                raise ConfigError(msg)
-            values |= flatten(_with_text_keys(section or {}))
-    if not sections:
+            values |= flatten(_keys_of(name, section))
+        except ConfigError as error:
+            if faults is None:
+                msg = f"{path}: {error}"
+                raise ConfigError(msg) from None
+            faults.append(str(error))
+    if not sections and not faults:
         msg = f"{path}: no section '/**:' with 'ros__parameters:' (or one of {', '.join(NODES)})"
         raise ConfigError(msg)
     return {key: value for key, value in values.items() if not ROS_OWN.fullmatch(key)}
@@ -168,15 +193,22 @@ def _sections(content: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[st
         yield from _sections(rest, name)
 
 
-def _is_ours(name: str, path: str | os.PathLike[str]) -> bool:
+def _is_ours(name: str) -> bool:
     node = name.rsplit("/", 1)[-1]
     if node in (*NODES, "**", "*"):
         return True
     close = difflib.get_close_matches(node, NODES, n=1, cutoff=0.75)
     if close:
-        msg = f"{path}: unknown section '{node}'; did you mean '{close[0]}'?"
+        msg = f"unknown section '{node}'; did you mean '{close[0]}'?"
         raise ConfigError(msg)
     return False
+
+
+def _keys_of(name: str, section: object) -> dict[str, object]:
+    if section is not None and not isinstance(section, Mapping):
+        msg = f"ros__parameters of '{name}' holds no keys"
+        raise ConfigError(msg)
+    return _with_text_keys(section or {})
 
 
 def _with_text_keys(values: Mapping[Any, Any]) -> dict[str, object]:
@@ -188,31 +220,54 @@ def _with_text_keys(values: Mapping[Any, Any]) -> dict[str, object]:
 
 def dump_config(config: Config, *, comments: bool = False) -> str:
     """A parameter file that loads to ``config`` again; with ``comments`` each key is explained."""
-    values = values_from_config(config)
+    told = {row.name: _explanation(row) for row in parameters()} if comments else {}
+    return dump_values(values_from_config(config), told)
+
+
+def dump_values(values: Mapping[str, object], comments: Mapping[str, str]) -> str:
+    """A parameter file of dotted values in the order of the table, with comments by key."""
     lines = ["/**:", "  ros__parameters:"]
     section = ""
     for row in parameters():
+        if row.name not in values:
+            continue
         start, _, name = row.name.partition(".")
         if start != section:
             section = start
             lines.append(f"    {section}:")
-        if comments:
-            lines.append(f"      # {_explanation(row)}")
+        if row.name in comments:
+            lines.append(f"      # {comments[row.name]}")
         lines.append(f"      {name}: {_scalar(values[row.name])}")
     return "\n".join(lines) + "\n"
 
 
-def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, str | None]:
-    """Each file by itself over the defaults: None if it is good, else what is wrong with it."""
-    found: dict[str, str | None] = {}
-    for path in paths:
+def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, list[str]]:
+    """Each file by itself over the defaults: all that is wrong with it, a line each."""
+    return {str(path): _errors_of(path) for path in paths}
+
+
+def _errors_of(path: str | os.PathLike[str]) -> list[str]:
+    errors: list[str] = []
+    try:
+        found = find_config(path)
+        values = read_values(found, errors)
+    except ConfigError as error:
+        return [str(error).removeprefix(f"{path}: ")]
+    sound: dict[str, dict[str, object]] = {}
+    table = {row.name: row for row in parameters()}
+    for key, value in values.items():
         try:
-            load_config([path])
+            _check_key(table, key, value)
         except ConfigError as error:
-            found[str(path)] = str(error)
+            errors.append(str(error))
         else:
-            found[str(path)] = None
-    return found
+            section, _, name = key.partition(".")
+            sound.setdefault(section, {})[name] = checked_value(table[key], value)
+    sections = {
+        item.name: dataclasses.replace(getattr(Config(), item.name), **sound.get(item.name, {}))
+        for item in dataclasses.fields(Config)
+    }
+    return errors + list(contradictions(SimpleNamespace(**sections)))
 
 
 def explain(name: str) -> list[Parameter]:

@@ -7,6 +7,7 @@ import dataclasses
 import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 from quadtree_lss.config.limits import why_too_much
 from quadtree_lss.config.parameter import ConfigError, Parameter, Value, checked_value
@@ -48,6 +49,7 @@ __all__ = [
     "Value",
     "checked_value",
     "config_from_values",
+    "contradictions",
     "flatten",
     "nearest_key",
     "parameters",
@@ -75,7 +77,9 @@ class Config:
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
 
     def __post_init__(self) -> None:
-        _check_together(self)
+        found = "; ".join(contradictions(self))
+        if found:
+            raise ConfigError(found)
 
 
 _TYPES: dict[str, type] = {"bool": bool, "int": int, "float": float, "str": str}
@@ -156,42 +160,35 @@ def values_from_config(config: Config) -> dict[str, Value]:
     return flat
 
 
-def _check_together(config: Config) -> None:
+def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
+    """What in the sections does not go together, a line each."""
     domain, lidar, mapping = config.domain, config.lidar, config.mapping
     if not config.frames.map:
-        msg = "frames.map is empty: it is the name of the frame of poses and map"
-        raise ConfigError(msg)
+        yield "frames.map is empty: it is the name of the frame of poses and map"
     if domain.min_level > domain.max_level:
-        msg = f"domain.min_level = {domain.min_level} exceeds domain.max_level = {domain.max_level}"
-        raise ConfigError(msg)
+        yield f"domain.min_level = {domain.min_level} exceeds domain.max_level = {domain.max_level}"
     if 4**domain.min_level > mapping.max_cells:
-        msg = (
+        yield (
             f"mapping.max_cells = {mapping.max_cells} is less than the {4**domain.min_level}"
             f" cells of domain.min_level = {domain.min_level}"
         )
-        raise ConfigError(msg)
     if lidar.min_range >= lidar.max_range:
-        msg = (
+        yield (
             f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
         )
-        raise ConfigError(msg)
     mount = config.mount
     if mount.gimbal and mount.tf:
-        msg = "mount.gimbal and mount.tf: the mount comes from lidar/gimbal or from /tf_static"
-        raise ConfigError(msg)
+        yield "mount.gimbal and mount.tf: the mount comes from lidar/gimbal or from /tf_static"
     elsewhere = MountConfig(gimbal=mount.gimbal, tf=mount.tf, axes=mount.axes)
     if (mount.gimbal or mount.tf) and mount != elsewhere:
         name, topic = ("gimbal", "lidar/gimbal") if mount.gimbal else ("tf", "/tf_static")
-        msg = f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
-        raise ConfigError(msg)
+        yield f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
     ages = config.diagnostics
     if ages.warn_age > ages.error_age:
-        msg = (
+        yield (
             f"diagnostics.warn_age = {ages.warn_age} exceeds"
             f" diagnostics.error_age = {ages.error_age}"
         )
-        raise ConfigError(msg)
     reason = why_too_much(domain.size, 1 << domain.max_level, config.lss)
     if reason is not None:
-        msg = f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"
-        raise ConfigError(msg)
+        yield f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"

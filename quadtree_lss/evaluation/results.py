@@ -185,7 +185,10 @@ class Truth:
 
 def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Any]:
     if not path.is_file():
-        msg = f"{path} does not exist"
+        msg = f"{path} {'is a folder' if path.is_dir() else 'does not exist'}"
+        near = [p for p in (path / "truth.npz", path.parent / "truth.npz") if p.is_file()]
+        if near and path.name != "truth.npz":
+            msg += f"; did you mean {near[0]}?"
         raise EvaluationError(msg)
     try:
         opened = np.load(path, allow_pickle=False)
@@ -289,7 +292,10 @@ def load_results(directory: str | Path) -> Results:
     """Read a results directory of ``replay``; raises `EvaluationError` if a file is amiss."""
     folder = Path(directory)
     if not folder.is_dir():
-        msg = f"{folder} is not a directory of results"
+        msg = f"{folder} is no folder of results"
+        raise EvaluationError(msg)
+    if not (folder / "summary.json").exists() and (folder / "latest" / "summary.json").exists():
+        msg = f"{folder} is no folder that replay wrote; did you mean {folder / 'latest'}?"
         raise EvaluationError(msg)
     timing = folder / "timing.csv"
     summary = _summary(folder / "summary.json")

@@ -6,6 +6,7 @@ A bag is a list of files (`parts`). What could not be read stands in ``Bag.losse
 
 from __future__ import annotations
 
+import difflib
 import heapq
 import tempfile
 from collections.abc import Collection, Iterator
@@ -165,7 +166,7 @@ class Bag:
 
     def _open(self) -> None:
         if not self.path.exists():
-            msg = f"no such bag: {self.path}"
+            msg = f"no such bag: {self.path}{likely_bag(self.path)}"
             raise BagError(msg)
         try:
             files = self._files()
@@ -188,7 +189,7 @@ class Bag:
     def _files(self) -> list[Path]:
         if self.path.is_file():
             if _storage_suffix(self.path) is None:
-                msg = f"{self.path}: not a bag (.mcap, .db3, .bag, or a directory of these)"
+                msg = f"{self.path}: not a bag (.mcap, .db3, .bag, or a folder of these)"
                 raise BagError(msg)
             return [self.path]
         there = sorted(p for p in self.path.iterdir() if _storage_suffix(p) is not None)
@@ -206,8 +207,8 @@ class Bag:
         self._losses += [f"{p.name} is missing" for p in listed if not p.exists()]
         files = [p for p in listed if p.exists()]
         if not files:
-            msg = f"{self.path}: no bag: neither .mcap nor .db3 nor .bag in it"
-            raise BagError(msg)
+            msg = f"{self.path}: no bag: there is no .mcap, .db3 or .bag in it"
+            raise BagError(msg + likely_bag(self.path))
         return files
 
     def _plain(self, file: Path) -> Path:
@@ -227,6 +228,33 @@ class Bag:
 def _storage_suffix(path: Path) -> str | None:
     suffixes = [s for s in path.suffixes if s not in (".zstd", ".zst")]
     return suffixes[-1] if suffixes and suffixes[-1] in (".mcap", ".db3", ".bag") else None
+
+
+def likely_bag(path: Path) -> str:
+    """``; did you mean flight/bag?``: bags inside a folder, or beside a name that is not there."""
+    if path.is_dir():
+        near = [p for p in _listing(path) if _holds_bag(p)]
+    else:
+        beside = {p.name: p for p in _listing(path.parent) if _holds_bag(p)}
+        names = difflib.get_close_matches(path.name, beside, n=1)
+        near = [beside[name] for name in names]
+    if not near:
+        return ""
+    more = f" (or one of {len(near) - 3} more)" if len(near) > 3 else ""
+    return f"; did you mean {' or '.join(map(str, near[:3]))}{more}?"
+
+
+def _holds_bag(path: Path) -> bool:
+    if path.is_dir():
+        return any(p.is_file() and _storage_suffix(p) is not None for p in _listing(path))
+    return _storage_suffix(path) is not None
+
+
+def _listing(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []
 
 
 def _line(error: Exception) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is in a bag, and would it work: answered by the replay's own reading of it."""
+"""What a bag contains and whether it is ready to replay: by the replay's own reading of it."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class BagInfo:
         scans_dropped: Scans that could not, by reason.
         points: Points of the scans that could be mapped.
         points_dropped: Those of them that would not enter the map, by reason.
-        problems: Why it would not work, one line each; empty if it would.
+        problems: Why it cannot be replayed, one line each; empty if it can.
         notes: What to know, one line each.
         losses: What cannot be read of the bag.
     """
@@ -331,5 +331,5 @@ def _lines(info: BagInfo) -> list[str]:
     lines += [one_line(f"note: {line}") for line in info.notes]
     lines += [one_line(f"damaged: {line}") for line in info.losses]
     lines += [one_line(f"problem: {line}") for line in info.problems]
-    lines.append("it would work" if info.works else "it would not work")
+    lines.append("ready to replay" if info.works else "cannot be replayed: see the problems above")
     return lines

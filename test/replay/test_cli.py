@@ -113,7 +113,7 @@ def test_wrong_usage_is_exit_code_2(capsys, arguments):
 
 def test_options_that_do_not_go_together_are_named(capsys):
     code, _, err = run(capsys, "replay", "bag", "--publish", "--record", "x", "--no-report")
-    assert code == 2 and "--no-report, --record go not with --publish" in err
+    assert code == 2 and "--no-report, --record do not go with --publish" in err
 
 
 def test_a_number_is_the_same_in_a_file_and_after_set(capsys):
@@ -222,7 +222,9 @@ def interrupted(bag, out, *signals_after):
         time.sleep(wait)
         process.send_signal(signal.SIGINT)
     shown, err = process.communicate(timeout=60)
-    assert "interrupted" in err and "Traceback" not in err
+    told, _, rest = err.partition("interrupted")
+    assert "stopping: ranks sites" in told and f"into {out} (Ctrl-C again" in told
+    assert rest and "Traceback" not in err
     return process.returncode, shown, err
 
 
@@ -249,6 +251,7 @@ def test_interrupting_a_simulation_keeps_what_was_flown(tmp_path):
     process.send_signal(signal.SIGINT)
     shown, err = process.communicate(timeout=120)
     assert process.returncode == 130 and "Traceback" not in err
+    assert f"stopping: closes {bag} and writes truth.npz" in err.partition("interrupted")[0]
     assert "interrupted: the bag has the first" in err and "truth.npz" in shown
     assert (bag / "metadata.yaml").exists()
 

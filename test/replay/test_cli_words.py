@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the command line says: what was likely meant, all errors at once, narrow terminals."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import io
+import json
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
+
+import pytest
+from replay.recordings import write_ros2
+from replay.test_cli import FAST, run
+
+from quadtree_lss.commands import console
+from quadtree_lss.commands.text import fold, table
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return write_ros2(tmp_path_factory.mktemp("flight") / "bag", scans=6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["relay", "bag"], "'replay'"),
+        (["replay", "bag", "--recrod", "x"], "'--record'"),
+        (["replay", "bag", "--recrod=x"], "'--record'"),
+        (["config", "chekc", "x"], "'check'"),
+        (["simulate", "dessent", "--out", "x"], "'descent'"),
+        (["replay", "bag", "--config", "morfeus"], "'morpheus'"),
+        (["replay", "bag", "--set", "lss.margn=1"], "'lss.margin'"),
+    ],
+)
+def test_the_nearest_word_is_named(capsys, arguments, meant):
+    code, out, err = run(capsys, *arguments)
+    assert code in (1, 2) and not out
+    assert f"did you mean {meant}?" in err.splitlines()[-1]
+
+
+def test_a_word_that_is_near_nothing_is_left_alone(capsys):
+    code, _, err = run(capsys, "replay", "bag", "--zzzzzz")
+    assert code == 2 and "not understood: --zzzzzz" in err and "mean" not in err
+
+
+def test_a_configuration_beside_the_name_that_is_not_there(tmp_path, capsys):
+    (tmp_path / "vehicle.yaml").write_text("")
+    code, _, err = run(capsys, "config", "--config", tmp_path / "vehicel.yaml")
+    assert code == 1 and f"did you mean '{tmp_path / 'vehicle.yaml'}'?" in err
+
+
+def test_the_folder_of_a_bag_and_a_misspelt_bag(bag, capsys):
+    for wrong in (bag.parent, bag.with_name("bga")):
+        for command in ("replay", "info"):
+            code, _, err = run(capsys, command, wrong)
+            assert code == 1 and f"did you mean {bag}?" in err and err.count("\n") == 1
+
+
+def test_truth_and_results_by_their_folder(bag, tmp_path, capsys):
+    results = tmp_path / "results" / "latest"
+    assert run(capsys, "replay", bag, "--out", results, *FAST)[0] == 0
+    (tmp_path / "flight").mkdir()
+    truth = tmp_path / "flight" / "truth.npz"
+    truth.write_bytes(b"")
+    for wrong in (truth.parent, truth.parent / "bag"):
+        code, _, err = run(capsys, "evaluate", results, "--truth", wrong)
+        assert code == 1 and f"did you mean {truth}?" in err
+    code, _, err = run(capsys, "evaluate", results.parent, "--truth", truth)
+    assert code == 1 and f"did you mean {results}?" in err
+
+
+def test_every_error_of_a_configuration_is_told_at_once(tmp_path, capsys):
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(
+        "/**:\n  ros__parameters:\n    lss.margn: 1.0\n    domain.size: -3.0\n"
+        "    domain.min_level: 9\n    lidar: {min_range: 20.0, max_range: 10.0}\n"
+        "maping_node:\n  ros__parameters:\n    lss.margin: 1.0\n"
+    )
+    code, out, _ = run(capsys, "config", "check", bad, "morpheus")
+    lines = [line.removeprefix(f"{bad}: ") for line in out.splitlines()]
+    assert code == 1 and lines[-1] == "morpheus: good"
+    words = ("mapping_node", "lss.margin", "domain.size", "domain.min_level", "mapping.max_cells")
+    for word in (*words, "lidar.min_range"):
+        assert sum(word in line for line in lines) == 1 + (word == "domain.min_level"), word
+    assert len(lines) == 7
+    shown = json.loads(run(capsys, "config", "check", bad, "morpheus", "--json")[1])
+    assert shown == {str(bad): lines[:-1], "morpheus": []}
+
+
+def test_quiet_json_is_json_alone(bag, tmp_path, capsys):
+    noisy = ["--set", "lidar.range_noise=0.5"]  # which is warned of
+    arguments = ["replay", bag, "--out", tmp_path, *FAST, *noisy, "--json"]
+    assert "warning" in run(capsys, *arguments)[2]
+    code, out, err = run(capsys, *arguments, "-q", "-v")
+    assert code == 0 and err == "" and json.loads(out)["scans"] == 6
+
+
+def test_tables_fit_forty_columns(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(console, "width", lambda: 40)
+    out = run(capsys, "replay", bag, "--out", tmp_path, *FAST)[1]
+    lines = [line for line in out.splitlines() if str(tmp_path) not in line]
+    assert max(map(len, lines)) <= 40 and "rank 1, x " in out and "hazard" in out
+    words = " ".join(run(capsys, "info", bag)[1].split())
+    for line in run(capsys, "info", bag)[1].splitlines():
+        assert len(line) <= 40 or " " not in line.strip()
+    monkeypatch.setattr(console, "width", lambda: 400)
+    assert words == " ".join(run(capsys, "info", bag)[1].split())
+    assert "rank" in run(capsys, "replay", bag, "--out", tmp_path, *FAST)[1]
+
+
+def test_the_width_is_that_of_the_terminal(bag):
+    """A pseudo-terminal of 40 columns."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 40, 0, 0))
+    command = [sys.executable, "-m", "quadtree_lss.cli", "info", str(bag)]
+    plain = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    with subprocess.Popen(command, stdout=theirs, stderr=subprocess.DEVNULL, env=plain) as process:
+        os.close(theirs)
+        shown = b""
+        with contextlib.suppress(OSError):  # the terminal's end
+            while part := os.read(ours, 4096):
+                shown += part
+    os.close(ours)
+    lines = shown.decode().replace("\r", "").splitlines()
+    assert process.returncode == 0 and lines[-1] == "ready to replay"
+    assert all(len(line) <= 40 or " " not in line.strip() for line in lines)
+
+
+def test_a_table_is_aligned_where_there_is_room():
+    rows = [["1", "-2.50"], ["12", "3.00"]]
+    assert table(["n", "x"], rows, 80) == " n      x\n 1  -2.50\n12   3.00"
+    assert table(["n", "x"], rows, 8) == "n 1, x -2.50\nn 12, x 3.00"
+    assert fold("label  value of it", 12) == "label\n    value of\n    it".replace(
+        "\n    it", " it"
+    )
+    assert fold("short", 12) == "short"
+
+
+def test_the_last_line_names_the_page(bag, tmp_path, capsys):
+    plain = [word for word in FAST if word != "--no-report"]
+    out = run(capsys, "replay", bag, "--out", tmp_path, *plain)[1]
+    assert out.splitlines()[-1] == f"open {tmp_path / 'report.html'}"
+    out = run(capsys, "replay", bag, "--out", tmp_path, *FAST)[1]
+    assert out.splitlines()[-1] == f"results in {tmp_path}"
+
+
+@pytest.mark.parametrize(("unit", "speed"), [("scans", " scans/s"), ("s", " x real time")])
+def test_bars_speak_in_words(monkeypatch, unit, speed):
+    shown = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", shown)
+    with console.ProgressBar("work", unit, verbose=True) as bar:
+        bar.update(3, 10)
+    assert f"3 of 10 {unit}, " in shown.getvalue() and speed in shown.getvalue()
+
+
+@pytest.mark.parametrize("flight", ["morpheus", "parabola", "descent", "--terrain"])
+def test_help_explains_the_flights(capsys, flight):
+    out = run(capsys, "simulate", "--help")[1].partition("flights:")[2]
+    assert flight in out and "elevation (ny, nx)" in out
+
+
+def completions(line):
+    """What a shell offers after a line."""
+    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line}
+    asked |= {"COMP_POINT": str(len(line)), "_ARGCOMPLETE_STDOUT_FILENAME": os.devnull}
+    program = "from quadtree_lss.cli import main; main()"
+    command = [sys.executable, "-c", f"import sys; sys.argv = ['quadtree-lss']; {program}"]
+    del asked["_ARGCOMPLETE_STDOUT_FILENAME"]
+    shell = 'exec 8>&1 9>/dev/null; exec "$@"'
+    done = subprocess.run(
+        ["bash", "-c", shell, "-", *command],
+        env={**os.environ, **asked},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    return {word.strip() for word in done.stdout.splitlines()}
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ("quadtree-lss rep", "replay"),
+        ("quadtree-lss replay bag --no-r", "--no-report"),
+        ("quadtree-lss replay bag --config mor", "morpheus"),
+        ("quadtree-lss replay bag --set lss.marg", "lss.margin="),
+        ("quadtree-lss replay bag --set lss.assessment=", "lss.assessment=touchdown"),
+        ("quadtree-lss config explain lss.marg", "lss.margin"),
+        ("quadtree-lss config check par", "parabola"),
+        ("quadtree-lss simulate des", "descent"),
+    ],
+)
+def test_the_shell_completes(line, word):
+    assert word in completions(line)
+
+
+def test_what_the_shell_reads_names_the_program(capsys):
+    for shell in ("bash", "zsh", "fish"):
+        code, out, _ = run(capsys, "completion", shell)
+        assert code == 0 and "quadtree-lss" in out and "_ARGCOMPLETE" in out

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``config suggest``: domain, noise and cells from a bag, and that they do."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from replay.recordings import write_ros2
+from replay.test_cli import run
+
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.replay.replay import replay
+from quadtree_lss.replay.suggest import suggest_config
+from quadtree_lss.simulation.simulate import simulate
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """Far from the default domain, with another noise than the default's."""
+    folder = tmp_path_factory.mktemp("flight")
+    x, y = 300.0 + np.arange(0.0, 60.0, 0.5), -200.0 + np.arange(0.0, 60.0, 0.5)
+    rolling = 2.0 * np.sin(x / 9.0) + np.cos(y / 7.0)[:, None]
+    np.savez(folder / "dem.npz", x=x, y=y, elevation=rolling)
+    terrain = folder / "dem.npz"
+    simulate("descent", folder / "bag", seed=9, duration=4.0, terrain=terrain, range_noise=0.03)
+    return folder / "bag"
+
+
+def test_a_flight_can_be_replayed_with_what_is_suggested(flight, tmp_path):
+    found = suggest_config(flight, load_config())
+    values = found.values
+    assert values["lidar.range_noise"] == pytest.approx(0.03, rel=0.15)
+    low = np.array([values["domain.xmin"], values["domain.ymin"]])
+    assert (low < (305.0, -195.0)).all() and (low + values["domain.size"] > (355, -145)).all()
+    assert 40.0 < values["domain.size"] < 80.0
+    assert 0.2 < values["domain.size"] / 2 ** values["domain.max_level"] < 1.5
+    path = tmp_path / "mine.yaml"
+    path.write_text(found.text())
+    config = load_config([path])
+    result = replay(flight, None, config)
+    assert result.summary["points_used"] > 0.9 * result.summary["points"]
+    assert len(result.assessment.sites) > 0
+    assert not any("scatter" in line for line in result.warnings)
+
+
+def test_the_command_prints_a_file_with_reasons(flight, tmp_path, capsys):
+    code, out, _ = run(capsys, "config", "suggest", flight)
+    assert code == 0 and "# scatter" in out and "domain:" in out
+    (tmp_path / "mine.yaml").write_text(out)
+    assert run(capsys, "config", "check", tmp_path / "mine.yaml")[0] == 0
+    shown = json.loads(run(capsys, "config", "suggest", flight, "--json", "-q")[1])
+    assert shown["values"] == suggest_config(flight, load_config()).values
+
+
+def test_ground_above_the_lidar_is_told(flight):
+    turned = load_config((), {"mount.axes": "flu_to_optical"})
+    text = suggest_config(flight, turned).text()
+    sound = suggest_config(flight, load_config()).text()
+    assert "above the lidar" not in sound and ("above the lidar" in text or "domain" in text)
+
+
+def test_nothing_to_suggest_from_says_why(tmp_path, capsys):
+    bag = write_ros2(tmp_path / "bag", scans=3)
+    code, _, err = run(capsys, "config", "suggest", bag, "--set", "frames.map=moon")
+    assert code == 1 and "nothing to suggest from" in err and "moon" in err
+    assert run(capsys, "config", "suggest")[0] == 2
+    assert run(capsys, "config", "suggest", bag, bag)[0] == 2
