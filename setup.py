@@ -157,7 +157,15 @@ setup(
     ext_modules=extensions(),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
-        NAME: ["py.typed", "core/*/*.pxd", "simulation/*.pxd", "report/*.js", "report/*.css"]
+        NAME: [
+            "py.typed",
+            "core/*/*.pxd",
+            "simulation/*.pxd",
+            "report/*.js",
+            "report/*.css",
+            "report/*.html",
+            "report/vendor/*",
+        ]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from quadtree_lss.config.settings import Config
@@ -41,7 +41,7 @@ class Passes:
     Args:
         config: Rates and everything about landing sites.
         restrictions: Keyword arguments of ``LandingSiteSelector.assess`` at the time.
-        sink: Gets maps and answers, or None.
+        sinks: Get maps and answers.
 
     Attributes:
         cells: The last map, as its message gives it to ``lss_node``.
@@ -51,9 +51,9 @@ class Passes:
     """
 
     def __init__(
-        self, config: Config, restrictions: Callable[[], dict[str, Any]], sink: Sink | None = None
+        self, config: Config, restrictions: Callable[[], dict[str, Any]], sinks: Sequence[Sink] = ()
     ) -> None:
-        self._restrictions, self._sink = restrictions, sink
+        self._restrictions, self._sinks = restrictions, sinks
         self._selector = LandingSiteSelector(config)
         self._map, self._landing = _Clock(config.publish.rate), _Clock(config.publish.lss_rate)
         self._snapshot: CellMap | None = None
@@ -88,8 +88,8 @@ class Passes:
         self._map.sent(now_ns)
         self._snapshot, self.cells = cells, None
         self._landing.changed = True
-        if self._sink is not None:
-            self._sink.map(now_ns, cells)
+        for sink in self._sinks:
+            sink.map(now_ns, cells)
 
     def _assess(self, now_ns: int) -> None:
         self._landing.sent(now_ns)
@@ -102,8 +102,8 @@ class Passes:
         self.lss_ms = 1e3 * (time.perf_counter() - began)
         self._note(found)
         self.last, self._landing.changed = found, found.pending
-        if self._sink is not None:
-            self._sink.landing(now_ns, found)
+        for sink in self._sinks:
+            sink.landing(now_ns, found)
 
     def _note(self, found: LandingAssessment) -> None:
         """A row where the target is another one, another place or none any more."""

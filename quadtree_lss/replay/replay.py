@@ -18,9 +18,10 @@ from quadtree_lss.config.settings import Config
 from quadtree_lss.messages.landing_inputs import LandingWishes
 from quadtree_lss.replay import results
 from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.history import History
 from quadtree_lss.replay.landing import LandingTopics
 from quadtree_lss.replay.map_messages import MapPairs
-from quadtree_lss.replay.passes import Passes
+from quadtree_lss.replay.passes import Passes, Sink
 from quadtree_lss.replay.points import points_line
 from quadtree_lss.replay.record import Recorder
 from quadtree_lss.replay.result import ReplayResult
@@ -88,11 +89,12 @@ def replay(
         run.landing = LandingTopics(wishes, opened, stream.start_ns)
         made = _make_folder(folder)
         try:
-            sink = None
+            history = run.history = History()
+            sinks: list[Sink] = [history]
             if record is not None:
                 recorder = Recorder(Path(record), config.frames.map, maps=pairs is None)
-                sink = stack.enter_context(recorder)
-            passes = run.passes = Passes(config, wishes.arguments, sink)
+                sinks.append(stack.enter_context(recorder))
+            passes = run.passes = Passes(config, wishes.arguments, sinks)
             cells = (
                 run.map_scans(opened, stream)
                 if pairs is None
@@ -139,6 +141,7 @@ def replay(
         "target": passes.changes[-1].id if passes.changes else 0,
         "target_changes": len(passes.changes),
         "explanation": assessment.explanation,
+        "reasons": assessment.sites.reasons,
         "interrupted": run.interrupted,
         "losses": losses,
         "warnings": warnings,
@@ -156,7 +159,7 @@ def replay(
     )
     if folder is not None:
         try:
-            _write(folder, result, config, report)
+            _write(folder, result, config, history, report)
         except OSError as error:
             msg = f"{folder}: cannot be written: {error.strerror}"
             raise ReplayError(msg) from None
@@ -187,17 +190,18 @@ def _make_folder(folder: Path | None) -> Path | None:
     return folder if fresh else None
 
 
-def _write(out: Path, result: ReplayResult, config: Config, report: bool) -> None:
+def _write(out: Path, result: ReplayResult, config: Config, history: History, report: bool) -> None:
     results.write_sites(out / "sites.csv", result.assessment)
     results.write_selected(out / "selected.csv", result.targets)
     results.write_cells(out / "cells.npz", result.cells)
     results.write_grid(out / "grid.npz", result.assessment)
     results.write_timing(out / "timing.csv", result.timings)
+    results.write_history(out / "history.npz", history.arrays())
     results.write_bytes(out / "config.yaml", dump_config(config).encode())
     results.write_summary(out / "summary.json", result.summary)
     results.remove_report(out)
     if report:
         from quadtree_lss.report.report import report_files  # matplotlib takes long to import
 
-        for name, content in report_files(result, config).items():
+        for name, content in report_files(out).items():
             results.write_bytes(out / name, content)

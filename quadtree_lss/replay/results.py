@@ -201,6 +201,11 @@ def write_grid(path: Path, assessment: LandingAssessment) -> None:
     )
 
 
+def write_history(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """``history.npz``: see `history.History.arrays`."""
+    _write_npz(path, arrays)
+
+
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
     """``summary.json``; numbers that are not finite become null."""
     text = json.dumps(plain(summary), indent=2, allow_nan=False)

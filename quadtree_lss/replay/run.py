@@ -26,6 +26,7 @@ from quadtree_lss.replay.results import ScanTiming
 from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
 
 if TYPE_CHECKING:
+    from quadtree_lss.replay.history import History
     from quadtree_lss.replay.passes import Passes
 
 Progress = Callable[[float, float], None]
@@ -42,6 +43,7 @@ class Run:
         stop: Asked after each message; True ends the run there.
         passes: Gets the maps as they come, or None.
         landing: Hears areas, keep-outs and targets as they come, or None.
+        history: Notes where the lidar looked, or None.
 
     Attributes:
         interrupted: True if ``stop`` ended it.
@@ -57,6 +59,7 @@ class Run:
     stop: Callable[[], bool] | None = None
     passes: Passes | None = None
     landing: LandingTopics | None = None
+    history: History | None = None
     interrupted: bool = False
     done_ns: int = 0
     timings: list[ScanTiming] = field(default_factory=list)
@@ -192,6 +195,8 @@ class Run:
         map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
         if len(self._decode_ms) > 2 * self.config.pose.queue:
             self._decode_ms.clear()  # those of dropped scans
+        if self.history is not None:
+            self.history.scan(scan)
         self.points_dropped.update(report.dropped)
         if not report.points_used and report.dropped["outside"] and self._missed_at is None:
             self._missed_at = report.centre

@@ -1,159 +1,233 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``report.html`` embeds: the map and its assessment as quantised columns in base64."""
+"""What ``report.html`` draws: a results folder as columns, with their units and limits."""
 
 from __future__ import annotations
 
-import base64
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.feature import peak
-from quadtree_lss.core.landing.hazards import slope
-from quadtree_lss.core.landing.sites import LandingAssessment
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.report.figures import (
-    CLEAR_COLOUR,
-    EXCLUDED_COLOUR,
-    HAZARDS,
-    SAFE_COLOUR,
-    SITE_COLOUR,
-    colour_limits,
-    colour_table,
-    hazard_note,
-)
-
-if TYPE_CHECKING:
-    from quadtree_lss.replay.result import ReplayResult
+from quadtree_lss.report import palette
+from quadtree_lss.report.answer import areas, largest_circle, nearest_miss
+from quadtree_lss.report.content import Content
+from quadtree_lss.report.packing import Columns
 
 MAX_GRID_POINTS = 250_000
 """Of the landing grid that are embedded; of larger grids every other, third, … point is."""
 MAX_LEAVES = 80_000
-"""With hover values; beyond, only the outlines of the leaves are embedded."""
+"""With their planes; beyond, only the outlines of the leaves are embedded."""
+MAX_ANSWERS = 60
+"""Of the slider."""
 
-_NONE = {"u1": 0xFF, "u2": 0xFFFF}
+Array = NDArray[np.float64]
 
 
-def page_data(result: ReplayResult, config: Config) -> dict[str, Any]:
-    """Everything the page's script draws, ready for JSON."""
-    assessment = result.assessment
+@dataclass(frozen=True)
+class Layer:
+    """One more layer of the grid points, such as the truth.
+
+    Attributes:
+        name, title, unit: Of the layer.
+        values: (ny, nx) numbers with ``kind`` of ``palette.MAPS`` and ``limits``, or numbers of
+            ``classes``: pairs of name and colour.
+        note: What must be known to read it.
+    """
+
+    name: str
+    title: str
+    values: NDArray[Any]
+    unit: str = ""
+    kind: str = "elevation"
+    limits: tuple[float, float] | None = None
+    classes: Sequence[tuple[str, str]] = ()
+    note: str = ""
+
+
+def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str, Any], Columns]:
+    """Everything the page's script draws, ready for JSON, and the columns it refers to."""
+    columns, config = Columns(), content.config
+    grid = _grid(content, columns)
+    stride = grid["stride"]
+    circle, miss = largest_circle(content), nearest_miss(content)
     return {
-        "grid": _grid(assessment, config),
-        "leaves": _leaves(result.cells),
-        "sites": _sites(assessment),
-        "zone": 0.5 * config.lss.vehicle_diameter + config.lss.margin,
-        "timing": _timing(result),
-        "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in HAZARDS],
-        "hazard_note": hazard_note(config),
+        "grid": grid,
+        "layers": [_layer(layer, columns, stride) for layer in layers],
+        "leaves": _leaves(content.cells, columns),
+        "sites": _sites(content),
+        "zone": content.zone,
+        "lander": {"radius": 0.5 * config.lss.vehicle_diameter, "pad": config.lss.pad_radius},
+        "circle": circle and asdict(circle),
+        "miss": miss and asdict(miss),
+        "landing": content.summary.get("landing") or {},
+        "areas": asdict(areas(content)),
+        "history": _history(content, columns, stride),
+        "timing": _timing(content),
+        "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
+        "excluding": palette.excluding(config.lss.assessment),
         "colours": {
-            "clear": CLEAR_COLOUR,
-            "excluded": EXCLUDED_COLOUR,
-            "safe": SAFE_COLOUR,
-            "site": SITE_COLOUR,
-            **{name: _base64(colour_table(name)) for name in ("viridis", "cividis", "magma")},
+            "clear": palette.CLEAR_COLOUR,
+            "excluded": palette.EXCLUDED_COLOUR,
+            "safe": palette.SAFE_COLOUR,
+            "site": palette.SITE_COLOUR,
         },
-    }
+        "maps": {
+            kind: columns.whole(palette.colour_table(name), "u1")
+            for kind, name in palette.MAPS.items()
+        },
+    }, columns
 
 
-def quantised(values: NDArray[Any], kind: str = "u2") -> dict[str, Any]:
-    """A column whose entry i is low + step · data[i]; the greatest number stands for NaN."""
-    flat = np.asarray(values, dtype=np.float64).ravel()
-    finite = np.isfinite(flat)
-    low, high = (flat[finite].min(), flat[finite].max()) if finite.any() else (0.0, 0.0)
-    top = _NONE[kind] - 1
-    step = float(high - low) / top if high > low else 1.0
-    data = np.full(flat.shape, _NONE[kind], dtype=f"<{kind}")
-    data[finite] = np.rint((flat[finite] - low) / step)
-    return {"kind": kind, "low": float(low), "step": step, "data": _base64(data)}
+def _grid(content: Content, columns: Columns) -> dict[str, Any]:
+    grid, config = content.grid, content.config
+    stride = int(np.ceil(np.sqrt(max(grid["hazard"].size / MAX_GRID_POINTS, 1.0))))
 
+    def part(name: str) -> NDArray[Any]:
+        return grid[name][::stride, ::stride]
 
-def whole_numbers(values: NDArray[Any], kind: str) -> dict[str, Any]:
-    """A column of integers as they are, kind ``u1``, ``u2`` or ``u4``."""
-    return {"kind": kind, "data": _base64(np.ascontiguousarray(values).astype(f"<{kind}"))}
-
-
-def _base64(values: NDArray[Any]) -> str:
-    return base64.b64encode(values.tobytes()).decode()
-
-
-def _grid(assessment: LandingAssessment, config: Config) -> dict[str, Any]:
-    stride = int(np.ceil(np.sqrt(max(assessment.hazard.size / MAX_GRID_POINTS, 1.0))))
-    x, y = assessment.x[::stride], assessment.y[::stride]
-
-    def part(values: NDArray[Any]) -> NDArray[Any]:
-        return values[::stride, ::stride]
-
-    limit = config.lss.max_slope_deg
-    return {
-        "nx": len(x),
-        "ny": len(y),
-        "xmin": float(x[0]),
-        "ymin": float(y[0]),
-        "spacing": float(x[1] - x[0]) if len(x) > 1 else config.lss.grid_spacing,
+    touchdown = config.lss.assessment == "touchdown"
+    limit = config.lss.touchdown_slope_deg if touchdown else config.lss.max_slope_deg
+    found: dict[str, Any] = {
+        "nx": len(grid["x"][::stride]),
+        "ny": len(grid["y"][::stride]),
+        "xmin": float(grid["x"][0]),
+        "ymin": float(grid["y"][0]),
+        "spacing": content.spacing * stride,
         "stride": stride,
-        "elevation": quantised(part(assessment.elevation))
-        | {"limits": colour_limits(assessment.elevation)},
-        "slope": quantised(part(assessment.slope_deg))
-        | {"limits": (0.0, 2.0 * limit), "mark": limit},
-        "score": quantised(part(assessment.score)) | {"limits": colour_limits(assessment.score)},
-        "hazard": whole_numbers(part(assessment.hazard), "u1"),
-        "safe": whole_numbers(part(assessment.safe), "u1"),
+        "elevation": columns.quantised(part("elevation"))
+        | {"limits": palette.colour_limits(grid["elevation"])},
+        "slope": columns.quantised(part("slope_deg"))
+        | {"limits": (0.0, max(palette.top_limit(grid["slope_deg"])[1], limit)), "mark": limit},
+        "score": columns.quantised(part("score"))
+        | {"limits": palette.colour_limits(grid["score"])},
+        "hazard": columns.whole(part("hazard"), "u1"),
+        "safe": columns.whole(part("safe"), "u1"),
+    }
+    if content.probability is not None:
+        found["probability"] = columns.quantised(100.0 * part("probability"))
+        found["probability"]["limits"] = (0.0, 100.0)
+    return found
+
+
+def _layer(layer: Layer, columns: Columns, stride: int) -> dict[str, Any]:
+    values = layer.values[::stride, ::stride]
+    about = {"name": layer.name, "title": layer.title, "unit": layer.unit, "note": layer.note}
+    if layer.classes:
+        classes = [{"name": name, "colour": colour} for name, colour in layer.classes]
+        return {**about, "classes": classes, "values": columns.whole(values, "u1")}
+    limits = layer.limits or palette.colour_limits(layer.values)
+    return {**about, "kind": layer.kind, "values": {**columns.quantised(values), "limits": limits}}
+
+
+def _leaves(cells: Mapping[str, NDArray[Any]], columns: Columns) -> dict[str, Any]:
+    xmin, ymin, size, min_level, max_level = cells["domain"].tolist()
+    found: dict[str, Any] = {
+        "number": len(cells["level"]),
+        "xmin": xmin,
+        "ymin": ymin,
+        "size": size,
+        "min_level": int(min_level),
+        "max_level": int(max_level),
+        "level": columns.whole(cells["level"], "u1"),
+        "ix": columns.whole(cells["ix"], "u2"),
+        "iy": columns.whole(cells["iy"], "u2"),
+    }
+    if found["number"] > MAX_LEAVES:
+        return found
+    estimated = np.isfinite(cells["z"])
+    with np.errstate(invalid="ignore"):
+        deviation = np.where(estimated, np.sqrt(cells["covariance"][:, 2, 2]), np.nan)
+    rough = cells["roughness"] / cells["size"] ** 2  # Eq. 55 by area: distance from the plane
+    shown = np.isfinite(cells["feature"][:, 0])
+    height = np.full(found["number"], np.nan)
+    height[shown] = peak(cells["feature"][shown])
+    return found | {
+        "z": columns.quantised(cells["z"]),
+        "slope_x": columns.quantised(np.where(estimated, -cells["nx"] / cells["nz"], np.nan)),
+        "slope_y": columns.quantised(np.where(estimated, -cells["ny"] / cells["nz"], np.nan)),
+        "deviation": columns.quantised(deviation) | {"limits": palette.top_limit(deviation)},
+        "roughness": columns.quantised(rough) | {"limits": palette.top_limit(rough)},
+        "exceptions": columns.quantised(cells["exception_fraction"], "u1"),
+        "feature": columns.quantised(height),
+        "count": columns.whole(cells["count"], "u4"),
+        "measured": columns.whole(cells["measured"], "u1"),
     }
 
 
-def _leaves(cells: CellMap) -> dict[str, Any]:
-    domain = cells.domain
-    columns: dict[str, Any] = {
-        "level": whole_numbers(cells.level, "u1"),
-        "ix": whole_numbers(cells.ix, "u2"),
-        "iy": whole_numbers(cells.iy, "u2"),
-    }
-    if len(cells.level) <= MAX_LEAVES:
-        with np.errstate(invalid="ignore"):
-            sigma = np.where(cells.estimated, np.sqrt(cells.covariance[:, 2, 2]), np.nan)
-            degrees = np.where(cells.estimated, np.degrees(slope(cells.normal)), np.nan)
-        rough = cells.roughness / cells.size**2  # Eq. 55 by area: distance from the plane
-        shown = np.isfinite(cells.feature[:, 0])
-        height = np.full(len(cells.level), np.nan)
-        height[shown] = peak(cells.feature[shown])
-        columns |= {
-            "z": quantised(cells.z),
-            "slope": quantised(degrees),
-            "sigma": quantised(sigma) | {"limits": colour_limits(sigma)},
-            "roughness": quantised(rough) | {"limits": colour_limits(rough)},
-            "exceptions": quantised(cells.exception_fraction, "u1"),
-            "feature": quantised(height),
-            "count": whole_numbers(cells.count, "u4"),
-            "measured": whole_numbers(cells.measured, "u1"),
-        }
-    return {
-        "number": len(cells.level),
-        "xmin": domain.xmin,
-        "ymin": domain.ymin,
-        "size": domain.size,
-        "min_level": domain.min_level,
-        "max_level": domain.max_level,
-        **columns,
-    }
-
-
-def _sites(assessment: LandingAssessment) -> list[dict[str, Any]]:
-    sites = assessment.sites
+def _sites(content: Content) -> list[dict[str, Any]]:
+    names = [name for name in content.sites if name not in ("rank", "nx", "ny", "nz")]
     return [
-        {"rank": k + 1, "x": float(x), "y": float(y), "z": float(z)}
-        for k, (x, y, z) in enumerate(sites.position)
+        {
+            "rank": k + 1,
+            **{name: _json(content.sites[name][k]) for name in names},
+            "normal": [float(content.sites[name][k]) for name in ("nx", "ny", "nz")],
+            "reason": content.reasons[k],
+        }
+        for k in range(len(content.sites["x"]))
     ]
 
 
-def _timing(result: ReplayResult) -> dict[str, Any]:
-    rows = result.timings
-    first = rows[0].stamp_ns if rows else 0
+def _json(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] | None:
+    """Answers and scans in seconds since the first of both; None without a second answer."""
+    history = content.history
+    if not history or len(history["answer_stamp_ns"]) < 2:
+        return None
+    scans, answers = history["scan_stamp_ns"], history["answer_stamp_ns"]
+    stamps = np.concatenate([scans, answers[answers > 0]])
+    first = int(stamps.min()) if len(stamps) else 0
+    shown = np.unique(np.linspace(0, len(answers) - 1, MAX_ANSWERS).round().astype(int))
+    shape = content.grid["hazard"].shape
+
+    def bits(name: str) -> NDArray[Any]:
+        rows = np.unpackbits(history[name][shown], axis=1, count=shape[0] * shape[1])
+        return rows.reshape(-1, *shape)[:, ::stride, ::stride]
+
+    seen = bits("seen").astype(bool)
+    # The first answer in which ground is seen: with a map that forgets nothing it stays so.
+    since = np.where(seen.any(axis=0), seen.argmax(axis=0), 255)
+    place = {answer: k for k, answer in enumerate(shown.tolist())}
+    sites: list[list[list[float | None]]] = [[] for _ in shown]
+    for row, answer in enumerate(history["site_answer"].tolist()):
+        if answer in place:
+            values = (
+                history["site_id"][row],
+                *history["site_position"][row],
+                history["site_score"][row],
+                history["site_probability"][row],
+            )
+            sites[place[answer]].append([_json(value) for value in values])
+    outline = history["scan_outline"]
     return {
-        "seconds": [round((row.stamp_ns - first) / 1e9, 4) for row in rows],
-        "map_ms": [round(row.map_ms, 3) for row in rows],
-        "leaves": [row.leaves for row in rows],
-        "used": [row.points_used for row in rows],
-        "points": [row.points for row in rows],
+        "seconds": _seconds(answers[shown], first),
+        "since": columns.whole(since, "u1"),
+        "allowed": columns.whole(
+            np.packbits(bits("allowed").reshape(len(shown), -1), axis=1), "u1"
+        ),
+        "sites": sites,
+        "targets": [[_json(value) for value in row] for row in history["target"][shown]],
+        "scan_seconds": _seconds(scans, first),
+        "position": columns.floats(history["scan_position"]),
+        "outline": columns.floats(outline),
+        "corners": outline.shape[1],
+    }
+
+
+def _seconds(stamps: NDArray[Any], first: int) -> list[float]:
+    return [round((stamp - first) / 1e9, 4) for stamp in stamps.tolist()]
+
+
+def _timing(content: Content) -> dict[str, Any]:
+    timing = content.timing
+    stamps = timing["stamp_ns"]
+    return {
+        "seconds": _seconds(stamps, int(stamps[0]) if len(stamps) else 0),
+        "map_ms": [round(value, 3) for value in timing["map_ms"].tolist()],
+        **{name: timing[name].tolist() for name in ("leaves", "points_used", "points")},
     }

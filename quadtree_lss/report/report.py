@@ -1,66 +1,61 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.html``: what a person looks at first, in one file that needs nothing else."""
+"""``report.html``: what a person looks at first, made of a results folder."""
 
 from __future__ import annotations
 
 import io
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from quadtree_lss.config.settings import Config, parameters, values_from_config
 from quadtree_lss.report import figures
-from quadtree_lss.report.page_data import page_data
+from quadtree_lss.report.answer import headline, when
+from quadtree_lss.report.content import Content, read
+from quadtree_lss.report.page_data import Layer, page_data
+from quadtree_lss.report.template import document, plain_table, source, table
 
-if TYPE_CHECKING:
-    from quadtree_lss.replay.result import ReplayResult
-
-# Nothing may be loaded from anywhere, whatever stands in a topic's name.
-POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
-
-VIEW = """
-<div class="view">
-<div class="frame"><canvas id="map" tabindex="0" aria-label="map"></canvas>
-<div class="buttons"><button id="zoom-in" title="zoom in (+)">+</button>
-<button id="zoom-out" title="zoom out (-)">−</button>
-<button id="zoom-fit" title="whole map (0)">all</button></div>
-<p class="note">Drag to move, wheel or pinch to zoom, click a row of the table to go to a site.
-Keys: arrows, +, −, 0.</p></div>
-<div>
-<fieldset><legend>Layer</legend><div id="layers"></div></fieldset>
-<fieldset><legend id="layer-title"></legend><div id="legend"></div></fieldset>
-<fieldset><legend>Show</legend>
-<label><input type="checkbox" id="show-leaves" checked> leaves of the quadtree</label>
-<label><input type="checkbox" id="show-sites" checked> sites and landing zones</label>
-<label><input type="checkbox" id="show-relief"> relief shading</label></fieldset>
-<fieldset><legend>Under the pointer</legend><table id="values"></table></fieldset>
-</div></div>
-<noscript><p class="warning">This page draws its map with JavaScript, which is off. The same
-pictures are in the folder figures beside it.</p></noscript>
-"""
-CHARTS = """
-<div class="charts"><canvas id="chart-ms"></canvas><canvas id="chart-leaves"></canvas>
-<canvas id="chart-points"></canvas></div>
-"""
+SCRIPTS = (
+    "vendor/uplot.min.js",
+    *(
+        f"{name}.js"
+        for name in (
+            "columns",
+            "ground",
+            "layers",
+            "map",
+            "marks",
+            "pointer",
+            "charts",
+            "section",
+            "time",
+            "scene",
+            "panel",
+            "start",
+        )
+    ),
+)
+LIBRARIES = ("three", "uplot")
+STYLES = ("vendor/uplot.min.css", "page.css")
 
 
-def report_files(result: ReplayResult, config: Config) -> dict[str, bytes]:
-    """The page and its figures: content by path in the results folder."""
+def report_files(folder: str | Path) -> dict[str, bytes]:
+    """The page of a results folder and its figures: content by path in the folder."""
+    content = read(folder)
     drawn = {
-        "elevation": figures.elevation_figure(result.cells, result.assessment),
-        "slope": figures.slope_figure(result.assessment, config),
-        "hazards": figures.hazard_figure(result.assessment, config),
-        "score": figures.score_figure(result.assessment, config),
+        "elevation": figures.elevation_figure(content),
+        "slope": figures.slope_figure(content),
+        "hazards": figures.hazard_figure(content),
+        "score": figures.score_figure(content),
     }
-    if result.timings:
-        drawn["timing"] = figures.timing_figure(result.timings)
+    if len(content.timing["map_ms"]):
+        drawn["timing"] = figures.timing_figure(content)
     pictures = {f"figures/{name}.png": _png(figure) for name, figure in drawn.items()}
-    return {**pictures, "report.html": page(result, config).encode()}
+    return {**pictures, "report.html": page(content).encode()}
 
 
 def _png(figure: Figure) -> bytes:
@@ -69,87 +64,119 @@ def _png(figure: Figure) -> bytes:
     return content.getvalue()
 
 
-def page(result: ReplayResult, config: Config) -> str:
-    """The page as text."""
-    title = f"Landing sites from {escape(short_name(result.summary['bag']))}"
-    warnings = "".join(
-        f'<p class="warning">{escape(line)}</p>' for line in (*result.losses, *result.warnings)
+def page(content: Content, *, title: str = "", layers: Sequence[Layer] = (), more: str = "") -> str:
+    """The page as text; ``layers`` come first, ``more`` is markup below the view."""
+    title = title or f"Landing sites from {short_name(content.summary['bag'])}"
+    data, columns = page_data(content, layers)
+    return document(
+        title,
+        _body(content, title, more),
+        data=data,
+        columns=columns,
+        scripts=SCRIPTS,
+        styles=STYLES,
+        libraries={"library-3d": "vendor/three.min.js"},
     )
-    embedded = json.dumps(page_data(result, config), allow_nan=False).replace("<", "\\u003c")
-    summary = result.summary
-    timing = f"<h2>Timing</h2>{CHARTS}" if result.timings else ""
-    here = files("quadtree_lss.report")
-    style, script = (here.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
+
+
+def _body(content: Content, title: str, more: str) -> str:
+    summary = content.summary
+    answer, ground = headline(content)
+    none = "" if len(content.sites["x"]) else " none"
+    view = source("view.html").replace("{{sites}}", _sites(content))
+    timing = ""
+    if len(content.timing["map_ms"]):
+        timing = '<h2>Processing</h2><div class="charts" id="charts"></div>'
     return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        f"<title>{title}</title><style>\n{style}</style></head><body>\n"
-        f"<h1>{title}</h1>\n{_verdict(result)}\n{_cards(summary)}\n{warnings}\n{VIEW}\n"
-        f"<h2>Ranked sites</h2>\n{_sites(result)}\n{timing}\n"
-        f'<div class="columns"><div><h2>Run</h2>\n{_plain_table(_run(summary))}</div>\n'
-        f"<div><h2>Input</h2>\n{_plain_table(_input(summary))}{_points(summary)}</div></div>\n"
-        f"<h2>Configuration</h2>\n{_configuration(config)}\n"
-        f'<script id="data" type="application/json">{embedded}</script>\n'
-        f"<script>\n{script}</script>\n</body></html>\n"
+        f'<div class="first"><header><h1>{escape(title)}</h1>'
+        f"<span>{escape(when(content))}</span></header>\n"
+        f'<p class="verdict{none}"><b>{escape(answer)}</b> {escape(ground)}</p>\n'
+        f"{_warnings(summary)}\n{view}\n</div>{more}\n{_reasons(content)}\n{timing}\n"
+        f'<div class="columns"><div><h2>Run</h2>\n{plain_table(_run(summary))}</div>\n'
+        f"<div><h2>Input</h2>\n{plain_table(_input(summary))}{_points(summary)}</div></div>\n"
+        f"<h2>Configuration</h2>\n{_configuration(content.config)}\n{_licences()}"
     )
 
 
-def _verdict(result: ReplayResult) -> str:
-    sites, text = result.assessment.sites, escape(result.assessment.explanation)
-    if not len(sites.score):
-        return f'<p class="verdict none"><b>No safe site.</b> {text}</p>'
-    x, y, z = sites.position[0]
+def _warnings(summary: Mapping[str, Any]) -> str:
+    lines = [*summary.get("losses", ()), *summary.get("warnings", ())]
+    if not lines:
+        return ""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    count = "1 warning" if len(lines) == 1 else f"{len(lines)} warnings"
     return (
-        f'<p class="verdict"><b>{len(sites.score)} landing sites.</b> Best at'
-        f" x {x:.2f}, y {y:.2f}, z {z:.2f} m: {escape(sites.reasons[0])}. {text}.</p>"
+        f'<details class="warning"><summary>{count}: {escape(lines[0])}</summary>'
+        f"<ul>{items}</ul></details>"
     )
 
 
-def _cards(summary: Mapping[str, Any]) -> str:
-    dropped = sum(summary["scans_dropped"].values())
-    cards = [(f"{summary['maps']}", "maps read, the last assessed")]
-    if summary["scans"]:
-        cards = [
-            (f"{summary['scans']}", "scans mapped"),
-            (f"{dropped}", "scans dropped"),
-            (_ms(summary["map_ms_median"]), "map update, median"),
-            (_ms(summary["map_ms_p99"]), "map update, 99 %"),
-        ]
-    cards += [
-        (f"{summary['leaves']}", "leaves"),
-        (_ms(summary["lss_ms"]), "site selection"),
-        (f"{summary['real_time_factor']:.1f} ×", "real time, reading included"),
+def _sites(content: Content) -> str:
+    sites = content.sites
+    if not len(sites["x"]):
+        return '<p class="note">No site. The answer above says what limits.</p>'
+    chosen = [
+        ("x", "m", "x", "{:.2f}"),
+        ("y", "m", "y", "{:.2f}"),
+        ("z", "m", "z", "{:.2f}"),
+        ("safe", "%", "probability", "{:.1f}"),
+        ("score", "", "score", "{:.3f}"),
+        ("slope", "°", "slope_deg", "{:.1f}"),
+        ("clear", "m", "hazard_distance", "{:.1f}"),
+        ("rough", "m", "roughness", "{:.3f}"),
+        ("feature", "m", "subscale_height", "{:.2f}"),
     ]
-    inner = "".join(f"<div><b>{value}</b><span>{name}</span></div>" for value, name in cards)
-    return f'<div class="cards">{inner}</div>'
+    if "probability" not in sites or not np.isfinite(sites["probability"]).any():
+        chosen = [row for row in chosen if row[2] != "probability"]
+    head = "".join(
+        f'<th title="{escape(_MEANING[name])}">{word}<small>{unit}</small></th>'
+        for word, unit, name, _ in chosen
+    )
+    body = "".join(
+        f'<tr data-site="{k}" tabindex="0" aria-label="site {k + 1}"><th>{k + 1}</th>'
+        + "".join(f"<td>{_shown(name, sites[name][k], form)}</td>" for *_, name, form in chosen)
+        + "</tr>"
+        for k in range(len(sites["x"]))
+    )
+    return (
+        f'<table id="sites"><thead><tr><th>site<small>rank</small></th>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table>"
+    )
+
+
+def _shown(name: str, value: float, form: str) -> str:
+    if not np.isfinite(value):
+        return "–"
+    if name == "probability":
+        return "&gt; 99.9" if value > 0.999 else form.format(100.0 * value)
+    return form.format(value)
+
+
+_MEANING = {
+    "x": "place, map frame",
+    "y": "place, map frame",
+    "z": "where the pads rest, map frame",
+    "probability": "probability of a safe touchdown if aimed here",
+    "score": "mean over the landing zone, lower is better",
+    "slope_deg": "slope at the lander's scale",
+    "hazard_distance": "how far the zone may move until it touches a hazard or unseen ground",
+    "roughness": "greatest mean deviation from the planes in the zone",
+    "subscale_height": "greatest height of a feature smaller than a cell in the zone",
+}
+
+
+def _reasons(content: Content) -> str:
+    lines = [f"<li>{escape(reason)}</li>" for reason in content.reasons]
+    return f'<div class="print"><h2>Why</h2><ol>{"".join(lines)}</ol></div>' if lines else ""
+
+
+def _licences() -> str:
+    """Of the libraries in the page."""
+    texts = "\n\n".join(f"{name}\n\n{source(f'vendor/LICENSE.{name}')}" for name in LIBRARIES)
+    return f"<details><summary>Libraries in this page</summary><pre>{escape(texts)}</pre></details>"
 
 
 def _ms(value: float | None) -> str:
-    return "–" if value is None or value != value else f"{value:.2f} ms"
-
-
-def _sites(result: ReplayResult) -> str:
-    sites = result.assessment.sites
-    if not len(sites.score):
-        return f"<p>None. {escape(result.assessment.explanation)}</p>"
-    header = ["rank", "x, m", "y, m", "z, m", "score", "slope, deg", "roughness, m"]
-    header += ["to hazard, m", "subscale height, m", "why"]
-    rows = [
-        (
-            k + 1,
-            *(f"{value:.2f}" for value in sites.position[k]),
-            f"{sites.score[k]:.4f}",
-            f"{sites.slope_deg[k]:.2f}",
-            f"{sites.roughness[k]:.3f}",
-            f"{sites.hazard_distance[k]:.2f}",
-            f"{sites.subscale_height[k]:.2f}",
-            sites.reasons[k],
-        )
-        for k in range(len(sites.score))
-    ]
-    marks = [f' data-site="{k}"' for k in range(len(rows))]
-    return _table(header, rows, marks)
+    return "–" if value is None else f"{value:.2f} ms"
 
 
 def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -163,7 +190,7 @@ def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("speed, bag reading included", f"{summary['real_time_factor']:.1f} × real time"),
         ("leaves", f"{summary['leaves']}"),
         ("divisions refused", f"{summary['refused_divisions']}"),
-        ("observed / configured range noise", "–" if ratio != ratio else f"{ratio:.2f}"),
+        ("observed / configured range noise", "–" if ratio is None else f"{ratio:.2f}"),
         ("peak memory", f"{summary['peak_memory_mb']:.0f} MB"),
         ("versions", ", ".join(f"{k} {v}" for k, v in summary["versions"].items())),
     ]
@@ -171,7 +198,7 @@ def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     topics = ", ".join(filter(None, (summary["scan_topic"], summary["pose_topic"])))
-    return [
+    rows = [
         ("bag", f"{summary['bag']}, {summary['duration']:.2f} s"),
         ("topics", topics or "map topics alone"),
         ("scans mapped", _with_rate(summary["scans"], summary["scan_rate"])),
@@ -179,6 +206,9 @@ def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("poses", _with_rate(summary["poses"], summary["pose_rate"])),
         ("messages rejected", _counts(summary["messages_rejected"])),
     ]
+    if summary["maps"]:
+        rows.append(("maps read, the last assessed", f"{summary['maps']}"))
+    return rows
 
 
 def short_name(bag: str) -> str:
@@ -187,9 +217,9 @@ def short_name(bag: str) -> str:
     return f"{path.parent.name}/{path.name}" if path.name == "bag" else path.name
 
 
-def _with_rate(count: int, rate: float) -> str:
+def _with_rate(count: int, rate: float | None) -> str:
     """A number of messages and the rate of their topic, as ``info`` tells it."""
-    return f"{count}" if rate != rate else f"{count}, recorded at {rate:.2f} Hz"
+    return f"{count}" if rate is None else f"{count}, recorded at {rate:.2f} Hz"
 
 
 def _points(summary: Mapping[str, Any]) -> str:
@@ -200,12 +230,13 @@ def _points(summary: Mapping[str, Any]) -> str:
     dropped = {reason: n for reason, n in summary["points_dropped"].items() if n}
     parts = {"used": summary["points_used"], **dropped}
     body = "".join(
-        f"<tr><td>{escape(reason.replace('_', ' '))}</td><td>{n}</td><td>{n / total:.2%}</td>"
+        f"<tr><td>{escape(reason.replace('_', ' '))}</td><td>{n:,}</td><td>{n / total:.2%}</td>"
         f'<td class="text"><span class="bar" style="width:{8.0 * n / total:.2f}rem"></span></td>'
         "</tr>"
         for reason, n in parts.items()
     )
-    return f"<table><tr><th>points</th><th>{total}</th><th></th><th></th></tr>{body}</table>"
+    head = f"<tr><th>points</th><th>{total:,}</th><th></th><th></th></tr>"
+    return f'<div class="scroll"><table>{head}{body}</table></div>'
 
 
 def _counts(counts: Mapping[str, int]) -> str:
@@ -220,37 +251,10 @@ def _configuration(config: Config) -> str:
         rows.append((row.name, values[row.name], row.default, row.unit, row.doc))
         marks.append(' class="changed"' if values[row.name] != row.default else "")
     header = ("parameter", "value", "default", "unit", "meaning")
-    table = _table(header, rows, marks, ' id="configuration"')
+    found = table(header, rows, marks, ' id="configuration"')
     changed = sum(map(bool, marks))
     return (
         f'<p class="note">{changed} of {len(rows)} parameters differ from their defaults (tinted).'
         ' <input type="search" id="filter" placeholder="filter parameters"></p>'
-        f"<details open><summary>All parameters</summary>{table}</details>"
+        f"<details><summary>All parameters</summary>{found}</details>"
     )
-
-
-def _table(
-    header: Sequence[str],
-    rows: Iterable[Iterable[object]],
-    marks: Iterable[str] | None = None,
-    attributes: str = "",
-) -> str:
-    rows = [tuple(row) for row in rows]
-    marks = [""] * len(rows) if marks is None else list(marks)
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    body = "".join(
-        f"<tr{mark}>" + "".join(map(_cell, row)) + "</tr>"
-        for mark, row in zip(marks, rows, strict=True)
-    )
-    head = f"<thead><tr>{head}</tr></thead>" if head else ""
-    return f'<div class="scroll"><table{attributes}>{head}<tbody>{body}</tbody></table></div>'
-
-
-def _plain_table(rows: Iterable[Iterable[object]]) -> str:
-    return _table((), rows, attributes=' class="plain"')
-
-
-def _cell(value: object) -> str:
-    text = str(value)
-    kind = ' class="text"' if any(c.isalpha() for c in text) else ""
-    return f"<td{kind}>{escape(text)}</td>"

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// What is embedded: element "data" is JSON (page_data.py), element "columns" the arrays it refers
+// to (packing.py). Classic scripts share their names; start.js runs when the arrays are unpacked.
+"use strict";
+const root = document.documentElement;
+window.addEventListener("error", e => { root.dataset.error = e.message; });
+window.addEventListener("unhandledrejection", e => { root.dataset.error = String(e.reason); });
+const byId = id => document.getElementById(id);
+const data = JSON.parse(byId("data").textContent);
+const { grid, leaves, sites } = data;
+
+async function inflate(text) {
+  const raw = Uint8Array.from(atob(text), c => c.charCodeAt(0));
+  const stream = new Blob([raw]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+const KINDS = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array, f4: Float32Array };
+function unpack(buffer, about) {
+  const raw = new KINDS[about.kind](buffer, about.at, about.length);
+  if (about.step === undefined) return raw;
+  const none = about.kind === "u1" ? 0xff : 0xffff;
+  return Float64Array.from(raw, v => (v === none ? NaN : about.low + about.step * v));
+}
+function unpackAll(buffer, where) { // every column in place
+  for (const [name, value] of Object.entries(where)) {
+    if (!value || typeof value !== "object") continue;
+    if (Array.isArray(value) && typeof value[0] !== "object") continue;
+    if (value.kind in KINDS && value.at !== undefined) {
+      const column = unpack(buffer, value);
+      where[name] = Object.assign(column, { limits: value.limits, mark: value.mark });
+    } else unpackAll(buffer, value);
+  }
+}
+
+async function loadLibrary(id) { // a library that not every visit needs
+  const script = document.createElement("script");
+  script.textContent = new TextDecoder().decode(await inflate(byId(id).textContent));
+  document.body.append(script);
+}
+
+// ---- small things ------------------------------------------------------------------------------
+const rgb = hex => [1, 3, 5].map(k => parseInt(hex.slice(k, k + 2), 16));
+const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
+function nice(about) { // 1, 2 or 5 times a power of ten
+  const power = 10 ** Math.floor(Math.log10(about)), m = about / power;
+  return (m < 1.5 ? 1 : m < 3.5 ? 2 : m < 7.5 ? 5 : 10) * power;
+}
+const plain = (v, step) => v.toFixed(Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)));
+const short = v => (v === null || Number.isNaN(v) ? "–" : Math.abs(v) >= 100 ? v.toFixed(0) :
+  String(parseFloat(v.toPrecision(3))));
+const withUnit = (v, digits, unit) => (Number.isNaN(v) ? "–" : v.toFixed(digits) + " " + unit);
+const probe = document.body.appendChild(document.createElement("i"));
+function ink(name) { // a colour of page.css as it is now, light or dark
+  probe.style.color = `var(${name})`;
+  return getComputedStyle(probe).color;
+}

@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: Apache-2.0
+// The map's own planes: which leaf is where, how high the ground is, how it is lit.
+"use strict";
+const leafSize = level => leaves.size / 2 ** level;
+const fine = { n: 0, size: 0, leaf: null, z: null, shade: null };
+
+function layOut() { // leaves on cells of one size, at most 1024 a side
+  const level = Math.min(leaves.max_level, 10);
+  const n = fine.n = 2 ** level;
+  fine.size = leaves.size / n;
+  fine.leaf = new Int32Array(n * n).fill(-1);
+  for (let r = 0; r < leaves.number; r++) {
+    const up = level - leaves.level[r], side = up > 0 ? 2 ** up : 1, scale = 2 ** up;
+    const i0 = Math.floor(leaves.ix[r] * scale), j0 = Math.floor(leaves.iy[r] * scale);
+    for (let j = j0; j < j0 + side; j++) fine.leaf.fill(r, j * n + i0, j * n + i0 + side);
+  }
+  fine.z = new Float32Array(n * n);
+  for (let j = 0; j < n; j++) for (let i = 0; i < n; i++) {
+    const x = leaves.xmin + (i + 0.5) * fine.size, y = leaves.ymin + (j + 0.5) * fine.size;
+    fine.z[j * n + i] = seenAt(x, y) ? heightAt(x, y) : NaN;
+  }
+  light();
+}
+function leafAt(x, y) {
+  const n = fine.n;
+  const i = Math.floor((x - leaves.xmin) / fine.size), j = Math.floor((y - leaves.ymin) / fine.size);
+  return i >= 0 && j >= 0 && i < n && j < n ? fine.leaf[j * n + i] : -1;
+}
+function gridPointAt(x, y) {
+  const i = Math.round((x - grid.xmin) / grid.spacing);
+  const j = Math.round((y - grid.ymin) / grid.spacing);
+  return i >= 0 && j >= 0 && i < grid.nx && j < grid.ny ? j * grid.nx + i : -1;
+}
+const UNSEEN = data.hazards[0];
+function seenAt(x, y) {
+  const i = gridPointAt(x, y);
+  return i >= 0 && !(grid.hazard[i] & UNSEEN.bit);
+}
+function planeAt(r, x, y) {
+  const size = leafSize(leaves.level[r]);
+  const cx = leaves.xmin + (leaves.ix[r] + 0.5) * size, cy = leaves.ymin + (leaves.iy[r] + 0.5) * size;
+  return leaves.z[r] + leaves.slope_x[r] * (x - cx) + leaves.slope_y[r] * (y - cy);
+}
+function heightAt(x, y) { // the leaf's plane; bridged where the leaf was not measured
+  const r = leafAt(x, y);
+  if (r >= 0 && leaves.z && leaves.measured[r]) return planeAt(r, x, y);
+  const i = gridPointAt(x, y);
+  return i < 0 ? NaN : grid.elevation[i];
+}
+function light() { // of each cell from the north-west, 128 for level ground
+  const { n, z } = fine, shade = fine.shade = new Uint8Array(n * n);
+  const gx = new Float32Array(n * n), gy = new Float32Array(n * n), steep = [];
+  const rise = (k, a, b) => { // between neighbours, or the cell and the one that is there
+    const high = Number.isNaN(z[b]) ? z[k] : z[b], low = Number.isNaN(z[a]) ? z[k] : z[a];
+    const steps = (b !== k && !Number.isNaN(z[b])) + (a !== k && !Number.isNaN(z[a]));
+    return steps ? (high - low) / (steps * fine.size) : 0;
+  };
+  for (let j = 0; j < n; j++) for (let i = 0; i < n; i++) {
+    const k = j * n + i;
+    if (Number.isNaN(z[k])) continue;
+    gx[k] = rise(k, i > 0 ? k - 1 : k, i < n - 1 ? k + 1 : k);
+    gy[k] = rise(k, j > 0 ? k - n : k, j < n - 1 ? k + n : k);
+    if (k % 7 === 0) steep.push(Math.hypot(gx[k], gy[k]));
+  }
+  // Slopes are exaggerated until the steeper ones throw shade: gentle ground shows its forms.
+  steep.sort((a, b) => a - b);
+  const factor = clamp(0.6 / (steep[Math.floor(0.9 * steep.length)] || 1), 0.5, 6);
+  for (let k = 0; k < n * n; k++) {
+    const a = factor * gx[k], b = factor * gy[k];
+    const lit = (0.70711 + 0.5 * (a - b)) / Math.hypot(a, b, 1) / 0.70711;
+    shade[k] = Number.isNaN(z[k]) ? 128 : clamp(lit < 1 ? 128 * Math.max(lit, 0) + 6 :
+      128 + 100 * (lit - 1) / 0.41421, 12, 236);
+  }
+}
+function seenBox() { // without the last thousandth of stray points
+  const xs = new Uint32Array(grid.nx), ys = new Uint32Array(grid.ny);
+  let total = 0;
+  for (let j = 0; j < grid.ny; j++) for (let i = 0; i < grid.nx; i++) {
+    if (grid.hazard[j * grid.nx + i] & UNSEEN.bit) continue;
+    xs[i]++; ys[j]++; total++;
+  }
+  if (!total) {
+    return { x0: leaves.xmin, y0: leaves.ymin, x1: leaves.xmin + leaves.size,
+             y1: leaves.ymin + leaves.size };
+  }
+  const ends = counts => {
+    let sum = 0, low = -1, high = 0;
+    counts.forEach((c, k) => {
+      sum += c;
+      if (low < 0 && sum > 0.0005 * total) low = k;
+      if (sum <= 0.9995 * total) high = k + 1;
+    });
+    return [low, Math.min(high, counts.length - 1)];
+  };
+  const [i0, i1] = ends(xs), [j0, j1] = ends(ys), s = grid.spacing;
+  return { x0: grid.xmin + (i0 - 1) * s, x1: grid.xmin + (i1 + 1) * s,
+           y0: grid.ymin + (j0 - 1) * s, y1: grid.ymin + (j1 + 1) * s };
+}

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+// The map: one view of the ground, drawn on one or two panes that move together.
+"use strict";
+const view = { x: 0, y: 0, scale: 1, layer: "", beside: "", mode: "map", site: -1, answer: -1,
+               sites: true, relief: true, leaves: false, track: false, cursor: null, line: null };
+const map = byId("map"), second = byId("map-2");
+const MARGIN = { left: 46, bottom: 30 };
+let extent, whole = 1;
+const width = () => map.clientWidth, height = () => map.clientHeight;
+const px = x => MARGIN.left + (width() - MARGIN.left) / 2 + (x - view.x) * view.scale;
+const py = y => (height() - MARGIN.bottom) / 2 - (y - view.y) * view.scale;
+const mx = p => view.x + (p - MARGIN.left - (width() - MARGIN.left) / 2) / view.scale;
+const my = p => view.y - (p - (height() - MARGIN.bottom) / 2) / view.scale;
+
+function wholeScale() {
+  return 0.98 * Math.min((width() - MARGIN.left) / (extent.x1 - extent.x0),
+                         (height() - MARGIN.bottom) / (extent.y1 - extent.y0));
+}
+function fit() { // all seen ground
+  view.x = (extent.x0 + extent.x1) / 2; view.y = (extent.y0 + extent.y1) / 2;
+  view.scale = whole = wholeScale();
+  draw();
+}
+const isWhole = () => view.scale <= whole * 1.001;
+function resized() { // the whole map stays whole; another view stays where it is
+  if (isWhole()) fit();
+  else { whole = wholeScale(); draw(); }
+}
+function zoom(factor, p = px(view.x), q = py(view.y)) {
+  const x = mx(p), y = my(q);
+  view.scale = clamp(view.scale * factor, 0.5 * whole, 4000);
+  view.x += x - mx(p); view.y += y - my(q);
+  draw();
+}
+function goTo(site) {
+  Object.assign(view, { x: site.x, y: site.y });
+  view.scale = Math.max(whole, 0.16 * Math.min(width(), height()) / data.zone);
+  draw();
+}
+function fitCanvas(canvas) {
+  const ratio = view.printing ? 3 : window.devicePixelRatio || 1;
+  const w = canvas.clientWidth, h = canvas.clientHeight;
+  if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
+    canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio);
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, w, h);
+  return context;
+}
+let pending = 0;
+function draw() { // once a frame, however often it is asked for
+  if (!pending) pending = requestAnimationFrame(() => { pending = 0; drawNow(); });
+}
+function drawNow() {
+  if (view.mode === "scene") return;
+  drawPane(map, view.layer);
+  second.hidden = !view.beside;
+  if (view.beside) drawPane(second, view.beside);
+  remember();
+}
+function drawPane(canvas, name) {
+  const c = fitCanvas(canvas), layer = LAYERS[name];
+  c.save();
+  c.beginPath(); c.rect(MARGIN.left, 0, width(), height() - MARGIN.bottom); c.clip();
+  c.fillStyle = ink("--void"); c.fillRect(0, 0, width(), height());
+  c.imageSmoothingEnabled = false;
+  place(c, picture(name, view.answer));
+  if (view.relief) {
+    c.globalCompositeOperation = "hard-light";
+    c.globalAlpha = reliefOf(layer);
+    c.imageSmoothingEnabled = true;
+    place(c, reliefPicture());
+    c.globalAlpha = 1; c.globalCompositeOperation = "source-over";
+  }
+  for (const kind of layer.outlines || []) drawOutline(c, kind);
+  if (view.leaves) drawLeaves(c);
+  drawWishes(c);
+  if (view.track || view.answer >= 0) drawScans(c);
+  if (view.sites) drawSites(c);
+  if (view.line) drawLine(c);
+  drawScaleBar(c);
+  if (view.cursor) drawCursor(c);
+  if (canvas === second) drawTitle(c, layer);
+  c.restore();
+  drawAxes(c);
+}
+const reliefOf = layer => (layer.map === "elevation" ? 0.85 : 0.55);
+function place(c, { canvas, box: [x, y, w, h] }) {
+  c.drawImage(canvas, px(x), py(y + h), w * view.scale, h * view.scale);
+}
+const outlines = {};
+function edges(kind) { // x0, y0, x1, y1 of each side of a grid point with the bit to one without
+  if (outlines[kind.name]) return outlines[kind.name];
+  const found = [], { nx, ny, spacing: s } = grid;
+  const has = (i, j) => i >= 0 && j >= 0 && i < nx && j < ny &&
+    (grid.hazard[j * nx + i] & kind.bit) > 0 && !(grid.hazard[j * nx + i] & UNSEEN.bit);
+  for (let j = 0; j <= ny; j++) for (let i = 0; i <= nx; i++) {
+    const here = has(i, j), x = grid.xmin + (i - 0.5) * s, y = grid.ymin + (j - 0.5) * s;
+    if (here !== has(i - 1, j)) found.push([x, y, x, y + s]);
+    if (here !== has(i, j - 1)) found.push([x, y, x + s, y]);
+  }
+  return (outlines[kind.name] = found);
+}
+function drawOutline(c, kind) {
+  const left = mx(0), right = mx(width()), low = my(height()), high = my(0);
+  c.beginPath();
+  for (const [x0, y0, x1, y1] of edges(kind)) {
+    if (x1 < left || x0 > right || y1 < low || y0 > high) continue;
+    c.moveTo(px(x0), py(y0)); c.lineTo(px(x1), py(y1));
+  }
+  c.strokeStyle = kind.colour; c.lineWidth = clamp(view.scale * grid.spacing / 5, 0.8, 2); c.stroke();
+}
+function drawLeaves(c) {
+  const left = mx(MARGIN.left), right = mx(width()), top = my(0);
+  const bottom = my(height() - MARGIN.bottom);
+  c.beginPath();
+  for (let i = 0; i < leaves.number; i++) {
+    const size = leafSize(leaves.level[i]), p = size * view.scale;
+    if (p < 3) continue;
+    const x = leaves.xmin + leaves.ix[i] * size, y = leaves.ymin + leaves.iy[i] * size;
+    if (x > right || x + size < left || y > top || y + size < bottom) continue;
+    const a = px(x), b = py(y);
+    c.moveTo(a, b - p); c.lineTo(a, b); c.lineTo(a + p, b);
+  }
+  c.strokeStyle = "rgba(0,0,0,.38)"; c.lineWidth = 0.5; c.stroke();
+}

@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a person does on the map: mouse, fingers, keys; the values at the pointer.
+"use strict";
+function values(x, y) {
+  const i = gridPointAt(x, y), r = leafAt(x, y);
+  const rows = [["place", `${x.toFixed(2)}, ${y.toFixed(2)} m`]];
+  const seen = i >= 0 && !(grid.hazard[i] & UNSEEN.bit);
+  if (!seen) rows.push(["ground", "unseen"]);
+  else {
+    const h = heightAt(x, y), s = r >= 0 && leaves.deviation ? leaves.deviation[r] : NaN;
+    rows.push(["height", Number.isNaN(s) ? withUnit(h, 2, "m") :
+      `${h.toFixed(3)} ± ${s.toFixed(3)} m`]);
+    rows.push(["slope", `${withUnit(grid.slope[i], 1, "°")}, lander's scale`]);
+    if (grid.probability) rows.push(["safe with", withUnit(grid.probability[i], 1, "%")]);
+    rows.push(["landing", grid.safe[i] ? "allowed" : "not allowed"]);
+    rows.push(["hazard", hazardNames(grid.hazard[i])]);
+    rows.push(["score", Number.isNaN(grid.score[i]) ? "excluded" : grid.score[i].toFixed(4)]);
+    for (const layer of data.layers) {
+      rows.push([layer.title, layer.classes ? layer.classes[layer.values[i]].name :
+        withUnit(layer.values[i], 3, layer.unit)]);
+    }
+  }
+  if (r >= 0) {
+    const of = leaves.z ? (leaves.measured[r] ? ", measured" : Number.isNaN(leaves.z[r]) ?
+      ", no plane" : ", inherited") : "";
+    rows.push(["cell", `${short(leafSize(leaves.level[r]))} m, level ${leaves.level[r]}${of}`]);
+    if (leaves.z && leaves.measured[r]) {
+      rows.push(["measurements", leaves.count[r]]);
+      rows.push(["roughness", withUnit(leaves.roughness[r], 4, "m")]);
+      if (leaves.exceptions[r] > 0) {
+        rows.push(["exceptions", withUnit(100 * leaves.exceptions[r], 1, "%")]);
+      }
+      if (!Number.isNaN(leaves.feature[r])) {
+        rows.push(["feature", withUnit(leaves.feature[r], 2, "m") + " high"]);
+      }
+    }
+  }
+  return rows;
+}
+const tooltip = byId("tooltip");
+function tell(x, y, canvas = map) { // at the place, and the crosshair on every pane
+  const frame = byId("frame").getBoundingClientRect(), own = canvas.getBoundingClientRect();
+  view.cursor = { x, y };
+  tellBeside(x, y, px(x) + own.left - frame.left, py(y) + own.top - frame.top);
+  pointAt(x, y); draw();
+}
+function tellBeside(x, y, p, q) { // p, q within the frame
+  tooltip.innerHTML = "<table>" +
+    values(x, y).map(([k, v]) => `<tr><th>${k}</th><td>${v}</td></tr>`).join("") + "</table>";
+  tooltip.hidden = false;
+  const frame = byId("frame"), w = tooltip.offsetWidth, h = tooltip.offsetHeight;
+  const beside = (at, size, room) =>
+    clamp(at + 16 + size > room ? at - size - 16 : at + 16, 0, Math.max(room - size, 0)) + "px";
+  tooltip.style.left = beside(p, w, frame.clientWidth);
+  tooltip.style.top = beside(q, h, frame.clientHeight);
+}
+function silent() {
+  tooltip.hidden = true;
+  if (!view.cursor) return;
+  view.cursor = null;
+  pointAt(NaN, NaN); draw();
+}
+
+let held = null; // what the mouse holds: a place of the map, or an end of the section's line
+function watch(canvas) {
+  canvas.addEventListener("pointerdown", e => {
+    if (e.pointerType === "touch") return;
+    held = { p: e.offsetX, q: e.offsetY, moved: false };
+    if (view.mode === "section") startLine(mx(e.offsetX), my(e.offsetY));
+    try { canvas.setPointerCapture(e.pointerId); } catch (ignored) { /* made up by a test */ }
+  });
+  const drop = () => { held = null; };
+  canvas.addEventListener("pointerup", drop);
+  canvas.addEventListener("pointercancel", drop);
+  canvas.addEventListener("pointerleave", e => { if (e.pointerType !== "touch") silent(); });
+  canvas.addEventListener("pointermove", e => {
+    if (e.pointerType === "touch") return;
+    if (held && view.mode === "section") moveLine(mx(e.offsetX), my(e.offsetY));
+    else if (held) {
+      view.x -= (e.offsetX - held.p) / view.scale; view.y += (e.offsetY - held.q) / view.scale;
+      held = { p: e.offsetX, q: e.offsetY };
+    }
+    tell(mx(e.offsetX), my(e.offsetY), canvas);
+  });
+  canvas.addEventListener("wheel", e => { // with all in sight, the page scrolls on
+    if (e.deltaY > 0 && isWhole() && !e.ctrlKey) return;
+    e.preventDefault();
+    zoom(Math.exp(-0.0015 * e.deltaY), e.offsetX, e.offsetY);
+  }, { passive: false });
+  canvas.addEventListener("dblclick", e => zoom(2, e.offsetX, e.offsetY));
+  canvas.addEventListener("blur", silent);
+
+  // One finger scrolls the page, or draws a section; two move and zoom the map; a tap tells.
+  let last = null, tapped = null;
+  const fingers = e => {
+    const box = canvas.getBoundingClientRect();
+    return [...e.touches].map(t => ({ p: t.clientX - box.left, q: t.clientY - box.top }));
+  };
+  canvas.addEventListener("touchstart", e => {
+    const found = fingers(e);
+    last = found.length === 2 ? found : null;
+    tapped = found.length === 1 ? found[0] : null;
+    if (tapped && view.mode === "section") startLine(mx(tapped.p), my(tapped.q));
+  }, { passive: true });
+  canvas.addEventListener("touchmove", e => {
+    const found = fingers(e);
+    if (found.length === 1 && view.mode === "section") {
+      e.preventDefault(); tapped = null;
+      moveLine(mx(found[0].p), my(found[0].q));
+    } else if (found.length === 2 && last) {
+      e.preventDefault();
+      const middle = f => ({ p: (f[0].p + f[1].p) / 2, q: (f[0].q + f[1].q) / 2 });
+      const gap = f => Math.max(Math.hypot(f[0].p - f[1].p, f[0].q - f[1].q), 1);
+      const from = middle(last), to = middle(found);
+      view.x -= (to.p - from.p) / view.scale; view.y += (to.q - from.q) / view.scale;
+      zoom(gap(found) / gap(last), to.p, to.q);
+      last = found;
+    } else tapped = null;
+  }, { passive: false });
+  canvas.addEventListener("touchend", () => {
+    if (tapped && view.mode !== "section") tell(mx(tapped.p), my(tapped.q), canvas);
+    last = tapped = null;
+  });
+}
+function keys(e) {
+  if (e.ctrlKey || e.metaKey || e.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(e.target.tagName)) return;
+  const onMap = e.target === map, step = 60 / view.scale;
+  const move = (dx, dy) => onMap && (() => { view.x += dx * step; view.y += dy * step; draw(); });
+  const doing = { "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), 0: fit,
+    1: () => setMode("map"), 3: () => setMode("scene"), x: () => setMode("section"),
+    l: nextLayer, Escape: () => { silent(); if (view.mode === "section") setMode("map"); },
+    ArrowLeft: move(-1, 0), ArrowRight: move(1, 0), ArrowUp: move(0, 1), ArrowDown: move(0, -1),
+    Enter: onMap && (() => tell(view.x, view.y)) }[e.key];
+  if (!doing || (view.mode === "scene" && "+=-0".includes(e.key))) return;
+  e.preventDefault(); doing();
+  if (onMap && view.cursor && e.key.startsWith("Arrow")) tell(view.x, view.y);
+}

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+// Unpacks what is embedded and shows it.
+"use strict";
+function again() { // after a change of size or of what it is shown on
+  legend(); resized(); resizePlots();
+  if (space) space.resize();
+}
+async function start() {
+  unpackAll(await inflate(byId("columns").textContent), data);
+  layOut();
+  extent = seenBox();
+  makeLayers();
+  view.layer = Object.keys(LAYERS)[0];
+  panel();
+  watch(map); watch(second);
+  byId("layer").value = view.layer;
+  fit(); legend();
+  timeline(); processing();
+  choose(sites.length ? 0 : -1, false);
+  recall();
+  new ResizeObserver(again).observe(byId("frame"));
+  // Paper has a width of its own and no dark; a canvas must be drawn for it.
+  window.addEventListener("beforeprint", () => {
+    view.printing = true; root.classList.add("printing");
+    for (const d of document.querySelectorAll("details.warning")) d.open = true;
+    legend(); resized(); drawNow(); resizePlots();
+  });
+  window.addEventListener("afterprint", () => {
+    view.printing = false; root.classList.remove("printing");
+    again();
+  });
+  drawNow();
+  root.dataset.ready = "yes";
+}
+start();

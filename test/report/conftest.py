@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One replay for all tests of its page."""
+
+import pytest
+from replay.recordings import GROUND, write_ros2
+
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.replay.replay import replay
+
+
+@pytest.fixture(scope="session")
+def result(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    return replay(write_ros2(folder / "bag"), folder / "out", config_from_values(GROUND))
+
+
+@pytest.fixture(scope="session")
+def text(result):
+    return (result.out / "report.html").read_text()

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages as tests look at them: their markup, their columns, and a browser that shows them."""
+
+import base64
+import html
+import json
+import re
+import shutil
+import subprocess
+import zlib
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+in_a_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this computer")
+FLAGS = (
+    "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking"
+    " --disable-component-update --disable-sync --use-gl=angle --use-angle=swiftshader"
+    " --enable-unsafe-swiftshader --virtual-time-budget=10000"
+).split()
+
+HELPERS = """
+const answers = {};
+const tellTest = (name, value) => { answers[name] = value; };
+const at = (type, x, y, more = {}) => map.dispatchEvent(new PointerEvent(type, {
+  clientX: map.getBoundingClientRect().left + x, clientY: map.getBoundingClientRect().top + y,
+  pointerId: 1, bubbles: true, ...more }));
+const press = (key, on = document.body) =>
+  on.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
+const shown = () => Object.fromEntries([...document.querySelectorAll("#tooltip tr")].map(
+  r => [r.children[0].textContent, r.children[1].textContent]));
+const colourAt = (x, y) => { drawNow(); const r = window.devicePixelRatio || 1;
+  return [...map.getContext("2d").getImageData(x * r, y * r, 1, 1).data].slice(0, 3).join(); };
+const until = async done => { while (!done()) await new Promise(r => setTimeout(r, 20)); };
+"""
+
+
+class Page(HTMLParser):
+    """Elements, attributes and the content of scripts."""
+
+    VOID = {"meta", "input", "br", "img", "link"}
+
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.open, self.scripts = [], [], {}
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+        if tag not in self.VOID:
+            self.open.append((tag, dict(attributes)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, text):
+        if self.open and self.open[-1][0] == "script":
+            name = self.open[-1][1].get("id", "program")
+            self.scripts[name] = self.scripts.get(name, "") + text
+
+    @property
+    def data(self):
+        return json.loads(self.scripts["data"])
+
+    def column(self, about):
+        """An array of the page, in its own unit."""
+        content = zlib.decompress(base64.b64decode(self.scripts["columns"]))
+        return column(content, about)
+
+
+def column(content, about):
+    raw = np.frombuffer(content, f"<{about['kind']}", about["length"], about["at"])
+    if "step" not in about:
+        return raw
+    none = np.iinfo(raw.dtype).max
+    return np.where(raw == none, np.nan, about["low"] + about["step"] * raw)
+
+
+def in_browser(text, folder, steps="", size=(1400, 900), address="", flags=()):
+    """What ``steps`` told by `tellTest` after acting on the page as a person would."""
+    program = f"""{HELPERS}
+    (async () => {{
+      await until(() => root.dataset.ready || root.dataset.error);
+      {steps}
+      root.dataset.told = JSON.stringify(answers);
+    }})();"""
+    path = folder / "page.html"
+    path.write_text(text.replace("</body>", f"<script>{program}</script></body>"))
+    command = [BROWSER, *FLAGS, *flags, f"--window-size={size[0]},{size[1]}"]
+    command += [f"--user-data-dir={folder / 'profile'}", "--dump-dom"]
+    done = subprocess.run(
+        [*command, path.as_uri() + address], capture_output=True, text=True, timeout=180
+    )
+    assert done.returncode == 0, done.stderr
+    (tag,) = re.findall(r"<html[^>]*>", done.stdout)
+    assert "data-error" not in tag, tag
+    found = re.search(r'data-told="([^"]*)"', tag)
+    assert found, f"the page did not get ready: {tag}"
+    return json.loads(html.unescape(found[1]))

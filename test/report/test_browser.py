@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page in a real browser: what is seen, told, reached by keys, fingers and address."""
+
+import numpy as np
+import pytest
+from replay.recordings import GROUND, write_ros2
+from report.pages import in_a_browser, in_browser
+
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.replay.replay import replay
+
+pytestmark = in_a_browser
+CONFIG = config_from_values(GROUND)
+
+
+@pytest.fixture
+def best(result):
+    """Place of the best site and its row and column in the grid."""
+    x, y, _ = result.assessment.sites.position[0]
+    (row,), (column,) = np.nonzero(result.assessment.y == y), np.nonzero(result.assessment.x == x)
+    return x, y, (row[0], column[0])
+
+
+def test_the_first_screen_holds_map_table_and_answer(text, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const bottom = id => byId(id).getBoundingClientRect().bottom;
+        tellTest("below", ["map", "sites", "legend"].map(bottom).concat(
+          document.querySelector(".verdict").getBoundingClientRect().bottom));
+        tellTest("high", innerHeight);
+        tellTest("wide", root.scrollWidth <= innerWidth);
+        tellTest("fits", [extent.x0, extent.x1].map(px).concat([extent.y0, extent.y1].map(py)));
+        tellTest("size", [width(), height()]);
+        tellTest("layers", [...byId("layer").options].map(o => o.value));
+        """,
+    )
+    assert max(told["below"]) <= told["high"] and told["wide"]
+    left, right, bottom, top = told["fits"]
+    wide, high = told["size"]
+    assert 0 < left < right <= wide and 0 <= top < bottom <= high
+    assert right - left > 0.85 * (wide - 46) or bottom - top > 0.85 * (high - 30)
+    assert told["layers"][0] == "allowed" and "elevation" in told["layers"]
+
+
+def test_the_pointer_tells_values_and_layers_differ(result, text, best, tmp_path):
+    x, y, place = best
+    told = in_browser(
+        text,
+        tmp_path,
+        f"""
+        at("pointermove", px({x}), py({y}));
+        tellTest("values", shown());
+        tellTest("beside", [tooltip.hidden, view.cursor.x, view.cursor.y]);
+        map.dispatchEvent(new PointerEvent("pointerleave"));
+        tellTest("left", [tooltip.hidden, view.cursor]);
+        const colours = {{}}, legends = {{}};
+        for (const option of byId("layer").options) {{
+          setLayer(option.value);
+          colours[option.value] = colourAt(px({x}) + 16, py({y}) + 16);
+          legends[option.value] = [byId("legend").textContent,
+                                   LAYERS[option.value].limits && ticks(LAYERS[option.value])];
+        }}
+        tellTest("colours", colours);
+        tellTest("legends", legends);
+        """,
+    )
+    values, sites = told["values"], result.assessment.sites
+    height = result.assessment.elevation[place]
+    assert float(values["height"].split()[0]) == pytest.approx(height, abs=0.03)
+    assert values["hazard"] == "none" and values["landing"] == "allowed"
+    assert float(values["score"]) == pytest.approx(sites.score[0], abs=2e-4)
+    assert "level" in values["cell"]
+    assert told["beside"][0] is False and told["left"] == [True, None]
+    assert told["beside"][1:] == pytest.approx([x, y])
+    assert len(set(told["colours"].values())) >= 5
+    legends = told["legends"]
+    assert "Outlines do not exclude landing" in legends["hazards"][0]
+    assert "excluded" in legends["score"][0] and len(legends["score"][1]) > 2
+    assert legends["cells"][1] == [-1, 0, 1, 2]  # binary logarithms of 0.5 m to 4 m
+
+
+def test_mouse_fingers_and_window(text, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const wheel = deltaY => { const e = new WheelEvent("wheel", { deltaY, clientX: 400,
+          clientY: 400, cancelable: true }); map.dispatchEvent(e); return e.defaultPrevented; };
+        tellTest("scrolls", !wheel(100));   // all is seen: the page goes on
+        const before = view.scale;
+        tellTest("zooms", wheel(-200) && view.scale > before);
+        const place = view.x;
+        at("pointerdown", 300, 300); at("pointermove", 340, 300); at("pointerup", 340, 300);
+        tellTest("dragged", (place - view.x) * view.scale);
+        const touch = (type, points) => {
+          const box = map.getBoundingClientRect();
+          const touches = points.map(([x, y], identifier) => new Touch({ identifier, target: map,
+            clientX: box.left + x, clientY: box.top + y }));
+          const e = new TouchEvent(type, { touches, cancelable: true, bubbles: true });
+          map.dispatchEvent(e);
+          return e.defaultPrevented;
+        };
+        touch("touchstart", [[200, 200]]);
+        tellTest("one", touch("touchmove", [[200, 260]]));
+        touch("touchend", []);
+        const small = view.scale;
+        touch("touchstart", [[200, 200], [260, 200]]);
+        tellTest("two", touch("touchmove", [[180, 200], [300, 200]]));
+        tellTest("pinched", view.scale / small);
+        touch("touchend", []);
+        silent();
+        touch("touchstart", [[220, 220]]); touch("touchend", []);
+        tellTest("tapped", !tooltip.hidden);
+        fit();
+        const inside = () => px(extent.x0) >= MARGIN.left && px(extent.x1) <= width();
+        byId("map").style.flex = "none"; byId("map").style.width = "300px"; resized();
+        const narrow = inside();
+        zoom(2); const scale = view.scale; resized();
+        tellTest("whole", [narrow, scale === view.scale]);
+        """,
+    )
+    assert told["scrolls"] and told["zooms"] and told["dragged"] == pytest.approx(40, abs=1)
+    assert told["one"] is False and told["two"] is True
+    assert told["pinched"] == pytest.approx(2.0, rel=0.01)
+    assert told["tapped"] and told["whole"] == [True, True]
+
+
+def test_rows_and_keys(text, best, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const all = document.querySelectorAll("tr[data-site]");
+        tellTest("rows", [all.length, [...all].every(row => row.tabIndex === 0)]);
+        all[1].focus();
+        press("ArrowUp", all[1]);
+        tellTest("moved", document.activeElement === all[0]);
+        press("Enter", all[0]);
+        tellTest("centre", [view.x, view.y]);
+        tellTest("why", byId("why").textContent);
+        const scale = view.scale;
+        press("+"); tellTest("closer", view.scale > scale);
+        press("0"); tellTest("all", isWhole());
+        const first = view.layer;
+        press("l"); tellTest("next", view.layer !== first);
+        map.focus(); const x = view.x;
+        press("ArrowRight", map); tellTest("right", view.x > x);
+        press("Enter", map); tellTest("told", shown().place);
+        press("x"); tellTest("section", [view.mode, byId("section").hidden]);
+        press("Escape"); tellTest("back", view.mode);
+        document.querySelector("#filter").value = "lss.margin";
+        document.querySelector("#filter").dispatchEvent(new Event("input"));
+        const left = document.querySelectorAll("#configuration tbody tr:not([hidden])");
+        tellTest("found", left.length);
+        """,
+    )
+    assert told["rows"][0] >= 1 and told["rows"][1] and told["moved"]
+    assert told["centre"] == pytest.approx(best[:2]) and "Site 1" in told["why"]
+    assert told["closer"] and told["all"] and told["next"] and told["right"]
+    assert told["told"] and told["section"] == ["section", False] and told["back"] == "map"
+    assert told["found"] == 1
+
+
+def test_the_address_leads_back_to_a_view(text, tmp_path):
+    there = in_browser(
+        text,
+        tmp_path,
+        """
+        setLayer("slope"); choose(0); setBeside("elevation"); zoom(1.5);
+        byId("show-leaves").click(); setMode("section");
+        tellTest("address", address());
+        """,
+    )["address"]
+    told = in_browser(
+        text, tmp_path, 'tellTest("address", address());', address=f"#{there}", size=(1400, 900)
+    )
+    assert told["address"] == there
+    assert "layer=slope" in there and "mode=section" in there and "leaves" in there
+
+
+def test_a_section_shows_the_planes_along_its_line(result, text, best, tmp_path):
+    x, y, (row, _) = best
+    told = in_browser(
+        text,
+        tmp_path,
+        f"""
+        setMode("section");
+        at("pointerdown", px({x} - 2), py({y})); at("pointermove", px({x} + 2), py({y}));
+        at("pointerup", px({x} + 2), py({y}));
+        tellTest("profile", sampled());
+        tellTest("drawn", profile.data[1].length);
+        await until(() => Number.isFinite(profile.valToPos(2, "x")));
+        const over = profile.over.getBoundingClientRect();
+        profile.over.dispatchEvent(new MouseEvent("mousemove", {{
+          clientX: over.left + profile.valToPos(2, "x"), clientY: over.top + 10 }}));
+        tellTest("cursor", [view.cursor.x, view.cursor.y]);
+        """,
+    )
+    distance, height, above, below = (np.array(c, float) for c in told["profile"])
+    assert distance[-1] == pytest.approx(4.0, abs=0.05) and told["drawn"] == len(distance)
+    assert np.all(above[np.isfinite(above)] > height[np.isfinite(above)])
+    elevation = result.assessment.elevation[row]
+    expected = np.interp(x - 2.0 + distance, result.assessment.x, elevation)
+    assert np.nanmedian(np.abs(height - expected)) < 0.05
+    np.testing.assert_allclose((above + below) / 2, height, atol=1e-9)
+    assert told["cursor"] == pytest.approx([x, y], abs=0.05)
+
+
+def test_the_slider_shows_the_map_growing(text, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const h = data.history, last = h.seconds.length - 1;
+        const grey = k => { const { canvas } = picture("allowed", k);
+          const d = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+          let n = 0; for (let i = 0; i < d.length; i += 4) n += d[i] === 0xbb && d[i + 1] === 0xbb;
+          return n; };
+        byId("instant").value = 0; byId("instant").dispatchEvent(new Event("input"));
+        tellTest("at", [view.answer, byId("clock").textContent]);
+        tellTest("unseen", [grey(0), grey(last)]);
+        setInstant(last); tellTest("end", view.answer);
+        tellTest("curves", chart_sites.data.length);
+        """,
+    )
+    assert told["at"][0] == 0 and "site" in told["at"][1] and told["end"] == -1
+    assert told["unseen"][0] >= told["unseen"][1] and told["curves"] > 1
+
+
+def test_it_is_dark_where_that_is_wanted(text, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const paper = () => getComputedStyle(document.body).backgroundColor;
+        tellTest("light", paper());
+        byId("theme").click(); tellTest("dark", [paper(), ink("--ink")]);
+        window.dispatchEvent(new Event("beforeprint"));
+        tellTest("printed", [paper(), view.printing, map.clientWidth]);
+        window.dispatchEvent(new Event("afterprint"));
+        tellTest("after", paper());
+        """,
+    )
+    assert told["light"] == "rgb(255, 255, 255)" and told["dark"][0] == "rgb(20, 24, 29)"
+    assert told["printed"][0] == told["light"] and told["printed"][2] == pytest.approx(661, abs=3)
+    assert told["after"] == told["dark"][0]
+
+
+def test_a_narrow_screen_needs_no_sideways_scroll(text, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const out = e => !e.closest(".scroll") && e.getBoundingClientRect().right > innerWidth + 1;
+        tellTest("wide", [innerWidth, root.scrollWidth, [...document.querySelectorAll("body *")]
+          .filter(out).map(e => e.id || e.tagName)]);
+        tellTest("map", [width(), height(), painted[`${view.layer} -1`] !== undefined]);
+        """,
+        flags=("--force-device-scale-factor=1",),
+        size=(390, 844),
+    )
+    assert told["map"][2] and told["map"][1] > 150
+
+
+def test_space_shows_the_ground_and_the_lander(text, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        setMode("scene");
+        await until(() => root.dataset.scene || document.querySelector("#scene .warning"));
+        const none = document.querySelector("#scene .warning");
+        tellTest("warning", none ? none.textContent : "");
+        if (space) {
+          choose(0);
+          const gl = space.renderer.getContext(), w = gl.drawingBufferWidth;
+          const pixels = new Uint8Array(4 * w * gl.drawingBufferHeight);
+          space.render();
+          gl.readPixels(0, 0, w, gl.drawingBufferHeight, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+          const colours = new Set();
+          for (let i = 0; i < pixels.length; i += 400) {
+            colours.add(pixels[i] >> 4 | pixels[i + 1] & 240);
+          }
+          tellTest("colours", colours.size);
+          const radius = data.lander.radius, pads = [];
+          space.marks.traverse(o => {
+            const about = o.geometry && o.geometry.parameters;
+            if (about && about.radiusTop === data.lander.pad) pads.push(o.position.toArray());
+          });
+          tellTest("pads", pads.map(([x, y]) => Math.hypot(x + space.middle.x - sites[0].x,
+            y + space.middle.y - sites[0].y) / radius));
+          tellTest("gaps", pads.map(([x, y, z]) => z - 0.03 -
+            space.on(x + space.middle.x, y + space.middle.y, 0).z));
+        }
+        """,
+    )
+    if told["warning"]:
+        pytest.skip(told["warning"])
+    assert told["colours"] > 10
+    assert told["pads"] == pytest.approx([1.0] * 4)  # at true scale ...
+    assert all(-1e-6 < gap < 0.3 for gap in told["gaps"])  # ... and on the ground
+
+
+@pytest.mark.slow
+def test_a_map_without_sites(tmp_path):
+    config = config_from_values({"lss.max_gap": 0.0}, CONFIG)
+    result = replay(write_ros2(tmp_path / "bag", scans=3), tmp_path / "out", config)
+    text = (result.out / "report.html").read_text()
+    told = in_browser(text, tmp_path, 'drawNow(); tellTest("answer", document.body.textContent);')
+    assert "No safe site" in told["answer"] and told["answer"].count("is both seen and safe") == 1

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page: one file, whose embedded arrays are those of the results folder."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from replay.recordings import GROUND, write_ros2
+from report.pages import Page, column
+
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.replay.replay import replay
+from quadtree_lss.report import page_data, palette
+from quadtree_lss.report.content import read
+from quadtree_lss.report.report import page
+
+CONFIG = config_from_values(GROUND)
+
+
+@pytest.fixture
+def content(result):
+    return read(result.out)
+
+
+def unpacked(content):
+    """What a page of this content embeds, and how to read its columns."""
+    data, columns = page_data.page_data(content)
+    return data, lambda about: column(b"".join(columns._parts), about)
+
+
+def test_it_is_one_well_formed_file_that_loads_nothing(text):
+    found = Page(text)
+    program = found.scripts["program"]
+    own = program[program.index('"use strict";\nconst root') :]
+    assert not re.search(r"https?://|//cdn|\bimport\s|fetch\(|XMLHttpRequest", own)
+    for tag, attributes in found.found:
+        assert tag not in ("link", "iframe", "img")
+        assert not {"src", "href"} & attributes.keys()
+    policies = [a["content"] for t, a in found.found if t == "meta" and "http-equiv" in a]
+    assert policies and policies[0].startswith("default-src 'none'")
+    assert len(text) < 3e6
+    identifiers = [a["id"] for _, a in found.found if "id" in a]
+    assert len(set(identifiers)) == len(identifiers)
+    for name in re.findall(r'byId\("([a-z0-9-]+)"\)', own):
+        assert name in identifiers
+    for licence in ("three.js authors", "Leon Sorokin"):
+        assert licence in text
+
+
+def test_the_embedded_arrays_are_those_of_the_grid(result, text):
+    found = Page(text)
+    data = found.data["grid"]
+    with np.load(result.out / "grid.npz") as grid:
+        assert (data["ny"], data["nx"]) == grid["score"].shape and data["stride"] == 1
+        np.testing.assert_allclose(
+            data["xmin"] + np.arange(data["nx"]) * data["spacing"], grid["x"]
+        )
+        for name, key in (("elevation", "elevation"), ("slope", "slope_deg"), ("score", "score")):
+            expected = grid[key].ravel()
+            got = found.column(data[name])
+            np.testing.assert_array_equal(np.isnan(got), np.isnan(expected))
+            np.testing.assert_allclose(got, expected, atol=0.51 * data[name]["step"])
+            assert data[name]["step"] < 1e-3 * max(np.nanmax(np.abs(expected)), 1.0)
+        np.testing.assert_array_equal(found.column(data["hazard"]), grid["hazard"].ravel())
+        np.testing.assert_array_equal(found.column(data["safe"]) > 0, grid["safe"].ravel())
+
+
+def test_the_embedded_leaves_are_those_of_the_map(result, text):
+    found = Page(text)
+    data = found.data["leaves"]
+    for name in ("level", "ix", "iy", "count"):
+        np.testing.assert_array_equal(found.column(data[name]), getattr(result.cells, name))
+    np.testing.assert_allclose(found.column(data["z"]), result.cells.z, atol=data["z"]["step"])
+    rise = -result.cells.normal[:, 0] / result.cells.normal[:, 2]
+    np.testing.assert_allclose(
+        found.column(data["slope_x"])[result.cells.measured],
+        rise[result.cells.measured],
+        atol=data["slope_x"]["step"],
+    )
+
+
+def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):
+    """A map whose leaves lie 7 mm off their planes in the mean, large ones and small ones."""
+    cells = {**content.cells, "roughness": 0.007 * content.cells["size"] ** 2}
+    data, get = unpacked(dataclasses.replace(content, cells=cells))
+    np.testing.assert_allclose(get(data["leaves"]["roughness"]), 0.007)
+
+
+def test_large_maps_stay_small_pages(content, monkeypatch):
+    monkeypatch.setattr(page_data, "MAX_GRID_POINTS", 500)
+    monkeypatch.setattr(page_data, "MAX_LEAVES", 10)
+    data, get = unpacked(content)
+    grid = data["grid"]
+    assert grid["nx"] * grid["ny"] <= 600 and grid["stride"] > 1
+    assert grid["spacing"] == pytest.approx(grid["stride"] * CONFIG.lss.grid_spacing)
+    expected = content.grid["hazard"][:: grid["stride"], :: grid["stride"]]
+    np.testing.assert_array_equal(get(grid["hazard"]), expected.ravel())
+    assert "deviation" not in data["leaves"] and "level" in data["leaves"]
+
+
+def test_outliers_do_not_blacken_a_layer(content):
+    elevation = content.grid["elevation"].copy()
+    known = np.argwhere(np.isfinite(elevation))
+    elevation[tuple(known[0])] = 500.0
+    data, _ = unpacked(dataclasses.replace(content, grid={**content.grid, "elevation": elevation}))
+    assert data["grid"]["elevation"]["limits"][1] < 10.0
+
+
+def test_probability_is_embedded_where_the_grid_has_it(content):
+    assert "probability" not in unpacked(content)[0]["grid"]
+    known = np.where(content.seen, 0.25, np.nan)
+    data, get = unpacked(dataclasses.replace(content, grid={**content.grid, "probability": known}))
+    np.testing.assert_allclose(get(data["grid"]["probability"]), 100.0 * known.ravel())
+
+
+def test_history_tells_since_when_ground_is_seen(result, text):
+    found = Page(text)
+    history = found.data["history"]
+    since = found.column(history["since"])
+    seen = found.column(found.data["grid"]["hazard"]) & palette.UNSEEN == 0
+    np.testing.assert_array_equal(since < 255, seen)
+    assert len(history["seconds"]) == len(history["sites"]) > 1
+    last = [site[1:3] for site in history["sites"][-1]]
+    np.testing.assert_allclose(last, result.assessment.sites.position[:, :2])
+    assert len(found.column(history["position"])) == 3 * len(result.timings)
+
+
+def test_rates_are_those_that_info_tells(result, text):
+    assert "10, recorded at 10.00 Hz" in text and "22, recorded at 20.00 Hz" in text
+    name = "/".join(Path(result.summary["bag"]).parts[-2:])
+    assert f"<h1>Landing sites from {name}</h1>" in text
+
+
+def test_each_colour_of_a_class_means_one_thing():
+    kinds = [colour for _, _, colour in palette.HAZARDS]
+    other = [palette.CLEAR_COLOUR, palette.SAFE_COLOUR, palette.EXCLUDED_COLOUR]
+    assert len({*kinds, *other, palette.SITE_COLOUR}) == len(kinds) + 4
+
+
+def test_names_in_a_bag_cannot_become_markup(tmp_path):
+    evil = "/points</script><script>alert(1)</script>"
+    folder = tmp_path / "<b>bag"
+    folder.mkdir()
+    bag = write_ros2(folder / "bag", scan_topics=(evil,), scans=3)
+    text = (replay(bag, tmp_path / "out", CONFIG).out / "report.html").read_text()
+    found = Page(text)
+    assert sum(tag == "script" for tag, _ in found.found) == 4
+    assert "<b>bag" not in text and "alert(1)</script>" not in text
+
+
+def test_a_page_can_be_made_again_from_the_folder(content, text):
+    assert page(content) == text
+    json.loads(Page(page(content)).scripts["data"])
+
+
+def test_figures_lie_beside_it(result):
+    names = {path.name for path in Path(result.out / "figures").iterdir()}
+    assert names == {"elevation.png", "slope.png", "hazards.png", "score.png", "timing.png"}
