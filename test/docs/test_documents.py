@@ -140,6 +140,7 @@ def test_every_name_in_the_files_is_documented(flight, tmp_path):
         "timing.csv": (tmp_path / "timing.csv").read_text().splitlines()[0].split(","),
         "cells.npz": list(np.load(tmp_path / "cells.npz")),
         "grid.npz": list(np.load(tmp_path / "grid.npz")),
+        "history.npz": list(np.load(tmp_path / "history.npz")),
         "summary.json": list(json.loads((tmp_path / "summary.json").read_text())),
         "What a simulation writes": list(np.load(flight / "truth.npz")),
     }
