@@ -208,6 +208,8 @@ setup(
             "lazrs>=0.5",
             "pypcd4>=1.1",
         ],
+        # The least propellant that a flight could need, by convex programs.
+        "guidance": ["cvxpy>=1.6", "clarabel>=0.9"],
         "test": [
             "pytest>=8.0",
             "pytest-xdist>=3.5",

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.commands import completion, config, evaluate, info, replay, simulate
+from quadtree_lss.commands import completion, config, evaluate, fly, info, replay, simulate
 from quadtree_lss.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, USAGE
 from quadtree_lss.commands.completion import complete
 from quadtree_lss.commands.console import first_line, quiet, say
@@ -106,6 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     config.add(commands)
     simulate.add(commands)
     evaluate.add(commands)
+    fly.add(commands)
     completion.add(commands)
     return parser
 

@@ -214,6 +214,19 @@ def test_a_new_area_asks_for_a_target_in_it(level_ground):
     assert nowhere.selected.reason is Reason.NO_SITE and not nowhere.pending
 
 
+def test_guidance_that_tells_what_it_can_reach_keeps_its_target(level_ground):
+    """Area and aim come anew with every second of a flight."""
+    selector = LandingSiteSelector(small(weight_target=0.1))
+    held = target_of(selector, level_ground, area=around((8.0, 8.0), 8.0)).selected
+    for half in (7.0, 6.0):
+        area, aim = around(held.position, half), held.position[:2] + 0.3
+        found = selector.assess(level_ground, area=area, target=aim).selected
+        assert (found.id, found.reason) == (held.id, Reason.HOLDS)
+    # Another area that does not hold its zone takes it away at once.
+    other = around(held.position + 4.0, 3.0)
+    assert selector.assess(level_ground, area=other).selected.reason is Reason.RELEASED
+
+
 def test_ground_that_turns_out_a_hazard_withdraws_the_target(level_ground, with_block):
     selector = LandingSiteSelector(small())
     held = target_of(selector, level_ground, target=(8.0, 8.0)).selected

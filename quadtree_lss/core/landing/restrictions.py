@@ -54,6 +54,24 @@ class Restrictions:
             for given in (self.area, self.target)
         )
 
+    def area_holds(self, x: float, y: float, lss: LssConfig) -> bool:
+        """Whether the area, if there is one, holds the zone about a place."""
+        if self.area is None:
+            return True
+        try:
+            inside = signed_distance(self.area, np.array([x]), np.array([y]))[0]
+        except (TypeError, ValueError):
+            return False
+        return bool(inside >= _zone(lss))
+
+    def is_near(self, x: float, y: float, reach: float) -> bool:
+        """Whether the place to be near to is this one."""
+        try:
+            goal = np.asarray(self.target, dtype=np.float64)
+            return bool(np.hypot(goal[0] - x, goal[1] - y) <= reach)
+        except (TypeError, ValueError, IndexError):
+            return False
+
     def why_not(self, x: float, y: float, lss: LssConfig) -> Reason:
         """Why a zone on safe ground is excluded."""
         place = np.array([x]), np.array([y])
@@ -70,17 +88,26 @@ class Restrictions:
         """
         if self.area is None and self.keep_out is None and self.target is None:
             return
-        grid_x, grid_y = np.meshgrid(x, y)
+        # Only what is left is looked at: areas come with every second of a flight.
+        row, column = np.nonzero(np.isfinite(score))
+        grid_x, grid_y = x[column], y[row]
         if self.area is not None:
-            score[signed_distance(self.area, grid_x, grid_y) < _zone(lss)] = np.nan
+            score[row, column] = np.where(
+                signed_distance(self.area, grid_x, grid_y) < _zone(lss), np.nan, score[row, column]
+            )
         if self.keep_out is not None:
-            score[signed_distance(self.keep_out, grid_x, grid_y) > -_zone(lss)] = np.nan
+            score[row, column] = np.where(
+                signed_distance(self.keep_out, grid_x, grid_y) > -_zone(lss),
+                np.nan,
+                score[row, column],
+            )
         if self.target is not None:
             goal = np.asarray(self.target, dtype=np.float64)
             if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
                 msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
                 raise ValueError(msg)
-            score += lss.weight_target * np.hypot(grid_x - goal[0], grid_y - goal[1])
+            away = np.hypot(grid_x - goal[0], grid_y - goal[1])
+            score[row, column] += lss.weight_target * away
 
 
 def _zone(lss: LssConfig) -> float:

@@ -159,11 +159,21 @@ class LandingSiteSelector:
         )
 
     def _look_at(self, wanted: Restrictions) -> None:
-        """Another landing area, or another place to be near to, asks for another target."""
-        wish = wanted.wish()
-        if self._wish is not None and wish != self._wish:
-            self.release()
+        """Another landing area without the target, or another place to be near to, elsewhere than
+        the target is, asks for another one: guidance tells what it can still reach, and where it
+        is going, again and again."""
+        wish, before = wanted.wish(), self._wish
         self._wish = wish
+        if before is None or wish == before:
+            return
+        held, lss = self._target.held, self.config.lss
+        kept = held is not None
+        if held is not None and wish[0] != before[0]:
+            kept = wanted.area_holds(*held, lss)
+        if held is not None and wish[1] != before[1]:
+            kept &= wanted.is_near(*held, self._reach())
+        if not kept:
+            self.release()
 
     def _choose(self, ground: Ground, why_not: WhyNot, why_none: Reason) -> Choice:
         margin, reach = self.config.lss.switch_margin, self._reach()

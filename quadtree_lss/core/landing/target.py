@@ -141,6 +141,11 @@ class TargetKeeper:
         self._released = False
         self._before: Ground | None = None
 
+    @property
+    def held(self) -> tuple[float, float] | None:
+        """x and y of the target, None if there is none."""
+        return self._held
+
     def release(self) -> None:
         """Give the target up: the next one is chosen as if none had been held."""
         self._released = True

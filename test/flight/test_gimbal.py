@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lidar sees all of the candidate area in its first pass, and turns no faster than it can."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.flight.gimbal import Gimbal, ScanPlan, axes, quaternion
+from quadtree_lss.simulation.trajectory import look_at
+
+DT = 0.01
+
+
+def test_axes_and_quaternion_are_those_of_the_simulations():
+    rng = np.random.default_rng(1)
+    for sight in (*rng.normal(size=(20, 3)), np.array([0.0, 0.0, -1.0])):
+        sight = sight / np.linalg.norm(sight)
+        rotation = axes(sight)
+        np.testing.assert_allclose(rotation, look_at(np.zeros(3), sight), atol=1e-12)
+        np.testing.assert_allclose(
+            Rotation.from_quat(quaternion(rotation)).as_matrix(), rotation, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.6, 2.0])
+def test_the_first_pass_covers_the_area(heading):
+    half, field_of_view = 25.0, 1.0
+    back = np.array([-np.cos(heading), -np.sin(heading)])
+    gimbal = Gimbal(ScanPlan(), field_of_view, np.zeros(3), half)
+    seen = np.zeros((50, 50), dtype=int)
+    x, y = np.meshgrid(np.arange(-24.5, 25.0), np.arange(-24.5, 25.0))
+    turns, last = [], None
+    for k in range(800):
+        position = np.array([*(520.0 - 0.3 * k) * back, 300.0 - 0.16 * k])
+        velocity = np.array([*-30.0 * back, -16.0])
+        gimbal.step(k * DT, position, velocity, None, DT)
+        if last is not None:
+            turns.append(np.degrees(np.arccos(np.clip(last @ gimbal.boresight, -1.0, 1.0))))
+        last = gimbal.boresight
+        if k % 5 == 0:
+            rays = np.stack([x, y, 0.0 * x], axis=-1) - position
+            across, down, ahead = np.moveaxis(rays @ gimbal.rotation(), -1, 0)
+            edge = np.tan(np.radians(0.5 * field_of_view))
+            seen += (np.abs(across) <= edge * ahead) & (np.abs(down) <= edge * ahead)
+    assert gimbal.passes == 1
+    assert max(turns) <= ScanPlan().rate_deg * DT + 1e-6
+    assert (seen > 0).mean() > 0.95 and np.median(seen) >= 3
+
+
+def test_later_passes_stay_about_the_target():
+    target = np.array([10.0, -5.0, 0.0])
+    gimbal = Gimbal(ScanPlan(survey=1.0), 1.0, np.zeros(3), 25.0)
+    position = np.array([-100.0, 0.0, 60.0])
+    for k in range(400):
+        gimbal.step(k * DT, position, np.zeros(3), target, DT)
+        if k * DT > 1.5:
+            hit = position - gimbal.boresight * position[2] / gimbal.boresight[2]
+            assert np.hypot(*(hit - target)[:2]) < 15.0
+    assert gimbal.passes == 3
