@@ -143,4 +143,4 @@ class Onboard:
 
     def _start_lss(self) -> None:
         self._answers = _Answers(self._delay_ns)
-        self._passes = Passes(self._config, self._wishes.arguments, self._answers)
+        self._passes = Passes(self._config, self._wishes.arguments, (self._answers,))
