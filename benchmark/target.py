@@ -25,7 +25,7 @@ from quadtree_lss.core.landing.target import Reason
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.evaluation.results import Truth, load_truth
 from quadtree_lss.messages.maps import round_trip
-from quadtree_lss.replay.stream import scans
+from quadtree_lss.replay.steps import scans
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from quadtree_lss.core.tree.cell_map import CellMap, Ground, Profile
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.intake import ReadyScan
 from quadtree_lss.replay.bags import Bag, BagError
+from quadtree_lss.replay.elevation_model import rank_sites
 from quadtree_lss.replay.info import BagInfo, inspect_bag
 from quadtree_lss.replay.replay import ReplayError, ReplayResult, replay
 from quadtree_lss.replay.saved import Grid, Results, ResultsError, load_results
-from quadtree_lss.replay.steps import Step, steps
-from quadtree_lss.replay.stream import scans
+from quadtree_lss.replay.steps import Step, scans, steps
 from quadtree_lss.replay.suggest import Suggestion, suggest_config
 
 __all__ = [
@@ -47,6 +47,7 @@ __all__ = [
     "inspect_bag",
     "load_config",
     "load_results",
+    "rank_sites",
     "replay",
     "scans",
     "steps",

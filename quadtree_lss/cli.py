@@ -13,7 +13,16 @@ from collections.abc import Callable, Sequence
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.commands import completion, config, evaluate, fly, info, replay, simulate
+from quadtree_lss.commands import (
+    completion,
+    config,
+    evaluate,
+    fly,
+    info,
+    replay,
+    simulate,
+    sites,
+)
 from quadtree_lss.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, USAGE
 from quadtree_lss.commands.completion import complete
 from quadtree_lss.commands.console import first_line, quiet, say
@@ -102,6 +111,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     replay.add(commands)
+    sites.add(commands)
     info.add(commands)
     config.add(commands)
     simulate.add(commands)

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.core.tree.cell_map import CellMap, Profile
+from quadtree_lss.report.palette import CLEAR_COLOUR, HAZARDS, MAPS, SITE_COLOUR, colour_limits
 
 Array = NDArray[np.float64]
 
-COLOURS = {"elevation": "viridis", "plane_elevation": "viridis", "slope_deg": "cividis"}
-COLOURS |= {"score": "viridis_r", "probability": "viridis", "safe": "viridis"}
+KINDS = {"plane_elevation": "elevation", "slope_deg": "slope"}
 UNITS = {"elevation": "m", "plane_elevation": "m", "slope_deg": "deg"}
 
 
@@ -50,8 +50,9 @@ def elevation(
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
     heights = cells.at(domain.xmin + middles, (domain.ymin + middles)[:, None]).height
     extent = (domain.xmin, domain.xmin + domain.size, domain.ymin, domain.ymin + domain.size)
-    low, high = _limits(heights)
-    options = {"origin": "lower", "extent": extent, "vmin": low, "vmax": high, "cmap": "viridis"}
+    low, high = colour_limits(heights)
+    options = {"origin": "lower", "extent": extent, "vmin": low, "vmax": high}
+    options["cmap"] = MAPS["elevation"]
     drawn = axes.imshow(heights, **(options | image))
     if hillshade:
         shade, strength = relief(heights, domain.finest_size), 0.65
@@ -97,8 +98,8 @@ def layer(axes: Any, grid: GridLike, name: str, **image: Any) -> Any:
     if name == "hazard":
         drawn = _hazards(axes, grid, values)
     else:
-        low, high = _limits(values)
-        options = {"cmap": COLOURS.get(name, "viridis"), "vmin": low, "vmax": high}
+        low, high = colour_limits(np.asarray(values, np.float64))
+        options = {"cmap": MAPS.get(KINDS.get(name, name), "viridis"), "vmin": low, "vmax": high}
         drawn = axes.imshow(values, origin="lower", extent=_extent(grid), **(options | image))
     axes.set_title(name + (f", {UNITS[name]}" if name in UNITS else ""))
     _label(axes)
@@ -113,8 +114,8 @@ def sites(axes: Any, positions: ArrayLike, *, radius: float = 0.0) -> list[Any]:
     for rank, (x, y, *_) in enumerate(np.asarray(positions, np.float64), start=1):
         if radius > 0.0:
             axes.add_patch(Circle((x, y), radius, fill=False, color="white", linewidth=2.6))
-            axes.add_patch(Circle((x, y), radius, fill=False, color="#1c1c1c", linewidth=1.2))
-        box = {"boxstyle": "circle,pad=0.2", "facecolor": "#1c1c1c", "edgecolor": "white"}
+            axes.add_patch(Circle((x, y), radius, fill=False, color=SITE_COLOUR, linewidth=1.2))
+        box = {"boxstyle": "circle,pad=0.2", "facecolor": SITE_COLOUR, "edgecolor": "white"}
         text = {"color": "white", "size": 8, "ha": "center", "va": "center", "bbox": box}
         drawn.append(axes.annotate(str(rank), (x, y), **text))
     return drawn
@@ -141,8 +142,6 @@ def profile(axes: Any, along: Profile, *, sigmas: float = 3.0, **line: Any) -> A
 def _hazards(axes: Any, grid: GridLike, bits: NDArray[np.uint8]) -> Any:
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
-    from quadtree_lss.report.figures import CLEAR_COLOUR, HAZARDS
-
     kind = np.zeros(bits.shape, dtype=np.int64)
     for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=1))):
         kind[(bits & bit) > 0] = place
@@ -157,15 +156,6 @@ def _extent(grid: GridLike) -> tuple[float, float, float, float]:
     x, y = grid.x, grid.y
     half = 0.5 * float(x[1] - x[0]) if len(x) > 1 else 0.5
     return (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
-
-
-def _limits(values: NDArray[Any]) -> tuple[float, float]:
-    """Range of colours that a few outliers do not stretch."""
-    finite = np.asarray(values, np.float64)[np.isfinite(values)]
-    if not finite.size:
-        return 0.0, 1.0
-    low, high = np.percentile(finite, [0.5, 99.5])
-    return float(low), float(high) if high > low else float(low) + 1e-6
 
 
 def _edges(cells: CellMap) -> Array:

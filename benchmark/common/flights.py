@@ -12,7 +12,7 @@ from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.evaluation.results import Truth, load_truth
 from quadtree_lss.messages.intake import ReadyScan
-from quadtree_lss.replay.stream import scans
+from quadtree_lss.replay.steps import scans
 from quadtree_lss.simulation.simulate import simulate
 
 

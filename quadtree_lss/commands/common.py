@@ -15,6 +15,8 @@ from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.config.yaml_text import YamlError, parse_yaml
 
+CLOUDS = "rosbag2 folder, .mcap, .db3, ROS 1 .bag; or point clouds: a file or a folder of them"
+POSES = "poses of point clouds, TUM or CSV; without it they are taken to be in the map frame"
 DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
 EXIT_CODES = """exit codes:
   0 done   1 error   2 wrong usage   3 done in part (damaged input)   130 interrupted

@@ -8,10 +8,12 @@ import argparse
 from quadtree_lss.commands.common import (
     DONE,
     ERROR,
+    POSES,
     add_command,
     add_config_options,
     add_json,
     chosen_config,
+    named,
     print_json,
 )
 from quadtree_lss.commands.completion import completed, names_of_action
@@ -50,6 +52,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "files to check; keys or sections to explain; the bag to suggest for"
     completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
     add_config_options(parser)
+    add("--poses", type=named, metavar="FILE", help=POSES)
     add("--plain", action="store_true", help="print without the explanations")
     add_json(parser)
 
@@ -98,7 +101,9 @@ def _suggest(options: argparse.Namespace) -> int:
     if len(options.names) != 1:
         options.parser.error("config suggest takes one bag")
     with ProgressBar("suggest", "s", options.verbose) as bar:
-        found = suggest_config(options.names[0], chosen_config(options), progress=bar.update)
+        found = suggest_config(
+            options.names[0], chosen_config(options), poses=options.poses, progress=bar.update
+        )
     if options.json:
         print_json(found.as_dict())
     else:

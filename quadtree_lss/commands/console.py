@@ -152,6 +152,12 @@ def result_text(result: ReplayResult, columns: int) -> str:
             f" landing site selection {summary['lss_ms']:.1f} ms;"
             f" peak memory {summary['peak_memory_mb']:.0f} MB"
         )
+    elif "posts" in summary:
+        across, along = summary["posts"]
+        text = (
+            f"{across} x {along} posts, {summary['post_spacing']:g} m apart; landing site selection"
+            f" {summary['lss_ms']:.0f} ms; {result.assessment.explanation}"
+        )
     else:
         text = (
             f"{summary['maps']} maps read, the last one assessed; {summary['leaves']} leaves;"

@@ -6,9 +6,11 @@ from __future__ import annotations
 import argparse
 
 from quadtree_lss.commands.common import (
+    CLOUDS,
     DONE,
     ERROR,
     IN_PART,
+    POSES,
     add_command,
     add_config_options,
     add_json,
@@ -31,10 +33,11 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
     parser = add_command(commands, "info", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", type=named, metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    add("bag", type=named, metavar="BAG", help=CLOUDS)
     add_config_options(parser)
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    add("--poses", type=named, metavar="FILE", help=POSES)
     add_json(parser)
 
 
@@ -48,6 +51,7 @@ def _run(options: argparse.Namespace) -> int:
             config,
             scan_topic=options.scan_topic,
             pose_topic=options.pose_topic,
+            poses=options.poses,
             progress=bar.update,
         )
     if options.json:

@@ -8,6 +8,22 @@ from __future__ import annotations
 
 import argparse
 import math
+from typing import Any
+
+
+def add_landing_options(parser: argparse._ActionsContainer, default: str) -> None:
+    """``--area``, ``--keep-out`` and ``--target``; ``default`` says what holds without them."""
+    for name, what in (("area", "land inside"), ("keep-out", "never land in")):
+        text = f"{what} this polygon, map frame, m{default}"
+        parser.add_argument(f"--{name}", metavar="'X,Y X,Y X,Y ...'", type=polygon, help=text)
+    text = "land near this place, or none; as --area" if default else "land near this place"
+    parser.add_argument("--target", metavar="X,Y", type=place, help=text)
+
+
+def landing_of(options: argparse.Namespace) -> dict[str, Any]:
+    """What the options say of landing, by name."""
+    given = {"area": options.area, "keep_out": options.keep_out, "target": options.target}
+    return {name: value[0] for name, value in given.items() if value is not None}
 
 
 def polygon(text: str) -> tuple[list[list[float]] | None]:

@@ -6,12 +6,13 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from quadtree_lss.commands.common import (
+    CLOUDS,
     DONE,
     IN_PART,
     INTERRUPTED,
+    POSES,
     add_command,
     add_config_options,
     add_json,
@@ -29,7 +30,7 @@ from quadtree_lss.commands.console import (
     say,
     warn,
 )
-from quadtree_lss.commands.places import place, polygon
+from quadtree_lss.commands.places import add_landing_options, landing_of
 from quadtree_lss.errors import QuadtreeLssError
 
 TEXT = "Map a recorded bag and rank landing sites, offline and deterministically."
@@ -39,6 +40,8 @@ EXAMPLES = """examples:
   quadtree-lss replay flight_bag --out results --start 5 --duration 10 --no-report
   quadtree-lss replay flight_bag --record products      (map and landing topics, for Foxglove)
   quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
+  quadtree-lss replay clouds --poses poses.tum          (PLY, PCD, LAS, LAZ, NPY, NPZ)
+  quadtree-lss replay survey.laz --config survey.yaml   (a cloud in the map frame, without poses)
   quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes; space bar pauses)
   quadtree-lss replay products --publish                (a bag of maps, for lss_node alone)
   quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points
@@ -53,20 +56,18 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
     parser = add_command(commands, "replay", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", type=named, metavar="BAG", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    add("bag", type=named, metavar="BAG", help=CLOUDS)
     add("--out", metavar="DIR", type=named, help="folder for the results (default results/<time>)")
     add_config_options(parser)
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    add("--poses", type=named, metavar="FILE", help=POSES)
     add("--start", metavar="S", type=not_negative, default=0.0, help="begin S seconds into the bag")
     add("--duration", metavar="D", type=positive, help="process D seconds only")
     add("--no-report", action="store_true", help="no figures and no report.html")
     add("--record", metavar="BAG", type=named, help="write what the nodes would publish, as mcap")
     add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
-    for name, what in (("area", "land inside"), ("keep-out", "never land in")):
-        text = f"{what} this polygon, map frame, m; none lifts the bag's (default: the bag's topic)"
-        add(f"--{name}", metavar="'X,Y X,Y X,Y ...'", type=polygon, help=text)
-    add("--target", metavar="X,Y", type=place, help="land near this place, or none; as --area")
+    add_landing_options(parser, "; none lifts the bag's (default: the bag's topic)")
     add("--namespace", metavar="NS", help="of the topics that --publish sends")
     add(
         "--remap",
@@ -102,11 +103,12 @@ def _run(options: argparse.Namespace) -> int:
             config,
             scan_topic=options.scan_topic,
             pose_topic=options.pose_topic,
+            poses=options.poses,
             start=options.start,
             duration=options.duration,
             report=not options.no_report,
             record=options.record,
-            landing=_landing(options),
+            landing=landing_of(options),
             progress=bar.update,
             stop=interruption.asked,
         )
@@ -129,14 +131,8 @@ def _run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _landing(options: argparse.Namespace) -> dict[str, Any]:
-    """What the options say of landing, by name."""
-    given = {"area": options.area, "keep_out": options.keep_out, "target": options.target}
-    return {name: value[0] for name, value in given.items() if value is not None}
-
-
 def _publish(options: argparse.Namespace) -> int:
-    offline = ("out", "config", "set", "no_report", "record", "area", "keep_out", "target")
+    offline = ("out", "config", "set", "poses", "no_report", "record", "area", "keep_out", "target")
     given = ", ".join(f"--{name.replace('_', '-')}" for name in offline if getattr(options, name))
     if given:
         text = "does" if "," not in given else "do"

@@ -13,7 +13,7 @@ from quadtree_lss.core.mapping.consistency import Counts, prefit_statistics
 from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.core.sensing.register import register
 from quadtree_lss.evaluation.results import EvaluationError, Results
-from quadtree_lss.replay.stream import scans
+from quadtree_lss.replay.steps import scans
 
 
 @dataclass(frozen=True)

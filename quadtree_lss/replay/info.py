@@ -18,6 +18,7 @@ from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.messages.lost_points import likely_reason
 from quadtree_lss.replay.bags import POSE_TYPES, SCAN_TYPE, Bag, BagError
+from quadtree_lss.replay.cloud_files import open_recording
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.points import points_line, points_warning
 from quadtree_lss.replay.records import RawMessage
@@ -115,20 +116,22 @@ def inspect_bag(
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
+    poses: str | Path | None = None,
     progress: Progress | None = None,
 ) -> BagInfo:
     """Reads a bag as a replay would, without mapping.
 
     Args:
-        bag: A bag as of `bags.Bag`.
+        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
         config: As for the replay: frames, waiting times, mount.
         scan_topic, pose_topic: Topics; by default found by name, then by type.
+        poses: File of poses for point clouds.
         progress: See `run.Progress`.
 
     Raises:
         BagError: there is nothing to read.
     """
-    with Bag(bag) as opened:
+    with open_recording(bag, poses, config.frames.map) as opened:
         info = BagInfo(
             path=str(bag),
             kind="nothing",

@@ -17,7 +17,7 @@ from quadtree_lss.config.loading import dump_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.messages.landing_inputs import LandingWishes
 from quadtree_lss.replay import results
-from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.cloud_files import open_recording
 from quadtree_lss.replay.history import History
 from quadtree_lss.replay.landing import LandingTopics
 from quadtree_lss.replay.map_messages import MapPairs
@@ -39,6 +39,7 @@ def replay(
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
+    poses: str | Path | None = None,
     start: float = 0.0,
     duration: float | None = None,
     report: bool = True,
@@ -54,10 +55,11 @@ def replay(
     map is taken.
 
     Args:
-        bag: A bag as of `bags.Bag`.
+        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
         out: Folder for the results, made if missing; None writes nothing.
         config: Everything that can be set.
         scan_topic, pose_topic: Topics; by default found by name, then by type.
+        poses: File of poses for point clouds.
         start: Seconds after the bag's first message at which to begin.
         duration: Seconds to process, None for all.
         report: Also draw figures and ``report.html``.
@@ -78,7 +80,7 @@ def replay(
     began = time.perf_counter()
     run, stream = Run(config, progress, stop), Stream(scan_topic, pose_topic, start, duration)
     with ExitStack() as stack:
-        opened = stack.enter_context(Bag(bag))
+        opened = stack.enter_context(open_recording(bag, poses, config.frames.map))
         pairs = MapPairs.alone(opened) if scan_topic is None else None
         if pairs is None:
             stream.resolve(opened, config)
@@ -158,12 +160,27 @@ def replay(
         tuple(passes.changes),
     )
     if folder is not None:
-        try:
-            _write(folder, result, config, history, report)
-        except OSError as error:
-            msg = f"{folder}: cannot be written: {error.strerror}"
-            raise ReplayError(msg) from None
+        write_results(folder, result, config, report, history)
     return result
+
+
+def write_results(
+    out: Path,
+    result: ReplayResult,
+    config: Config,
+    report: bool,
+    history: History | None = None,
+) -> None:
+    """The files of a results folder, which is made if it is missing.
+
+    Raises:
+        ReplayError: they cannot be written.
+    """
+    try:
+        _write(out, result, config, history or History(), report)
+    except OSError as error:
+        msg = f"{out}: cannot be written: {error.strerror}"
+        raise ReplayError(msg) from None
 
 
 def _why_nothing(run: Run) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag mapped scan by scan, for who wants to look on."""
+"""Scans of a recording one by one, and the map as it grows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,41 @@ from typing import NamedTuple
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.messages.intake import ReadyScan
-from quadtree_lss.replay.stream import scans
+from quadtree_lss.replay.cloud_files import open_recording
+from quadtree_lss.replay.stream import Stream
+
+
+def scans(
+    bag: str | Path,
+    config: Config,
+    *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    poses: str | Path | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+) -> Iterator[ReadyScan]:
+    """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them.
+
+    Args:
+        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
+        config: Of which ``pose``, ``frames`` and ``mount`` matter.
+        scan_topic, pose_topic: Topics; by default found by name, then by type.
+        poses: File of poses for point clouds.
+        start, duration: Part of the bag in s from its first message.
+
+    Raises:
+        BagError: the bag cannot be read or its topics are ambiguous.
+        ReplayError: the part lies outside the bag.
+    """
+    stream = Stream(scan_topic, pose_topic, start, duration)
+    with open_recording(bag, poses, config.frames.map) as opened:
+        stream.resolve(opened, config)
+        intake = stream.intake(config)
+        for message in stream.messages(opened):
+            stream.take(opened, intake, message)
+            yield from intake.ready(message.received_ns)
+            intake.notices()
 
 
 class Step(NamedTuple):
@@ -27,6 +61,7 @@ def steps(
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
+    poses: str | Path | None = None,
     start: float = 0.0,
     duration: float | None = None,
 ) -> Iterator[Step]:
@@ -35,6 +70,6 @@ def steps(
     Arguments and errors are those of `scans`.
     """
     mapper = Mapper(config)
-    options = {"scan_topic": scan_topic, "pose_topic": pose_topic}
+    options = {"scan_topic": scan_topic, "pose_topic": pose_topic, "poses": poses}
     for scan in scans(bag, config, **options, start=start, duration=duration):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)

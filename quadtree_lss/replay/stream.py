@@ -7,13 +7,12 @@ import contextlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.errors import QuadtreeLssError, one_line
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
-from quadtree_lss.messages.intake import Intake, ReadyScan
+from quadtree_lss.messages.intake import Intake
 from quadtree_lss.replay.bags import (
     GIMBAL_TOPIC,
     SCAN_TOPIC,
@@ -172,34 +171,3 @@ class Stream:
     def rate(self, topic: str) -> float:
         """Messages of a topic per second of their stamps, so far; NaN for fewer than two."""
         return self._stamps[topic].rate if topic in self._stamps else math.nan
-
-
-def scans(
-    bag: str | Path,
-    config: Config,
-    *,
-    scan_topic: str | None = None,
-    pose_topic: str | None = None,
-    start: float = 0.0,
-    duration: float | None = None,
-) -> Iterator[ReadyScan]:
-    """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them.
-
-    Args:
-        bag: A bag as of `bags.Bag`.
-        config: Of which ``pose``, ``frames`` and ``mount`` matter.
-        scan_topic, pose_topic: Topics; by default found by name, then by type.
-        start, duration: Part of the bag in s from its first message.
-
-    Raises:
-        BagError: the bag cannot be read or its topics are ambiguous.
-        ReplayError: the part lies outside the bag.
-    """
-    stream = Stream(scan_topic, pose_topic, start, duration)
-    with Bag(bag) as opened:
-        stream.resolve(opened, config)
-        intake = stream.intake(config)
-        for message in stream.messages(opened):
-            stream.take(opened, intake, message)
-            yield from intake.ready(message.received_ns)
-            intake.notices()

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from quadtree_lss.config.loading import dump_values
 from quadtree_lss.config.settings import Config, config_from_values
 from quadtree_lss.messages.intake import ReadyScan
-from quadtree_lss.replay.bags import Bag
+from quadtree_lss.replay.cloud_files import open_recording
 from quadtree_lss.replay.run import Progress
 from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
 
@@ -60,13 +60,18 @@ class Suggestion:
 
 
 def suggest_config(
-    bag: str | Path, config: Config, *, progress: Progress | None = None
+    bag: str | Path,
+    config: Config,
+    *,
+    poses: str | Path | None = None,
+    progress: Progress | None = None,
 ) -> Suggestion:
     """Domain, range noise, cells and landing grid for a bag.
 
     Args:
-        bag: A bag as of `bags.Bag`.
+        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
         config: How scans find their poses; what is suggested is checked together with it.
+        poses: File of poses for point clouds.
         progress: See `run.Progress`.
 
     Raises:
@@ -75,7 +80,7 @@ def suggest_config(
     """
     seen = _Seen()
     stream = Stream()
-    with Bag(bag) as opened:
+    with open_recording(bag, poses, config.frames.map) as opened:
         stream.resolve(opened, config)
         count = next(t.count for t in opened.topics if t.name == stream.scans)
         intake, every = stream.intake(config), max(count // SCANS, 1)

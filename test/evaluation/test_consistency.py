@@ -15,7 +15,7 @@ from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.evaluation.consistency import Consistency, consistency, pool
 from quadtree_lss.evaluation.results import EvaluationError
 from quadtree_lss.replay.replay import replay
-from quadtree_lss.replay.stream import scans
+from quadtree_lss.replay.steps import scans
 from quadtree_lss.simulation.simulate import simulate
 
 SMALL = {

@@ -32,6 +32,7 @@ from quadtree_lss.replay.stream import Stream
 
 CONFIG = config_from_values(GROUND)
 FILES = {
+    "history.npz",
     "sites.csv",
     "selected.csv",
     "cells.npz",

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Point clouds of every format: what is written by its library comes back, and else one line."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from quadtree_lss.exchange import clouds
+from quadtree_lss.exchange.clouds import READERS, read_clouds
+from quadtree_lss.exchange.libraries import ExchangeError
+
+POINTS = np.random.default_rng(5).uniform(-50.0, 50.0, (6, 4, 3)).round(3)
+
+
+def write(path, points=POINTS):
+    """A cloud by the library of its format."""
+    flat = points.reshape(-1, 3)
+    if path.suffix == ".npy":
+        np.save(path, points)
+    elif path.suffix == ".npz":
+        np.savez(path, points=points)
+    elif path.suffix == ".ply":
+        pytest.importorskip("trimesh").PointCloud(flat).export(path)
+    elif path.suffix == ".pcd":
+        module = pytest.importorskip("pypcd4")
+        module.PointCloud.from_xyz_points(flat.astype(np.float32)).save(path)
+    else:
+        laspy = pytest.importorskip("laspy")
+        header = laspy.LasHeader(point_format=3, version="1.2")
+        header.scales, header.offsets = [0.001] * 3, [0.0] * 3
+        data = laspy.LasData(header)
+        data.x, data.y, data.z = flat.T
+        data.write(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", READERS)
+def test_points_come_back(tmp_path, suffix):
+    (found,), stamps = read_clouds(write(tmp_path / f"cloud{suffix}"))
+    assert stamps is None and found.shape[-1] == 3
+    np.testing.assert_allclose(found.reshape(-1, 3), POINTS.reshape(-1, 3), atol=1e-5)
+    assert (found.shape == POINTS.shape) == (suffix in (".npy", ".npz"))
+
+
+def test_an_ascii_ply_and_an_organised_pcd_with_holes(tmp_path):
+    pytest.importorskip("trimesh")
+    pytest.importorskip("pypcd4")
+    text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n"
+    text += "property float z\nproperty uchar red\nend_header\n1 2 3 9\n4 5 6 9\n"
+    (tmp_path / "a.ply").write_text(text)
+    np.testing.assert_allclose(read_clouds(tmp_path / "a.ply")[0][0], [[1, 2, 3], [4, 5, 6]])
+    text = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 2\n"
+    text += "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA ascii\n1 2 3\nnan nan nan\n4 5 6\n7 8 9\n"
+    (tmp_path / "b.pcd").write_text(text)
+    (found,), _ = read_clouds(tmp_path / "b.pcd")
+    assert found.shape == (2, 2, 3) and np.isnan(found[0, 1]).all() and found[1, 1, 2] == 9.0
+
+
+def test_several_scans_in_one_file(tmp_path):
+    scans = np.stack([POINTS, POINTS + 1.0])
+    np.savez(tmp_path / "scans.npz", points=scans, stamp_ns=np.array([5, 7]))
+    found, stamps = read_clouds(tmp_path / "scans.npz")
+    assert stamps.tolist() == [5, 7]
+    np.testing.assert_array_equal(found, scans)
+    np.savez(tmp_path / "wrong.npz", points=scans, stamp_ns=np.array([5, 7, 9]))
+    with pytest.raises(ExchangeError, match="3 scans"):
+        read_clouds(tmp_path / "wrong.npz")
+
+
+def test_a_large_cloud_becomes_several_scans(tmp_path, monkeypatch):
+    monkeypatch.setattr(clouds, "MOST_POINTS", 10)
+    for suffix in (".npy", ".las"):
+        found, _ = read_clouds(write(tmp_path / f"large{suffix}"))
+        assert [len(part) for part in found] == [10, 10, 4]
+        np.testing.assert_allclose(np.concatenate(found), POINTS.reshape(-1, 3), atol=1e-9)
+
+
+@pytest.mark.parametrize("suffix", READERS)
+@pytest.mark.parametrize("content", [b"", b"nonsense\n", b"ply\n\x00\xff"])
+def test_what_is_no_cloud_is_one_line(tmp_path, suffix, content):
+    for name in {".ply": ["trimesh"], ".pcd": ["pypcd4"]}.get(suffix, ["laspy"]):
+        pytest.importorskip(name)
+    path = tmp_path / f"bad{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(ExchangeError, match="bad") as told:
+        read_clouds(path)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("shape", [(5,), (5, 2), (2, 2, 2, 3)])
+def test_another_array_is_no_cloud(tmp_path, shape):
+    np.save(tmp_path / "a.npy", np.zeros(shape))
+    with pytest.raises(ExchangeError, match="no cloud"):
+        read_clouds(tmp_path / "a.npy")
+    np.savez(tmp_path / "b.npz", x=np.zeros(3), y=np.zeros(3))
+    with pytest.raises(ExchangeError, match="no array 'points', but x, y"):
+        read_clouds(tmp_path / "b.npz")
+
+
+@pytest.mark.parametrize(
+    ("module", "suffix"), [("trimesh", ".ply"), ("pypcd4", ".pcd"), ("laspy", ".las")]
+)
+def test_a_missing_library_is_named_with_its_remedy(module, suffix, tmp_path):
+    (tmp_path / f"a{suffix}").write_bytes(b"")
+    program = (
+        f"import sys; sys.modules['{module}'] = None\n"
+        f"from quadtree_lss.cli import main; sys.exit(main(['replay', 'a{suffix}']))"
+    )
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert f"need {module}, which is not installed: pip install 'quadtree_lss[" in done.stderr

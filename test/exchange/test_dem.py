@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Elevation models from NPZ and GeoTIFF."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadtree_lss.exchange.dem import read_dem
+from quadtree_lss.exchange.libraries import ExchangeError
+
+X, Y = 500_000.0 + 2.0 * np.arange(7), 4_000_000.0 + 2.0 * np.arange(5)
+Z = np.round(np.random.default_rng(1).uniform(0.0, 9.0, (5, 7)), 2)
+
+
+def tiff(path, crs="EPSG:32611", **options):
+    """North first, as rasters are; one post unknown."""
+    rasterio = pytest.importorskip("rasterio")
+    values = Z[::-1].astype(np.float32)
+    values[0, 0] = -9999.0
+    grid = rasterio.Affine(2.0, 0.0, X[0] - 1.0, 0.0, -2.0, Y[-1] + 1.0)
+    shape = {"width": 7, "height": 5, "count": 1, "dtype": "float32", "nodata": -9999.0}
+    options = {"transform": grid, **options}
+    with rasterio.open(path, "w", driver="GTiff", crs=crs, **shape, **options) as file:
+        file.write(values, 1)
+    return path
+
+
+def test_npz_and_geotiff_are_the_same_ground(tmp_path):
+    np.savez(tmp_path / "dem.npz", x=X, y=Y, elevation=Z)
+    one, other = read_dem(tmp_path / "dem.npz"), read_dem(tiff(tmp_path / "dem.tif"))
+    np.testing.assert_array_equal(one.elevation, Z)
+    for name in "xy":
+        np.testing.assert_allclose(getattr(other, name), getattr(one, name))
+    expected = Z.copy()
+    expected[-1, 0] = np.nan  # the north-western post
+    np.testing.assert_allclose(other.elevation, expected, atol=1e-6)
+    assert one.spacing == other.spacing == 2.0 and "32611" in other.crs and not one.crs
+    part = one.within(np.array([X[1], Y[2]]), np.array([X[3], Y[4]]))
+    np.testing.assert_array_equal(part.elevation, Z[2:5, 1:4])
+
+
+@pytest.mark.parametrize(
+    ("crs", "turned", "word"),
+    [
+        ("EPSG:4326", False, "degrees"),
+        ("EPSG:2225", False, "foot"),
+        ("EPSG:32611", True, "north up"),
+    ],
+)
+def test_what_is_not_metric_or_turned_is_told(tmp_path, crs, turned, word):
+    rasterio = pytest.importorskip("rasterio")
+    options = {"transform": rasterio.Affine(2, 1, 0, 0, -2, 0)} if turned else {}
+    with pytest.raises(ExchangeError, match=word):
+        read_dem(tiff(tmp_path / "dem.tif", crs, **options))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "word"),
+    [
+        ({"x": X, "y": Y}, "arrays x, y and elevation"),
+        ({"x": X, "y": Y, "elevation": Z.T}, "does not belong"),
+        ({"x": X[::-1], "y": Y, "elevation": Z}, "equal steps"),
+        ({"x": X**2, "y": Y, "elevation": Z}, "equal steps"),
+        ({"x": X, "y": Y, "elevation": np.full_like(Z, np.nan)}, "too few"),
+    ],
+)
+def test_other_arrays_are_no_elevation_model(tmp_path, arrays, word):
+    np.savez(tmp_path / "dem.npz", **arrays)
+    with pytest.raises(ExchangeError, match=word):
+        read_dem(tmp_path / "dem.npz")
+
+
+def test_other_files_are_no_elevation_model(tmp_path):
+    pytest.importorskip("rasterio")
+    for name, word in (("dem.npz", "cannot be read"), ("dem.tif", "cannot be read")):
+        (tmp_path / name).write_bytes(b"nonsense")
+        with pytest.raises(ExchangeError, match=word):
+            read_dem(tmp_path / name)
+    (tmp_path / "dem.txt").write_text("1 2 3")
+    with pytest.raises(ExchangeError, match="no elevation model"):
+        read_dem(tmp_path / "dem.txt")
+    with pytest.raises(ExchangeError, match="no such file"):
+        read_dem(tmp_path / "none.tif")

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Point clouds without a bag: the same map as of a bag with the same scans and poses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from replay.recordings import write_ros2
+from replay.test_cli import FAST, run
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.replay.replay import replay
+from quadtree_lss.replay.steps import scans
+
+PAIRS = (word.split("=") for word in FAST if "=" in word)
+KEYS = {key: float(value) if "." in value else int(value) for key, value in PAIRS}
+CONFIG = load_config((), KEYS)
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """A bag, and its scans with their poses."""
+    bag = write_ros2(tmp_path_factory.mktemp("flight") / "bag", scans=6)
+    return bag, list(scans(bag, CONFIG))
+
+
+def tum(path, poses, shift_ns=0):
+    lines = []
+    for pose in poses:
+        stamp = pose.stamp_ns + shift_ns
+        turn = Rotation.from_matrix(pose.rotation_map_lidar).as_quat()
+        numbers = " ".join(f"{v:.17g}" for v in (*pose.position, *turn))
+        lines.append(f"{stamp // 10**9}.{stamp % 10**9:09d} {numbers}\n")
+    path.write_text("".join(lines))
+    return path
+
+
+def write(folder, seen, name):
+    folder.mkdir()
+    for number, scan in enumerate(seen):
+        np.save(folder / name(number, scan), scan.points_lidar)
+    return folder
+
+
+def same(one, other, most=1e-6):
+    np.testing.assert_array_equal(one.level, other.level)
+    np.testing.assert_allclose(one.z, other.z, atol=most)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        lambda k, s: f"scan_{s.stamp_ns}.npy",
+        lambda k, s: f"{s.stamp_ns // 10**9}.{s.stamp_ns % 10**9:09d}.npy",
+        lambda k, s: f"cloud{k}.npy",
+    ],
+)
+def test_clouds_with_poses_give_the_map_of_the_bag(flight, tmp_path, name):
+    bag, seen = flight
+    clouds = write(tmp_path / "clouds", seen, name)
+    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen])
+    # Poses of text say nothing of their covariance.
+    unknown = {"pose.unknown_position_sigma": 0.01, "pose.unknown_attitude_sigma_deg": 0.00573}
+    config = load_config((), KEYS | unknown)
+    of_bag = replay(bag, None, config)
+    of_files = replay(clouds, None, config, poses=poses)
+    assert [r.stamp_ns for r in of_files.timings] == [r.stamp_ns for r in of_bag.timings]
+    same(of_files.cells, of_bag.cells)
+    assert not of_files.losses
+
+
+def test_stamps_of_a_file_and_poses_between(flight, tmp_path):
+    bag, seen = flight
+    stamps = np.array([scan.stamp_ns for scan in seen])
+    points = np.stack([scan.points_lidar for scan in seen])
+    np.savez(tmp_path / "scans.npz", points=points, stamp_ns=stamps)
+    ends = [scan.pose for scan in (seen[0], seen[-1])]  # a straight line at one speed
+    poses = tum(tmp_path / "poses.tum", ends)
+    found = replay(tmp_path / "scans.npz", None, CONFIG, poses=poses)
+    assert found.summary["scans"] == 6
+    same(found.cells, replay(bag, None, CONFIG).cells, 1e-3)  # text: of unknown covariance
+
+
+def test_a_cloud_in_the_map_frame_needs_no_poses(flight, tmp_path):
+    _, seen = flight
+    points = [
+        s.points_lidar.reshape(-1, 3) @ s.pose.rotation_map_lidar.T + s.pose.position for s in seen
+    ]
+    np.save(tmp_path / "survey.npy", np.concatenate(points))
+    found = replay(tmp_path / "survey.npy", None, CONFIG)
+    ground = found.cells.at([0.0, 4.0, -4.0], [0.0, 3.0, -2.0])
+    np.testing.assert_allclose(ground.height, [0.0, 0.2, -0.2], atol=0.05)
+    assert any("map's frame" in line for line in found.warnings)
+
+
+def test_which_pose_belongs_to_which_cloud_is_asked(flight, tmp_path, capsys):
+    _, seen = flight
+    clouds = write(tmp_path / "clouds", seen, lambda k, s: f"cloud{k}.npy")
+    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen[:4]])
+    code, _, err = run(capsys, "replay", clouds, "--poses", poses, *FAST)
+    assert code == 1 and "6 clouds are not 4 poses" in err and err.count("\n") == 1
+
+
+def test_a_damaged_cloud_is_a_loss(flight, tmp_path, capsys):
+    _, seen = flight
+    clouds = write(tmp_path / "clouds", seen, lambda k, s: f"{s.stamp_ns}.npy")
+    broken = sorted(clouds.iterdir())[2]
+    broken.write_bytes(broken.read_bytes()[:40])
+    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen])
+    out = tmp_path / "out"
+    code, shown, err = run(capsys, "replay", clouds, "--poses", poses, "--out", out, *FAST)
+    assert code == 3 and "5 scans mapped" in shown and broken.name in err
+
+
+def test_info_and_suggest_read_clouds_too(flight, tmp_path, capsys):
+    _, seen = flight
+    clouds = write(tmp_path / "clouds", seen, lambda k, s: f"{s.stamp_ns}.npy")
+    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen])
+    code, out, _ = run(capsys, "info", clouds, "--poses", poses)
+    assert code == 0 and "6 scans have a pose" in out and "ready to replay" in out
+    code, out, _ = run(capsys, "config", "suggest", clouds, "--poses", poses, "--json")
+    assert code == 0 and json.loads(out)["values"]["lidar.range_noise"] > 0.01
+
+
+def test_poses_do_not_go_with_a_bag(flight, tmp_path, capsys):
+    bag, seen = flight
+    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen])
+    code, _, err = run(capsys, "replay", bag, "--poses", poses, *FAST)
+    assert code == 1 and "--poses goes with point clouds" in err
+    code, _, err = run(capsys, "replay", bag, "--poses", poses, "--publish")
+    assert code == 2 and "--poses does not go with --publish" in err

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landing sites straight on an elevation model."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from replay.test_cli import run
+
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.exchange.dem import ElevationModel
+from quadtree_lss.replay import elevation_model
+from quadtree_lss.replay.elevation_model import cells_of, rank_sites
+from quadtree_lss.replay.saved import load_results
+
+CONFIG = load_config((), {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02})
+
+
+def model(rise=0.0):
+    """40 x 30 m at 0.25 m with a boulder of 0.8 m at (12, 10), steep east of x = 25; a hole."""
+    x, y = np.arange(0.0, 40.01, 0.25), np.arange(0.0, 30.01, 0.25)
+    z = rise * x + 0.0 * y[:, None]
+    z = z + 0.8 * (np.hypot(x - 12.0, y[:, None] - 10.0) < 0.6)
+    z = z + 0.6 * np.maximum(x - 25.0, 0.0)
+    z[np.ix_(y > 27.0, x < 3.0)] = np.nan
+    return ElevationModel(x, y, z)
+
+
+def test_the_map_is_the_models_ground():
+    dem = model(0.1)
+    cells, block = cells_of(dem, 0.02)
+    assert block == 1 and cells.domain.finest_size == 0.25
+    found = cells.at([5.1, 20.0, 30.0], [5.0, 3.3, 20.0])
+    np.testing.assert_allclose(found.height, [0.51, 2.0, 6.0], atol=1e-9)
+    slopes = np.degrees(np.arctan([0.1, 0.1, 0.7]))
+    np.testing.assert_allclose(found.slope_deg, slopes, atol=1e-9)
+    assert (found.deviation > 0.009).all() and (found.deviation < 0.03).all()
+    for x, y in ((1.0, 28.0), (39.0, 31.0), (41.0, 3.0)):
+        assert np.isnan(cells.at(x, y).height)
+
+
+def test_sites_keep_off_boulder_slope_and_hole():
+    found = rank_sites(model(), None, CONFIG).assessment
+    assert len(found.sites) == 5
+    x, y, _ = found.sites.position.T
+    assert (np.hypot(x - 12.0, y - 10.0) > 1.85).all() and (x < 26.0).all()
+    safe = {(a, b) for b, a in np.argwhere(found.safe)}
+    places = {"open": (18.0, 20.0), "boulder": (12.0, 10.0), "steep": (32.0, 15.0)}
+    places["hole"] = (1.5, 28.5)
+    at = {name: (round(a / 0.5), round(b / 0.5)) for name, (a, b) in places.items()}
+    assert at["open"] in safe and not {at["boulder"], at["steep"], at["hole"]} & safe
+
+
+def test_an_area_cuts_the_model_and_a_target_is_near():
+    area = [[15.0, 15.0], [24.0, 15.0], [24.0, 25.0], [15.0, 25.0]]
+    found = rank_sites(model(), None, CONFIG, landing={"area": area, "target": [17.5, 23.0]})
+    x, y, _ = found.assessment.sites.position.T
+    assert len(x) and (x > 15.0).all() and (x < 24.0).all() and (y > 15.0).all()
+    assert found.cells.domain.xmin > 10.0
+
+
+def test_a_large_model_gets_coarser_leaves_and_says_so(monkeypatch):
+    monkeypatch.setattr(elevation_model, "MOST_CELLS", 64)
+    cells, block = cells_of(model(0.1), 0.02)
+    assert block == 3 and cells.domain.finest_size == 0.75
+    np.testing.assert_allclose(cells.at(20.0, 3.3).height, 2.0, atol=1e-9)
+    assert any("3 x 3" in line for line in rank_sites(model(), None, CONFIG).warnings)
+
+
+def test_the_command_writes_results_like_a_replay(tmp_path, capsys):
+    dem = model()
+    np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
+    options = ["--set", "lss.grid_spacing=0.5", "--out", tmp_path / "out"]
+    code, out, _ = run(capsys, "sites", tmp_path / "dem.npz", *options)
+    assert code == 0 and "161 x 121 posts, 0.25 m apart" in out
+    assert out.splitlines()[-1] == f"open {tmp_path / 'out' / 'report.html'}"
+    results = load_results(tmp_path / "out")
+    assert len(results.positions) == 5 and results.map.at(18.0, 20.0).height == pytest.approx(0.0)
+    shown = json.loads(run(capsys, "sites", tmp_path / "dem.npz", *options, "--json", "-q")[1])
+    assert len(shown["sites"]) == 5 and shown["posts"] == [161, 121]
+
+
+def test_coarse_posts_are_noted_and_bad_files_are_one_line(tmp_path, capsys):
+    x = 2.0 * np.arange(30)
+    np.savez(tmp_path / "coarse.npz", x=x, y=x, elevation=np.zeros((30, 30)))
+    arguments = ["sites", tmp_path / "coarse.npz", "--out", tmp_path / "out", "--no-report"]
+    code, _, err = run(capsys, *arguments)
+    assert code == 0 and "2 m apart: what is smaller" in err
+    code, _, err = run(capsys, "sites", tmp_path / "none.npz", "--out", tmp_path / "none")
+    assert code == 1 and "no such file" in err and not (tmp_path / "none").exists()
