@@ -30,6 +30,19 @@ def test_distances_are_exact(share, shape):
 
 
 @pytest.mark.parametrize("share", [0.004, 0.05, 0.5, 1.0])
+@pytest.mark.parametrize("limit", [0.0, 0.3, 1.0, 3.1, 30.0, 37.7, 37.8, 1e300])
+@pytest.mark.parametrize("shape", [(19, 23), (64, 40), (300, 200), (1, 9), (9, 1)])
+def test_distances_are_exact_up_to_the_limit(share, limit, shape):
+    marked, side = some(share, shape), 0.3
+    if not marked.any():
+        marked[0, 0] = True
+    expected, found = distance_from(marked, side), distance_from(marked, side, limit)
+    near = expected <= limit
+    np.testing.assert_array_equal(found[near], expected[near])
+    assert (found[~near] > limit).all()
+
+
+@pytest.mark.parametrize("share", [0.004, 0.05, 0.5, 1.0])
 def test_the_place_is_that_of_a_nearest_one(share):
     marked = some(share)
     square, place = nearest_marked(marked)

@@ -9,7 +9,7 @@ from math import isqrt, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.core.landing.sweeps import disc_moments, find_nearest
+from quadtree_lss.core.landing.sweeps import disc_moments, find_distances, find_nearest
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -17,6 +17,9 @@ Mask = NDArray[np.bool_]
 
 FAR = 16
 """Beyond so many steps one distance transform takes less than a step at a time."""
+
+NEAR = 126
+"""Distances of so many steps fit ``sweeps.find_distances``."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ def disc(radius: float, side: float) -> Disc:
 def disc_means(values: Array, over: Disc) -> Array:
     """Means over the disc of each grid point: (n, n) cells to (n + 1, n + 1)."""
     out, none = np.empty((len(values) + 1,) * 2), np.empty((0, 0))
-    disc_moments(values, over.half, out, none, none)
+    disc_moments(values, 0.0, over.half, out, none, none)
     out /= len(over.x)
     return out
 
@@ -80,9 +83,9 @@ def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
     at its edge goes on.
     """
     over = disc(radius, side)
-    level = float(np.nanmean(elevation))
+    level = float(np.mean(elevation))
     height, slope_x, slope_y = np.empty((3, len(elevation) + 1, len(elevation) + 1))
-    disc_moments(elevation - level, over.half, height, slope_x, slope_y)
+    disc_moments(elevation, level, over.half, height, slope_x, slope_y)
     for slope in (slope_x, slope_y):
         slope /= side * np.sum((over.x / side) ** 2)
     height /= len(over.x)
@@ -101,23 +104,23 @@ def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return out
 
 
-def mean_of_corners(points: Array) -> Array:
-    """Mean of the four grid points of each cell: (n + 1, n + 1) to (n, n)."""
-    pairs = points[:-1] + points[1:]
-    out: Array = 0.25 * (pairs[:, :-1] + pairs[:, 1:])
-    return out
-
-
-def distance_from(marked: Mask, side: float) -> Array:
+def distance_from(marked: Mask, side: float, limit: float = np.inf) -> Array:
     """Distance in m of each point to the nearest marked one, infinite if none is marked.
 
     Args:
         marked: (ny, nx).
         side: Of the lattice, m.
+        limit: What is farther than this may be told to be infinitely far, m.
     """
     if not marked.any():
         return np.full(marked.shape, np.inf)
-    out: Array = np.sqrt(nearest_marked(marked)[0]) * side
+    if limit >= NEAR * side:
+        return np.asarray(np.sqrt(nearest_marked(marked)[0]) * side)
+    far = int(limit / side) + 1
+    lengths = np.sqrt(np.arange(far**2 + 1)) * side
+    lengths[-1] = np.inf
+    out = np.empty(marked.shape)
+    find_distances(np.ascontiguousarray(marked).view(np.uint8), lengths, far, out)
     return out
 
 

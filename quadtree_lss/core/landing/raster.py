@@ -118,6 +118,9 @@ def lay_out(
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     half = 0.5 * side
+    # Of a feature, column by column: its share, and the square of the distance.
+    shares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
+    squares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
     with cython.nogil:
         for k in range(z.shape[0]):
             middle = 0.5 * (width[k] - 1)
@@ -137,17 +140,19 @@ def lay_out(
             # Eq. 57: a bell is a product of two normal densities times its volume k^2.
             sigma, volume = feature[k, 4], feature[k, 1] * feature[k, 1]
             high = volume / (2.0 * M_PI * sigma * sigma)
-            for i in range(row[k], row[k] + width[k]):
-                y = (i - row[k] - middle) * side - feature[k, 3]
+            for j in range(width[k]):
+                x = (j - middle) * side - feature[k, 2]
+                shares[j] = bell_share(x, half, sigma)
+                squares[j] = max(max(x - half, -x - half), 0.0) ** 2
+            for i in range(width[k]):
+                y = (i - middle) * side - feature[k, 3]
                 share = bell_share(y, half, sigma) * volume / (side * side)
-                near_y = max(max(y - half, -y - half), 0.0)
-                for j in range(column[k], column[k] + width[k]):
-                    x = (j - column[k] - middle) * side - feature[k, 2]
-                    near_x = max(max(x - half, -x - half), 0.0)
-                    layers[3, i, j] = share * bell_share(x, half, sigma)
-                    square = near_x * near_x + near_y * near_y
-                    raised = high * exp(-0.5 * square / (sigma * sigma))
-                    layers[4, i, j] = raised if raised >= NEGLIGIBLE else 0.0
+                square = max(max(y - half, -y - half), 0.0) ** 2
+                for j in range(width[k]):
+                    layers[3, row[k] + i, column[k] + j] = share * shares[j]
+                    raised = high * exp(-0.5 * (squares[j] + square) / (sigma * sigma))
+                    if raised >= NEGLIGIBLE:
+                        layers[4, row[k] + i, column[k] + j] = raised
 
 
 def bell_share(x: float, half: float, sigma: float) -> float:

@@ -25,7 +25,7 @@ from quadtree_lss.core.landing.restrictions import Restrictions
 from quadtree_lss.core.landing.score import (
     PointAssessment,
     assess_points,
-    greatest_in_zones,
+    greatest_about,
     ground_radius,
     room_about,
     seen_about,
@@ -112,7 +112,7 @@ class LandingSiteSelector:
             self._choose(nothing, lambda row, column: reason, reason)
             return nothing_mapped(cells, self._answers, reason, x, y)
         features = hazards.avoided_features(cells, lss)
-        inside = seen_about(raster)
+        inside = seen_about(raster, lss)
         fails = self._fails_at_touchdown(raster, inside)
         points = assess_points(cells, raster, features, inside, fails, lss)
         at = GridSampler(domain, x, y)
@@ -233,6 +233,7 @@ class LandingSiteSelector:
         where = tuple(np.array(places, dtype=np.intp).reshape(-1, 2).T)
         place = np.column_stack([x[where[1]], y[where[0]]])
         centre = at.lattice(*where)
+        rough, raised = greatest_about(points, *centre)
         planes, zone = points.planes, 0.5 * lss.vehicle_diameter + lss.margin
         along_x, along_y = planes.slope_x[centre], planes.slope_y[centre]
         normal = np.column_stack([-along_x, -along_y, np.ones_like(along_x)])
@@ -241,9 +242,9 @@ class LandingSiteSelector:
             normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
             score=score[where],
             slope_deg=np.degrees(points.slope[centre]),
-            roughness=greatest_in_zones(points.roughness, points.zone, *centre),
+            roughness=rough,
             hazard_distance=room_about(points, domain, zone, place[:, 0], place[:, 1]),
-            subscale_height=greatest_in_zones(points.subscale, points.zone, *centre),
+            subscale_height=raised,
             id=self._target.places.numbers(place, self._reach()),
             reasons=(),
         )

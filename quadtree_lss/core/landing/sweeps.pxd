@@ -1,5 +1,6 @@
 cpdef void disc_moments(
     double[:, ::1] cells,
+    double level,
     Py_ssize_t[::1] half,
     double[:, ::1] total,
     double[:, ::1] along_x,
@@ -7,4 +8,17 @@ cpdef void disc_moments(
 )
 cpdef void find_nearest(
     const unsigned char[:, ::1] marked, int[:, ::1] square, int[:, ::1] place
+)
+cpdef void find_distances(
+    const unsigned char[:, ::1] marked, const double[::1] lengths, short far, double[:, ::1] out
+)
+cpdef void score_density(
+    const double[:, ::1] slope,
+    const double[:, ::1] near,
+    const double[:, ::1] inside,
+    const double[:, ::1] subscale,
+    const int[:, ::1] leaf,
+    const double[::1] of_leaf,
+    const double[::1] weights,
+    double[:, ::1] out,
 )

@@ -13,7 +13,9 @@ Places = NDArray[np.int32]
 
 
 @cython.boundscheck(False)
-def disc_moments(cells: Array, half: Index, total: Array, along_x: Array, along_y: Array) -> None:
+def disc_moments(
+    cells: Array, level: float, half: Index, total: Array, along_x: Array, along_y: Array
+) -> None:
     """Sums of z, x z and y z over the disc of each grid point, x and y from it in cells.
 
     A disc is a stack of centred runs of cells, and the sum of a run is a difference of sums from
@@ -21,6 +23,7 @@ def disc_moments(cells: Array, half: Index, total: Array, along_x: Array, along_
 
     Args:
         cells: (n, n).
+        level: What the z are over.
         half: (2 reach,) half width of the disc in each row, in cells.
         total, along_x, along_y: (n + 1, n + 1), set; of the last two none if they are empty.
     """
@@ -31,39 +34,48 @@ def disc_moments(cells: Array, half: Index, total: Array, along_x: Array, along_
     east: cython.Py_ssize_t
     west: cython.Py_ssize_t
     n: cython.Py_ssize_t = cells.shape[0]
-    reach: cython.Py_ssize_t = half.shape[0] // 2
+    rows: cython.Py_ssize_t = half.shape[0]
+    reach: cython.Py_ssize_t = rows // 2
     slopes: cython.bint = along_x.shape[0] > 0
-    sums = cython.declare(cython.double[:, :, ::1], np.zeros((2, n + 2 * reach, n + 2 * reach + 1)))
+    # Of the rows in reach alone: each takes the place of the one that went out of it.
+    sums = cython.declare(cython.double[:, :, ::1], np.zeros((2, rows, n + rows + 1)))
     with cython.nogil:
-        for i in range(n + 2 * reach):
+        for i in range(n + rows):
             row = min(max(i - reach, 0), n - 1)
-            for j in range(n + 2 * reach):
-                z = cells[row, min(max(j - reach, 0), n - 1)]
-                sums[0, i, j + 1] = sums[0, i, j] + z
-                sums[1, i, j + 1] = sums[1, i, j] + (j + 0.5) * z
-        for i in range(n + 1):
-            total[i, :] = 0.0
+            k = i % rows
+            so_far, so_far_x = 0.0, 0.0
+            for j in range(n + rows):
+                z = cells[row, min(max(j - reach, 0), n - 1)] - level
+                so_far += z
+                so_far_x += (j + 0.5) * z
+                sums[0, k, j + 1], sums[1, k, j + 1] = so_far, so_far_x
+            row = i + 1 - rows
+            if row < 0:
+                continue
+            total[row, :] = 0.0
             if slopes:
-                along_x[i, :] = 0.0
-                along_y[i, :] = 0.0
-            for k in range(2 * reach):
-                if half[k] == 0:
+                along_x[row, :] = 0.0
+                along_y[row, :] = 0.0
+            for k in range(rows):
+                east, west = reach + half[k], reach - half[k]
+                if east == west:
                     continue
-                east = reach + half[k]
-                west = reach - half[k]
+                i_k: cython.Py_ssize_t = (row + k) % rows
                 y = k - reach + 0.5
                 if not slopes:
                     for j in range(n + 1):
-                        total[i, j] += sums[0, i + k, j + east] - sums[0, i + k, j + west]
+                        total[row, j] += sums[0, i_k, j + east] - sums[0, i_k, j + west]
                     continue
+                # Two loops: the compiler leaves one over all arrays as it is.
                 for j in range(n + 1):
-                    z = sums[0, i + k, j + east] - sums[0, i + k, j + west]
-                    total[i, j] += z
-                    along_y[i, j] += y * z
-                    along_x[i, j] += sums[1, i + k, j + east] - sums[1, i + k, j + west]
+                    z = sums[0, i_k, j + east] - sums[0, i_k, j + west]
+                    total[row, j] += z
+                    along_y[row, j] += y * z
+                for j in range(n + 1):
+                    along_x[row, j] += sums[1, i_k, j + east] - sums[1, i_k, j + west]
             if slopes:
                 for j in range(n + 1):
-                    along_x[i, j] -= (j + reach) * total[i, j]
+                    along_x[row, j] -= (j + reach) * total[row, j]
 
 
 @cython.boundscheck(False)
@@ -103,8 +115,14 @@ def find_nearest(marked: NDArray[np.uint8], square: Places, place: Places) -> No
                 # Of two alike the southern one; far ones lie below the lattice.
                 near[i, j] = last if last >= i and last - i < i - k else k
         for i in range(rows):
+            last = 0
             for j in range(columns):
                 height[j] = (i - near[i, j]) * (i - near[i, j])
+                last |= height[j]
+            if last == 0:
+                for j in range(columns):
+                    square[i, j], place[i, j] = 0, i * columns + j
+                continue
             top = 0
             vertex[0] = 0
             begin[0] = 0
@@ -131,3 +149,99 @@ def find_nearest(marked: NDArray[np.uint8], square: Places, place: Places) -> No
                 place[i, j] = near[i, k] * columns + k
                 if j == begin[top]:
                     top -= 1
+
+
+@cython.boundscheck(False)
+def find_distances(
+    marked: NDArray[np.uint8], lengths: Array, far: cython.short, out: Array
+) -> None:
+    """Distances to marked points that are near, in two sweeps that take eight points at a time.
+
+    Args:
+        marked: (ny, nx).
+        lengths: (far^2 + 1,) what is told of each square of a distance in steps, of those of
+            ``far`` and more the last.
+        far: Steps, 127 at the most: the sum of two squares fits into 16 bits.
+        out: (ny, nx), set.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    z: cython.short
+    east: cython.short
+    away: cython.short
+    widest: cython.short
+    most: cython.short = far
+    rows: cython.Py_ssize_t = marked.shape[0]
+    columns: cython.Py_ssize_t = marked.shape[1]
+    near = cython.declare(cython.short[:, ::1], np.full((rows, columns), far, dtype=np.int16))
+    height = cython.declare(cython.short[::1], np.full(columns + 2 * far, far**2, dtype=np.int16))
+    least = cython.declare(cython.short[::1], np.empty(columns, dtype=np.int16))
+    with cython.nogil:
+        for i in range(rows):
+            for j in range(columns):
+                z = near[max(i - 1, 0), j] + 1
+                z = z if z < most else most
+                near[i, j] = 0 if marked[i, j] else z
+        for i in range(rows - 2, -1, -1):
+            for j in range(columns):
+                z = near[i + 1, j] + 1
+                near[i, j] = z if z < near[i, j] else near[i, j]
+        for i in range(rows):
+            widest = 0
+            for j in range(columns):
+                z = near[i, j]
+                widest = z if z > widest else widest
+                least[j] = height[j + most] = z * z
+            for k in range(1, widest):
+                away = k * k
+                for j in range(columns):
+                    z, east = height[j + most - k], height[j + most + k]
+                    z = (z if z < east else east) + away
+                    least[j] = z if z < least[j] else least[j]
+            for j in range(columns):
+                out[i, j] = lengths[least[j]]
+
+
+@cython.boundscheck(False)
+def score_density(
+    slope: Array,
+    near: Array,
+    inside: Array,
+    subscale: Array,
+    leaf: Places,
+    of_leaf: Array,
+    weights: Array,
+    out: Array,
+) -> None:
+    """Eq. 58 on the finest cells: the mean of what is said of the four grid points of each.
+
+    Args:
+        slope, near, inside: (n + 1, n + 1) rad, and to the nearest hazard, and to ground that is
+            unseen or outside, m.
+        subscale: (n, n) m.
+        leaf: (n, n) row of the leaf over each cell; of_leaf: (M,) what is said of it.
+        weights: (4,) of slope, the distance to the nearest hazard, and features, and the distance
+            beyond which it is of no more worth, m.
+        out: (n, n), set.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    n: cython.Py_ssize_t = leaf.shape[0]
+    lines = cython.declare(cython.double[:, ::1], np.empty((2, n + 1)))
+    south: cython.Py_ssize_t
+    north: cython.Py_ssize_t
+    with cython.nogil:
+        for i in range(n + 1):
+            north, south = i % 2, (i + 1) % 2
+            for j in range(n + 1):
+                z = near[i, j] if near[i, j] < inside[i, j] else inside[i, j]
+                z = z if z < weights[3] else weights[3]
+                lines[north, j] = weights[0] * slope[i, j] - weights[1] * z
+            if i == 0:
+                continue
+            for j in range(n):
+                z = lines[south, j] + lines[north, j]
+                z = 0.25 * (z + (lines[south, j + 1] + lines[north, j + 1]))
+                z += of_leaf[leaf[i - 1, j]]
+                out[i - 1, j] = z + weights[2] * subscale[i - 1, j]

@@ -18,11 +18,10 @@ cdef class Lander:
     cdef readonly Py_ssize_t yaws, reach, width, blocks, highs, nears, spoiler, heading
     cdef readonly bint bounded
     cdef double[:, :, ::1] ground
-    cdef unsigned char[:, ::1] changed
     cdef double[::1] cos, sin, offset
-    cdef Py_ssize_t[::1] pad_place, half, which
+    cdef Py_ssize_t[::1] pad_place, half, begin, which
     cdef Py_ssize_t[:, ::1] high
-    cdef float[::1] pad_x, pad_y, top, pad, slope_x, slope_y, run, floor, spread, roof, height
+    cdef float[::1] away, pad_x, pad_y, top, pad, slope_x, slope_y, run, floor, spread, roof, height
     cdef float[:, ::1] stand, near
 
     cpdef void stand_on(
@@ -33,16 +32,20 @@ cdef class Lander:
         double[:, ::1] subscale,
     )
     cpdef void judge(
-        self, const unsigned char[:, ::1] due, signed char[:, ::1] verdict, Py_ssize_t block
+        self,
+        const unsigned char[:, ::1] due,
+        const unsigned char[:, ::1] changed,
+        signed char[:, ::1] verdict,
+        Py_ssize_t block,
     )
     cdef void judge_block(
         self,
         const unsigned char[:, ::1] due,
+        bint forget,
         signed char[:, ::1] verdict,
         Py_ssize_t row,
         Py_ssize_t column,
     ) noexcept nogil
-    cdef bint touched(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil
     cdef void load(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil
     cdef void set_down(self) noexcept nogil
     cdef void cover(self) noexcept nogil

@@ -34,6 +34,7 @@ from quadtree_lss.core.tree.domain import Domain
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Marks = NDArray[np.uint8]
 
 if not cython.compiled:  # otherwise from the .pxd
     from math import fabs, sqrt
@@ -58,6 +59,7 @@ class TouchdownCheck:
     def __init__(self, config: LssConfig) -> None:
         self.config = config
         self._domain: Domain | None = None
+        self._layers: tuple[Array, ...] = ()
 
     def unsafe(self, raster: TerrainRaster, candidates: Mask) -> Mask:
         """Grid points (n + 1, n + 1) at which some heading fails; False where not a candidate.
@@ -66,15 +68,19 @@ class TouchdownCheck:
             raster: The map on its finest cells.
             candidates: (n + 1, n + 1) points to check; their lander circle lies inside the domain.
         """
+        layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
         if raster.domain != self._domain:
-            self._domain = raster.domain
+            self._domain, self._layers = raster.domain, ()
             self._lander = Lander(self.config, raster.domain)
             self._verdict = np.full(candidates.shape, UNKNOWN, dtype=np.int8)
-        layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
+        changed = np.zeros(raster.leaf.shape, dtype=np.bool_)
+        for layer, before in zip(layers, self._layers, strict=False):
+            changed |= layer != before
+        self._layers = layers
         self._lander.stand_on(*layers)
-        due = candidates.view(np.uint8)
+        due, other = candidates.view(np.uint8), changed.view(np.uint8)
         for block in range(self._lander.blocks):  # between them a signal can end it
-            self._lander.judge(due, self._verdict, block)
+            self._lander.judge(due, other, self._verdict, block)
         return np.asarray(candidates & (self._verdict == FAILS))
 
 
@@ -88,14 +94,15 @@ class Lander:
             radius), slopes in x and y, and the highest ground: plane, its rise to the corner,
             subscale feature (a bell fitted to part of a rock is low, so its own height counts and
             not the rock's).
-        changed: (N, N) cells whose ground is not that of the map before.
         reach: Cells from a grid point to the farthest that the lander at it can meet.
         width: Cells along the window of a block.
         offset: (width,) of their centres from the window's, m.
         pad_place: (4 yaws,) place in the window of the cell that a pad stands on, from that of the
             cell north-east of the grid point; four pads around the circle, heading by heading.
         pad_x, pad_y: (4 yaws,) of the pad from that cell's centre, m.
-        half: (2 reach,) half width of the disc of cells under the lander in each row, in cells.
+        half: (width + BLOCK,) half width of the disc of cells under the lander in each row of the
+            window, BLOCK rows to the south of it the first, in cells.
+        away: (width + BLOCK,) of the centres of those rows from a grid point, and of columns, m.
         top, pad, slope_x, slope_y: (width^2,) window over the block's plane: highest ground of
             each cell, height of a pad at its centre, slopes.
         stand: (4 yaws, BLOCK^2) heights of the pads at each grid point, over the plane, m.
@@ -104,6 +111,7 @@ class Lander:
         roof: (BLOCK^2,) highest ground under the lander, over the plane, m.
         high, height: Row and column in the window of the cells, ``highs`` of them, that may be in
             the way of some grid point, and their highest ground over the plane, m.
+        begin: (width + 1,) the first of them in each row.
         near: East and north of the grid point at hand and height over the plane of those,
             ``nears`` of them, that may be in its way, m.
         plane_x, plane_y: Slopes of the block's plane.
@@ -122,7 +130,6 @@ class Lander:
         self.blocks = domain.finest_count // BLOCK + 1
         around = self.blocks * BLOCK - 1 + 2 * self.reach
         self.ground = np.full((4, around, around), np.nan)
-        self.changed = np.zeros((around, around), dtype=np.uint8)
         # Cells beyond the circle may stand under the floor: then every one is compared.
         self.bounded = float(np.hypot(under.x, under.y).max()) <= self.radius
         yaw = np.arange(self.yaws) * (0.5 * np.pi / self.yaws)
@@ -134,9 +141,12 @@ class Lander:
         self.pad_place = row * self.width + column
         self.pad_x = (x - (column + 0.5) * side).astype(np.float32)
         self.pad_y = (y - (row + 0.5) * side).astype(np.float32)
-        half = np.zeros(2 * self.reach, dtype=np.intp)
-        np.maximum.at(half, under.row + self.reach, under.column + 1)
+        half = np.zeros(self.width + BLOCK, dtype=np.intp)
+        np.maximum.at(half, under.row + self.reach + BLOCK, under.column + 1)
         self.half = half
+        across = np.arange(self.width + BLOCK) - self.reach - BLOCK + 0.5
+        self.away = (across * side).astype(np.float32)
+        self.begin = np.zeros(self.width + 1, dtype=np.intp)
         self.top, self.pad, self.slope_x, self.slope_y = np.zeros(
             (4, self.width**2), dtype=np.float32
         )
@@ -153,47 +163,65 @@ class Lander:
     def stand_on(self, elevation: Array, slope_x: Array, slope_y: Array, subscale: Array) -> None:
         """Take the ground of a map, (n, n) each: height, slopes and features of finest cells."""
         i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
         r: cython.Py_ssize_t
         c: cython.Py_ssize_t
         n: cython.Py_ssize_t = elevation.shape[0]
-        around: cython.Py_ssize_t = self.changed.shape[0]
+        first: cython.Py_ssize_t = self.reach
+        after: cython.Py_ssize_t = self.reach + n
+        # In variables: the compiler takes two at a time of what cannot change under its hands.
+        half, pad, shape = 0.5 * self.side, self.pad_radius, 1.0 * SHAPE
         with cython.nogil:
-            for i in range(around):
-                r = min(max(i - self.reach, 0), n - 1)
-                for j in range(around):
-                    c = min(max(j - self.reach, 0), n - 1)
+            for i in range(self.ground.shape[1]):
+                r = min(max(i - first, 0), n - 1)
+                for c in range(n):
                     x, y = slope_x[r, c], slope_y[r, c]
-                    pad = elevation[r, c] + self.pad_radius * sqrt(x * x + y * y)
-                    rise = 0.5 * self.side * (fabs(x) + fabs(y))
-                    top = elevation[r, c] + rise + SHAPE * subscale[r, c]
-                    self.changed[i, j] = (
-                        pad != self.ground[0, i, j]
-                        or x != self.ground[1, i, j]
-                        or y != self.ground[2, i, j]
-                        or top != self.ground[3, i, j]
-                    )
-                    self.ground[0, i, j], self.ground[1, i, j] = pad, x
-                    self.ground[2, i, j], self.ground[3, i, j] = y, top
+                    self.ground[0, i, first + c] = elevation[r, c] + pad * sqrt(x * x + y * y)
+                for c in range(n):
+                    rise = half * (fabs(slope_x[r, c]) + fabs(slope_y[r, c]))
+                    self.ground[3, i, first + c] = elevation[r, c] + rise + shape * subscale[r, c]
+                for c in range(n):
+                    self.ground[1, i, first + c] = slope_x[r, c]
+                for c in range(n):
+                    self.ground[2, i, first + c] = slope_y[r, c]
+                for k in range(4):
+                    self.ground[k, i, :first] = self.ground[k, i, first]
+                    self.ground[k, i, after:] = self.ground[k, i, after - 1]
 
     def judge(
-        self, due: NDArray[np.uint8], verdict: NDArray[np.int8], block: cython.Py_ssize_t
+        self, due: Marks, changed: Marks, verdict: NDArray[np.int8], block: cython.Py_ssize_t
     ) -> None:
         """Bring the verdict on a row of blocks up to date after ``stand_on``.
 
         Args:
             due: (n + 1, n + 1) points that need one.
+            changed: (n, n) cells whose ground is not that of the map before.
             verdict: (n + 1, n + 1) ``UNKNOWN``, 0 if it stands, or ``FAILS``, changed in place.
             block: Number of the row, from the south.
         """
+        i: cython.Py_ssize_t
         j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        other: cython.bint
+        n: cython.Py_ssize_t = changed.shape[0]
+        first: cython.Py_ssize_t = max(block * BLOCK - self.reach, 0)
+        after: cython.Py_ssize_t = min(block * BLOCK - self.reach + self.width, n)
+        columns = cython.declare(cython.uchar[::1], np.zeros(n, dtype=np.uint8))
         with cython.nogil:
+            for i in range(first, after):
+                for j in range(n):
+                    columns[j] |= changed[i, j]
             for j in range(self.blocks):
-                self.judge_block(due, verdict, block * BLOCK, j * BLOCK)
+                other = False
+                k = j * BLOCK - self.reach
+                for i in range(max(k, 0), min(k + self.width, n)):
+                    other |= columns[i]
+                self.judge_block(due, other, verdict, block * BLOCK, j * BLOCK)
 
     def judge_block(
         self,
-        due: NDArray[np.uint8],
+        due: Marks,
+        forget: cython.bint,
         verdict: NDArray[np.int8],
         row: cython.Py_ssize_t,
         column: cython.Py_ssize_t,
@@ -201,7 +229,6 @@ class Lander:
         """``judge`` for the grid points of the block that begins at one."""
         r: cython.Py_ssize_t
         c: cython.Py_ssize_t
-        forget: cython.bint = self.touched(row, column)
         loaded: cython.bint = False
         for r in range(row, min(row + BLOCK, due.shape[0])):
             for c in range(column, min(column + BLOCK, due.shape[1])):
@@ -215,16 +242,6 @@ class Lander:
                     self.cover()
                     loaded = True
                 verdict[r, c] = self.fails(r - row, c - column)
-
-    def touched(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.bint:
-        """Whether a cell that a lander in the block can meet changed."""
-        r: cython.Py_ssize_t
-        c: cython.Py_ssize_t
-        for r in range(row, row + self.width):
-            for c in range(column, column + self.width):
-                if self.changed[r, c]:
-                    return True
-        return False
 
     def load(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
         """Take the ground of the window that begins at a cell.
@@ -292,6 +309,7 @@ class Lander:
         k: cython.Py_ssize_t
         half: cython.Py_ssize_t
         place: cython.Py_ssize_t
+        highs: cython.Py_ssize_t = 0
         self.run[:] = -FAR
         self.roof[:] = -FAR
         for half in range(1, self.reach + 1):
@@ -303,7 +321,7 @@ class Lander:
                     z = west if west > east else east
                     self.run[k + j] = z if z > self.run[k + j] else self.run[k + j]
             for i in range(2 * self.reach):
-                if self.half[i] == half:
+                if self.half[i + BLOCK] == half:
                     for k in range(BLOCK * BLOCK):
                         z = self.run[i * BLOCK + k]
                         self.roof[k] = z if z > self.roof[k] else self.roof[k]
@@ -312,17 +330,22 @@ class Lander:
             if self.roof[k] > self.floor[k] + self.limit and self.floor[k] < lowest:
                 lowest = self.floor[k]
         self.highs = self.spoiler = 0
+        if lowest == FAR:
+            return
+        lowest += self.limit
         for i in range(self.width):
+            self.begin[i] = highs
             for j in range(self.width):
-                if self.top[i * self.width + j] > lowest + self.limit:
-                    self.high[0, self.highs] = i
-                    self.high[1, self.highs] = j
-                    self.height[self.highs] = self.top[i * self.width + j]
-                    self.highs += 1
+                # Listed, and kept if it is higher: no branch for the processor to foresee.
+                z = self.top[i * self.width + j]
+                self.high[0, highs], self.high[1, highs], self.height[highs] = i, j, z
+                highs += z > lowest
+        self.begin[self.width] = self.highs = highs
 
     def fails(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.bint:
         """Whether the lander at a grid point of the block fails at some heading."""
         place: cython.Py_ssize_t = row * BLOCK + column
+        last: cython.Py_ssize_t
         lowest = self.floor[place] + self.limit
         tilt = sqrt(self.plane_x**2 + self.plane_y**2) + self.spread[place] / self.radius
         steep: cython.bint = tilt > self.steepest - ROUNDING
@@ -333,7 +356,8 @@ class Lander:
             if self.nears and self.fails_somewhere(place):
                 return True
             self.nears = 0
-            self.gather(row, column, lowest, 0, self.highs)
+            last = self.begin[row + 2 * self.reach]
+            self.gather(row, column, lowest, self.begin[row], last)
         return (steep or self.nears > 0) and self.fails_somewhere(place)
 
     def fails_somewhere(self, place: cython.Py_ssize_t) -> cython.bint:
@@ -367,17 +391,20 @@ class Lander:
     ) -> None:
         """List the cells under the lander at a grid point that are higher than ``above``."""
         k: cython.Py_ssize_t
-        i: cython.Py_ssize_t
         j: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        half: cython.Py_ssize_t
+        nears: cython.Py_ssize_t = 0
+        middle: cython.Py_ssize_t = self.reach + BLOCK
         for k in range(first, last):
-            if self.height[k] > above:
-                i, j = self.high[0, k] - row, self.high[1, k] - column - self.reach
-                if 0 <= i < 2 * self.reach and -self.half[i] <= j < self.half[i]:
-                    self.near[0, self.nears] = (j + 0.5) * self.side
-                    self.near[1, self.nears] = (i - self.reach + 0.5) * self.side
-                    self.near[2, self.nears] = self.height[k]
-                    self.which[self.nears] = k
-                    self.nears += 1
+            i, j = self.high[0, k] - row + BLOCK, self.high[1, k] - column + BLOCK
+            half = self.half[i]
+            # Without a branch, which no processor could foresee.
+            self.near[0, nears], self.near[1, nears] = self.away[j], self.away[i]
+            self.near[2, nears] = self.height[k]
+            self.which[nears] = k
+            nears += (self.height[k] > above) & (middle - half <= j) & (j < middle + half)
+        self.nears = nears
 
     def rests_badly(
         self,
@@ -394,13 +421,26 @@ class Lander:
             along, across: How much it rises in the heading and across it over a radius, m.
         """
         k: cython.Py_ssize_t
+        above: cython.int
+        z: cython.float
+        rise_x: cython.float
+        rise_y: cython.float
+        highest: cython.float
         x = along * self.cos[heading] - across * self.sin[heading]
         y = along * self.sin[heading] + across * self.cos[heading]
         steep_x, steep_y = x + self.plane_x, y + self.plane_y
         if steep_x * steep_x + steep_y * steep_y > self.steepest * self.steepest:
             return True
+        rise_x, rise_y, highest = x, y, centre + self.limit
+        above = 0
         for k in range(self.nears):
-            if self.near[2, k] - x * self.near[0, k] - y * self.near[1, k] > centre + self.limit:
+            z = self.near[2, k] - rise_x * self.near[0, k]
+            above += z - rise_y * self.near[1, k] > highest
+        if above == 0:
+            return False
+        for k in range(self.nears):
+            z = self.near[2, k] - rise_x * self.near[0, k]
+            if z - rise_y * self.near[1, k] > highest:
                 self.spoiler = self.which[k]
-                return True
-        return False
+                break
+        return True
