@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from quadtree_lss.commands.common import (
     DONE,
@@ -12,16 +13,25 @@ from quadtree_lss.commands.common import (
     add_json,
     named,
     not_negative,
+    positive,
     print_json,
     share,
     whole,
 )
-from quadtree_lss.commands.console import ProgressBar
+from quadtree_lss.commands.console import ProgressBar, first_line
 from quadtree_lss.config.yaml_text import YamlError, parse_yaml
+from quadtree_lss.errors import QuadtreeLssError
+
+if TYPE_CHECKING:
+    from quadtree_lss.flight.fly import Flown
+    from quadtree_lss.flight.settings import FlightSettings
+
+Progress = Callable[[float], None]
 
 TEXT = "Fly a simulated lander to a touchdown, guided by landing/selected."
 EXAMPLES = """examples:
-  quadtree-lss fly --lockstep --seed 7 --out flight7       (flight7/flight.html, touchdown.json)
+  quadtree-lss fly --seed 7 --out flight7                  (flight7/flight.html, touchdown.json)
+  quadtree-lss fly --lockstep --seed 7 --out lockstep7     (the same without ROS)
   quadtree-lss fly --lockstep --avoidance none --out straight
   quadtree-lss fly --lockstep --fault kill_mapping@60+3 --out fault
 """
@@ -36,7 +46,9 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--seed", type=whole(0), default=1, metavar="N", help="of ground, start, navigation, lidar")
     add("--out", required=True, type=named, metavar="DIR", help="folder for the results")
     text = "without ROS: the nodes' functions, called in the flight's own time"
-    add("--lockstep", action="store_true", required=True, help=text)
+    add("--lockstep", action="store_true", help=text)
+    text = "seconds of flight per second over ROS (default 1); /clock tells them"
+    add("--rate", type=positive, metavar="R", help=text)
     text = "by the nodes; with the paper's rules; straight to the planned point; by the truth"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
     add("--terrain", type=named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
@@ -54,18 +66,25 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quadtree_lss.flight.fly import flown
+    from quadtree_lss.flight.fly import flown, least_propellant
     from quadtree_lss.flight.page import write_flight
     from quadtree_lss.flight.settings import flight_settings
 
     settings = flight_settings(_values(options))
+    alone = options.lockstep or options.avoidance in ("none", "perfect")
+    if alone and options.rate is not None:
+        options.parser.error("--rate: only over ROS, not with --lockstep")
     with ProgressBar("fly", "s", options.verbose) as bar:
-        done = flown(
-            options.seed,
-            settings,
-            reference=options.reference,
-            progress=lambda seconds: bar.update(seconds, LONGEST),
-        )
+
+        def progress(seconds: float) -> None:
+            bar.update(seconds, LONGEST)
+
+        if alone:
+            done = flown(options.seed, settings, progress=progress)
+        else:
+            done = _live(options, settings, progress)
+    if options.reference:
+        done.figures.update(least_propellant(done.flight))
     write_flight(options.out, done, page=not options.no_page)
     if options.json:
         print_json(done.figures)
@@ -73,6 +92,17 @@ def _run(options: argparse.Namespace) -> int:
         _print(done.figures)
         print(f"results in {options.out}")
     return DONE
+
+
+def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progress) -> Flown:
+    try:
+        from quadtree_lss.ros.flight import fly_live
+    except ImportError as error:
+        msg = f"ROS 2 is not here ({first_line(error)}); --lockstep flies without"
+        raise QuadtreeLssError(msg) from None
+    rate = 1.0 if options.rate is None else options.rate
+    live = options.out / "nodes"
+    return fly_live(options.seed, settings, live, rate=rate, progress=progress).flown
 
 
 def _values(options: argparse.Namespace) -> dict[str, Any]:

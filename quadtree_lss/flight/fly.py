@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +13,10 @@ import numpy as np
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.assessment import LandingAssessment
-from quadtree_lss.flight.flight import Flight
+from quadtree_lss.flight.flight import TICK, Flight
 from quadtree_lss.flight.ground import Ground
 from quadtree_lss.flight.onboard import Onboard
+from quadtree_lss.flight.pilot import Target
 from quadtree_lss.flight.reference import Descent, NoReference
 from quadtree_lss.flight.settings import FlightSettings, flight_settings
 
@@ -87,12 +89,26 @@ def flown(
         if progress is not None and int(100 * flight.time) % 100 == 0:
             progress(flight.time)
     last = None if onboard is None else onboard.last
-    figures = {"seed": seed, "avoidance": settings.avoidance, **flight.result()}
-    figures |= map_said(last, figures)
-    figures["scans"] = 0 if onboard is None else onboard.scans
+    figures = figures_of(seed, flight, last)
     if reference:
         figures |= least_propellant(flight)
     return Flown(flight, figures, last)
+
+
+def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:
+    """What became of a flight, ready for JSON."""
+    figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
+    return figures | map_said(last, figures)
+
+
+def flown_again(seed: int, settings: FlightSettings, heard: Iterable[tuple[int, Target]]) -> Flight:
+    """The flight whose guidance heard these answers at these ticks: none computes."""
+    flight, answers = Flight(seed, settings), deque(heard)
+    while not flight.outcome:
+        flight.step()
+        while answers and answers[0][0] <= round(flight.time / TICK):
+            flight.hear(answers.popleft()[1])
+    return flight
 
 
 def flight_config(settings: FlightSettings, ground: Ground) -> Config:

@@ -35,7 +35,7 @@ class Ground:
 
     @classmethod
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
-        """As the settings say.
+        """As the settings say; on a large DEM the planned point lies anywhere within 100 m.
 
         Raises:
             SimulationError: the terrain cannot be read.
@@ -48,6 +48,9 @@ class Ground:
         xmin, xmax, ymin, ymax = terrain.bounds
         x, y = GRID * round(0.5 * (xmin + xmax) / GRID), GRID * round(0.5 * (ymin + ymax) / GRID)
         room = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0
+        if settings.terrain:
+            spread = float(np.clip(room - settings.half, 0.0, 100.0))
+            x, y = (c + GRID * round(generator.uniform(-spread, spread) / GRID) for c in (x, y))
         planned = np.array([x, y, float(terrain.elevation_at(x, y))])
         return cls(terrain, planned, min(settings.half, room))
 

@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
     Point,
+    Point32,
+    PointStamped,
+    Polygon,
+    PolygonStamped,
     Pose,
     PoseArray,
     PoseWithCovariance,
@@ -27,19 +31,25 @@ if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs
     from quadtree_lss.core.landing.sites import LandingAssessment
 
 __all__ = [
+    "TYPES",
     "cloud_records",
     "header_message",
     "landing_messages",
     "map_from_messages",
     "map_messages",
     "message_maker",
+    "packed",
     "target_messages",
     "time_message",
 ]
 
-_TYPES = {
+TYPES = {
     "builtin_interfaces/msg/Time": Time,
     "geometry_msgs/msg/Point": Point,
+    "geometry_msgs/msg/Point32": Point32,
+    "geometry_msgs/msg/PointStamped": PointStamped,
+    "geometry_msgs/msg/Polygon": Polygon,
+    "geometry_msgs/msg/PolygonStamped": PolygonStamped,
     "geometry_msgs/msg/Pose": Pose,
     "geometry_msgs/msg/PoseArray": PoseArray,
     "geometry_msgs/msg/PoseWithCovariance": PoseWithCovariance,
@@ -55,7 +65,7 @@ _TYPES = {
 
 def message_maker(frame: str) -> MessageMaker:
     """Builder of the output messages in a frame."""
-    return MessageMaker(_TYPES, _packed, frame)
+    return MessageMaker(TYPES, packed, frame)
 
 
 def map_messages(cells: CellMap, frame: str) -> tuple[PointCloud2, OccupancyGrid]:
@@ -93,5 +103,6 @@ def header_message(stamp: int, frame: str) -> Header:
     return Header(stamp=time_message(stamp), frame_id=frame)
 
 
-def _packed(values: NDArray[Any]) -> array[int]:
+def packed(values: NDArray[Any]) -> array[int]:
+    """What rclpy takes unlooked for an array of bytes."""
     return array(values.dtype.char, values.tobytes())
