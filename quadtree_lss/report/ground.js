@@ -50,8 +50,19 @@ function heightAt(x, y) { // the leaf's plane; bridged where the leaf was not me
 function light() { // of each cell from the north-west, 128 for level ground
   const { n, z } = fine, shade = fine.shade = new Uint8Array(n * n);
   const gx = new Float32Array(n * n), gy = new Float32Array(n * n), steep = [];
+  const middle = k => [leaves.xmin + (k % n + 0.5) * fine.size,
+                       leaves.ymin + (Math.floor(k / n) + 0.5) * fine.size];
+  const large = Math.log2(leaves.size / fine.size) - 2; // level of leaves four cells wide
+  const beside = (k, v) => { // between large planes a step of less than the noise is none
+    const r = fine.leaf[k];
+    if (r === fine.leaf[v] || r < 0 || !leaves.z || !leaves.measured[r] ||
+        leaves.level[r] > large) return z[v];
+    const goes = planeAt(r, ...middle(v));
+    return Math.abs(z[v] - goes) < data.noise ? goes : z[v];
+  };
   const rise = (k, a, b) => { // between neighbours, or the cell and the one that is there
-    const high = Number.isNaN(z[b]) ? z[k] : z[b], low = Number.isNaN(z[a]) ? z[k] : z[a];
+    const high = Number.isNaN(z[b]) ? z[k] : beside(k, b);
+    const low = Number.isNaN(z[a]) ? z[k] : beside(k, a);
     const steps = (b !== k && !Number.isNaN(z[b])) + (a !== k && !Number.isNaN(z[a]));
     return steps ? (high - low) / (steps * fine.size) : 0;
   };

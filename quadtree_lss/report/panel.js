@@ -4,7 +4,7 @@
 function options(select, none) {
   select.innerHTML = (none ? `<option value="">${none}</option>` : "") +
     Object.entries(LAYERS).map(([name, layer]) =>
-      `<option value="${name}">${layer.title}${layer.unit ? `, ${layer.unit}` : ""}</option>`).join("");
+      `<option value="${name}">${layer.title}</option>`).join("");
 }
 function setLayer(name) {
   view.layer = byId("layer").value = name;

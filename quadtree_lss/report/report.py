@@ -113,7 +113,10 @@ def _warnings(summary: Mapping[str, Any]) -> str:
 def _sites(content: Content) -> str:
     sites = content.sites
     if not len(sites["x"]):
-        return '<p class="note">No site. The answer above says what limits.</p>'
+        return (
+            '<p class="note">No site: the answer above says what limits. On the map, ? is the'
+            " nearest miss and the dashed circle the largest one of clear ground.</p>"
+        )
     chosen = [
         ("x", "m", "x", "{:.2f}"),
         ("y", "m", "y", "{:.2f}"),
