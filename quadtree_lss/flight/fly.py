@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.config.loading import load_config
-from quadtree_lss.config.settings import Config
+from quadtree_lss.config.settings import Config, config_from_values
 from quadtree_lss.core.landing.assessment import LandingAssessment
 from quadtree_lss.flight.flight import TICK, Flight
 from quadtree_lss.flight.ground import Ground
@@ -112,16 +112,15 @@ def flown_again(seed: int, settings: FlightSettings, heard: Iterable[tuple[int, 
 
 
 def flight_config(settings: FlightSettings, ground: Ground) -> Config:
-    """``config/morpheus.yaml`` about the planned point, with what the settings say."""
-    config = load_config(["morpheus"])
-    size = config.domain.size
-    over = {
-        f"domain.{axis}min": float(ground.planned[k]) - 0.5 * size for k, axis in enumerate("xy")
+    """``config/flight.yaml`` with what the settings say, the domain about the planned point."""
+    config = load_config(["flight"], dict(settings.config), origin="settings")
+    half = 0.5 * config.domain.size
+    over: dict[str, Any] = {
+        f"domain.{axis}min": float(ground.planned[k]) - half for k, axis in enumerate("xy")
     }
-    over |= {"lss.margin": 0.5, "lss.weight_target": 0.004}
     if settings.avoidance == "paper":
         over["lss.assessment"] = "paper"
-    return load_config(["morpheus"], {**over, **settings.config})
+    return config_from_values(over, config)
 
 
 def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict[str, Any]:

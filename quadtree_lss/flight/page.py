@@ -54,7 +54,7 @@ def write_flight(out: Path, flown: Flown, *, page: bool = True) -> None:
 
 def figure(flown: Flown) -> Figure:
     """Side view, ground with scans and diverts, touchdown with the pads."""
-    whole = Figure(figsize=(13.0, 8.2), layout="constrained")
+    whole = Figure(figsize=(13.0, 8.6), layout="constrained")
     grid = whole.add_gridspec(2, 2, height_ratios=(1.0, 1.9))
     _side(whole.add_subplot(grid[0, :]), flown)
     _above(whole.add_subplot(grid[1, 0]), flown)
@@ -70,18 +70,20 @@ def _side(axes: Axes, flown: Flown) -> None:
     away = rows[:, 1] - place[0]
     axes.plot(away, height, color=PATH, lw=2)
     axes.axhline(flight.settings.rules.latest_divert, color="0.5", lw=1, ls=":")
-    for d in _told(flown):
-        k = int(np.abs(rows[:, 0] - d.time).argmin())
+    for number, (began, what) in enumerate(_episodes(flown)):
+        k = int(np.abs(rows[:, 0] - began).argmin())
         axes.plot(away[k], height[k], "o", color=PLACE, zorder=3)
+        above = number % 2 == 0
         axes.annotate(
-            f"{d.time:.1f} s {d.what}",
+            f"{began:.1f} s: {what}",
             (away[k], height[k]),
             textcoords="offset points",
-            xytext=(6, 6),
+            xytext=(6, 14) if above else (-6, -18),
+            ha="left" if above else "right",
             fontsize="small",
         )
     axes.set(xlabel="from the planned point along the approach [m]", ylabel="height [m]")
-    axes.set_title(_headline(flown), fontsize="medium")
+    axes.set_title(headline(flown), fontsize="medium")
     axes.grid(alpha=0.3)
 
 
@@ -154,7 +156,20 @@ def _told(flown: Flown) -> list[Decision]:
     return [d for d in flown.flight.pilot.decisions if d.what not in ("too late", "out of reach")]
 
 
-def _headline(flown: Flown) -> str:
+def _episodes(flown: Flown) -> list[tuple[float, str]]:
+    """Decisions with the time of the first of each group that are less than 2 s apart."""
+    groups: list[tuple[float, float, list[str]]] = []
+    for d in _told(flown):
+        if groups and d.time - groups[-1][1] < 2.0:
+            began, _, whats = groups.pop()
+            groups.append((began, d.time, [*whats, d.what]))
+        else:
+            groups.append((d.time, d.time, [d.what]))
+    return [(began, ", ".join(whats)) for began, _, whats in groups]
+
+
+def headline(flown: Flown) -> str:
+    """What became of a flight, in a line."""
     f = flown.figures
     if f["outcome"] != "touchdown":
         return f"seed {f['seed']}: {f['outcome']} after {f['time']:.1f} s"
@@ -180,7 +195,7 @@ def _page(flown: Flown, picture: bytes) -> str:
     return PAGE.format(
         seed=flown.figures["seed"],
         title="A flight that lands by landing/selected",
-        summary=html.escape(_headline(flown)),
+        summary=html.escape(headline(flown)),
         image=base64.b64encode(picture).decode(),
         decisions=decisions,
         figures="".join(row(item) for item in values.items()),

@@ -2,7 +2,7 @@
 """A simulated descent through the real nodes, over DDS, and the same bag offline.
 
 ``make demo`` runs this: bag → nodes → ranked sites, then the offline replay of the bag, and a
-comparison of the two.
+comparison of the two; then a lander that flies by the nodes' answers.
 """
 
 from __future__ import annotations
@@ -24,8 +24,11 @@ from numpy.typing import NDArray
 from quadtree_lss.config.loading import find_config
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.flight.page import headline, write_flight
+from quadtree_lss.flight.settings import flight_settings
 from quadtree_lss.messages.maps import SITE_FIELDS
 from quadtree_lss.replay.results import write_cells
+from quadtree_lss.ros.flight import fly_live
 from quadtree_lss.ros.listener import Listener
 from quadtree_lss.ros.messages import cloud_records, map_from_messages
 from quadtree_lss.ros.player import play
@@ -205,8 +208,20 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     print(f"   of a site {sites:.1e} relative (the topic is float32)")
     agree = cells[name] == 0.0 and sites <= SITE_TOLERANCE
     print("   The same map and the same sites." if agree else "   THEY DIFFER.")
-    print(f"\nPictures: {offline / 'report.html'} and {offline / 'figures'}/*.png")
+    print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
+    print(f"   {_fly(out / 'lander', seed)}")
+    print(f"\nPictures: {offline / 'report.html'} and {offline / 'figures'}/*.png,")
+    print(f"   {out / 'lander' / 'flight.html'}")
     return agree
+
+
+def _fly(folder: Path, seed: int) -> str:
+    """A short flight in closed loop, with its page; what became of it in a line."""
+    shutil.rmtree(folder, ignore_errors=True)
+    short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "plan": {"survey": 4.0}}
+    flown = fly_live(seed, flight_settings(short), folder / "nodes").flown
+    write_flight(folder, flown)
+    return headline(flown)
 
 
 def _live_rows(result: LiveResult) -> list[dict[str, str]]:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from quadtree_lss.config.loading import dump_config, find_config, load_config, read_values
 from quadtree_lss.config.settings import Config, ConfigError, config_from_values, parameters
 
-SHIPPED = ("default", "morpheus", "parabola", "parabola_fixed")
+SHIPPED = ("default", "morpheus", "parabola", "parabola_fixed", "flight")
 
 
 @pytest.fixture
