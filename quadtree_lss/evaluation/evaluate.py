@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from quadtree_lss.evaluation.metrics import (
     Detection,
     ElevationError,
     MissedPlace,
+    SafetyField,
     SiteVerdict,
     detection,
     elevation_error,
@@ -26,7 +27,13 @@ from quadtree_lss.evaluation.metrics import (
     site_verdicts,
 )
 from quadtree_lss.evaluation.provenance import check_truth, recorded_bag, results_config
-from quadtree_lss.evaluation.results import EvaluationError, Results, load_results, load_truth
+from quadtree_lss.evaluation.results import (
+    EvaluationError,
+    Results,
+    Truth,
+    load_results,
+    load_truth,
+)
 from quadtree_lss.replay.results import plain
 
 if TYPE_CHECKING:
@@ -129,10 +136,10 @@ def evaluate(
 ) -> EvaluationResult:
     """Score the results of ``replay`` in ``results_dir`` against ``truth.npz``.
 
-    Writes ``evaluation.json`` and, unless ``figures`` is false, PNG figures into ``out`` (default:
-    ``results_dir/evaluation``). For the ``consistency`` of Table 2 the recording is mapped again
-    with the results' ``config.yaml``: ``bag``, by default the one that ``summary.json`` names if
-    it is still there; ``progress(done, total)`` counts its scans.
+    Writes ``evaluation.json`` and, unless ``figures`` is false, ``report.html`` and PNG figures
+    into ``out`` (default: ``results_dir/evaluation``). For the ``consistency`` of Table 2 the
+    recording is mapped again with the results' ``config.yaml``: ``bag``, by default the one that
+    ``summary.json`` names if it is still there; ``progress(done, total)`` counts its scans.
 
     Raises `EvaluationError` when a file is missing or malformed, when results, truth and bag are
     not of one flight (`provenance.check_truth`), or when the map and the truth do not overlap.
@@ -184,8 +191,24 @@ def evaluate(
         figures=written,
         notes=tuple(notes),
     )
+    if figures:
+        result = _with_page(result, Path(results_dir), truth, safety)
     text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
     (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+    return result
+
+
+def _with_page(
+    result: EvaluationResult, results_dir: Path, truth: Truth, safety: SafetyField
+) -> EvaluationResult:
+    """Writes ``report.html``; with a note if the results have not what it shows."""
+    from quadtree_lss.evaluation.page import evaluation_page
+
+    try:
+        text = evaluation_page(results_dir, truth, safety, result)
+    except KeyError as error:
+        return replace(result, notes=(*result.notes, f"report.html: the results lack {error}"))
+    (result.out / "report.html").write_text(text, encoding="utf-8")
     return result
 
 

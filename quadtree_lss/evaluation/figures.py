@@ -39,10 +39,10 @@ def draw_all(
         {
             cells: figures_map.cells_and_scans(results, truth),
             "fig11_processing_time.png": figures_map.processing_time({"map": results.map_ms}),
-            error: figures_map.elevation_error(heights, truth, figures_map.SATURATION),
+            error: figures_map.elevation_error(heights, truth),
             "fig18_quadtree_over_truth.png": figures_map.quadtree_over_truth(leaves, truth),
             "fig19_elevation_estimate.png": figures_map.elevation_estimate(heights, truth),
-            "fig20_elevation_error.png": figures_map.elevation_error(heights, truth),
+            "fig20_elevation_error.png": figures_map.elevation_error(heights, truth, centred=True),
             "fig21_true_safety.png": figures_sites.true_safety(truth),
             "fig22_classification.png": figures_sites.classification(safety, truth, sites),
             scores: figures_sites.score(grid, truth, sites),

@@ -18,12 +18,11 @@ from quadtree_lss.evaluation.plotting import (
     image,
     limits,
     map_axes,
+    relief,
     truth_window,
 )
 from quadtree_lss.evaluation.results import FloatArray, Leaves, Results, Truth
-
-SATURATION = 3.0
-"""m; Figs. 12 and 13 saturate there, so that they can be compared."""
+from quadtree_lss.report.palette import MAPS, even_limits
 
 EVERY = 5
 """Figs. 9 and 10 show the outline of every fifth scan."""
@@ -85,10 +84,10 @@ def quadtree_over_truth(leaves: Leaves, truth: Truth) -> Figure:
     figure, axes = map_axes(f"Quadtree over the true elevation: {title}", box)
     x, y, z = truth_window(truth, box)
     low, high = limits(z)
-    shown = image(axes, x, y, z, cmap="cividis", vmin=low, vmax=high)
+    shown = relief(axes, x, y, z, low, high)
     figure.colorbar(shown, ax=axes, label="true elevation [m]", extend="both")
     axes.add_collection(
-        LineCollection(list(_edges(leaves)), colors="black", linewidths=_width(leaves))
+        LineCollection(list(_edges(leaves)), colors="black", linewidths=_width(leaves), alpha=0.4)
     )
     return figure
 
@@ -99,29 +98,34 @@ def elevation_estimate(heights: ErrorField, truth: Truth) -> Figure:
     figure, axes = map_axes("Elevation estimate; contours: truth", box)
     estimate = np.where(heights.seen, heights.estimate, np.nan)
     low, high = limits(truth.elevation_at(*np.meshgrid(heights.x, heights.y))[heights.seen])
-    shown = image(axes, heights.x, heights.y, estimate, cmap="cividis", vmin=low, vmax=high)
+    shown = relief(axes, heights.x, heights.y, estimate, low, high)
     figure.colorbar(shown, ax=axes, label="elevation [m]", extend="both")
     contours(axes, truth, box)
     return figure
 
 
-def elevation_error(heights: ErrorField, truth: Truth, top: float | None = None) -> Figure:
-    """Absolute elevation error over seen ground (Fig. 20; with ``top`` = 3 m Figs. 12, 13)."""
+def elevation_error(heights: ErrorField, truth: Truth, *, centred: bool = False) -> Figure:
+    """Estimate minus truth over seen ground (Figs. 12, 13; ``centred``, without the mean, Fig. 20).
+
+    The scale holds 99 % of the errors; the paper's saturates at 3 m, where most do not show.
+    """
     box = _seen_box(heights)
-    error = np.abs(heights.error)
-    finite = error[np.isfinite(error)]
-    if top is None:
-        top = max(float(np.percentile(finite, 99.5)) if finite.size else 1.0, 0.05)
+    mean = float(np.nanmean(heights.error)) if centred and heights.seen.any() else 0.0
+    error = heights.error - mean
+    finite = np.abs(error[np.isfinite(error)])
+    low, high = even_limits(error)
     title = "Elevation error: nothing to compare"
     if finite.size:
         title = (
             f"Elevation error: mean absolute {finite.mean():.3f} m, largest {finite.max():.2f} m"
+            + (f"; mean of {mean:+.3f} m removed" if centred else "")
         )
     figure, axes = map_axes(title, box)
     axes.set_facecolor("#dddddd")
-    shown = image(axes, heights.x, heights.y, error, cmap="viridis", vmin=0.0, vmax=top)
-    label = "|estimate − truth| [m]; grey: not seen"
-    figure.colorbar(shown, ax=axes, label=label, extend="max")
+    options = {"cmap": MAPS["error"], "vmin": low, "vmax": high}
+    shown = image(axes, heights.x, heights.y, error, **options)
+    label = "estimate − truth [m]; grey: not seen"
+    figure.colorbar(shown, ax=axes, label=label, extend="both")
     contours(axes, truth, box)
     return figure
 

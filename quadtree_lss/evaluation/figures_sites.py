@@ -11,13 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from quadtree_lss.evaluation.metrics import ErrorField, SafetyField
+from quadtree_lss.evaluation.page import VERDICTS, verdict_classes
 from quadtree_lss.evaluation.plotting import (
-    FALSE_ALARM,
     HAZARD_FOUND,
-    MISSED,
     RUNS,
     SAFE_FOUND,
-    UNSEEN_GROUND,
     around,
     contours,
     image,
@@ -25,6 +23,7 @@ from quadtree_lss.evaluation.plotting import (
     map_axes,
     mark,
     outline,
+    relief,
 )
 from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Truth
 
@@ -44,19 +43,8 @@ def true_safety(truth: Truth) -> Figure:
 def classification(safety: SafetyField, truth: Truth, sites: FloatArray) -> Figure:
     """Verdict against truth, point by point, with the best sites (Fig. 22)."""
     figure, axes = map_axes("Classification of terrain and the best sites", around(truth))
-    called = safety.called_safe & safety.seen
-    kind = np.select(
-        [
-            ~safety.scored,
-            safety.truly_safe & called,
-            ~safety.truly_safe & ~called,
-            safety.truly_safe & ~called,
-        ],
-        [4, 0, 1, 2],
-        3,
-    )
-    labels = ["safe, found", "hazard, found", "safe, called hazardous", "hazard, MISSED", "unseen"]
-    colours = [SAFE_FOUND, HAZARD_FOUND, FALSE_ALARM, MISSED, UNSEEN_GROUND]
+    kind = verdict_classes(safety)
+    labels, colours = zip(*VERDICTS, strict=True)
     image(axes, safety.x, safety.y, kind, cmap=ListedColormap(colours), vmin=0, vmax=4)
     shares = np.bincount(kind.ravel(), minlength=5) / max(kind.size, 1)
     handles = [
@@ -91,7 +79,7 @@ def selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, FloatAr
     figure, axes = map_axes("Selected landing sites over the mapped terrain", around(truth))
     estimate = np.where(heights.seen, heights.estimate, np.nan)
     low, high = limits(estimate)
-    shown = image(axes, heights.x, heights.y, estimate, cmap="cividis", vmin=low, vmax=high)
+    shown = relief(axes, heights.x, heights.y, estimate, low, high)
     figure.colorbar(shown, ax=axes, label="estimated elevation [m]", extend="both")
     outline(axes, truth)
     several = len(runs) > 1

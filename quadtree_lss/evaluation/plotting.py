@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the figures share: axes in metres, images on a lattice, contours, scale bars, colours.
 
-Colour maps are cividis and viridis: perceptually even and legible without red and green.
+Colour maps are those of the page (`report.palette`), legible without red and green.
 Classes have colours of Okabe and Ito's palette, distinct for all common kinds of colour vision.
 """
 
@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle, Rectangle
 from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.evaluation.results import FloatArray, Truth
+from quadtree_lss.report.palette import MAPS, shaded
 from quadtree_lss.simulation.safety import Lander
 
 _CONTOUR_SMOOTHING = 0.25  # m
@@ -78,6 +81,17 @@ def image(
     shown = axes.imshow(values, origin="lower", extent=extent, **style)  # type: ignore[arg-type]
     axes.set(xlim=limits[0], ylim=limits[1])
     return shown
+
+
+def relief(
+    axes: Axes, x: FloatArray, y: FloatArray, z: FloatArray, low: float, high: float
+) -> ScalarMappable:
+    """Elevations (ny, nx) as on the page: in its colours, lit from the north-west."""
+    scale = ScalarMappable(Normalize(low, high), MAPS["elevation"])
+    colours = scale.to_rgba(np.ma.masked_invalid(z))[..., :3]
+    colours[~np.isfinite(z)] = 1.0
+    image(axes, x, y, shaded(colours, z, float(x[1] - x[0])))
+    return scale
 
 
 def truth_window(truth: Truth, box: Box) -> tuple[FloatArray, FloatArray, FloatArray]:

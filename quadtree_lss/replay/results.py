@@ -112,7 +112,7 @@ def remove_report(out: Path) -> None:
     for name in FIGURES:
         (out / "figures" / f"{name}.png").unlink(missing_ok=True)
     folder = out / "evaluation"
-    for path in (*folder.glob("fig[0-9][0-9]_*.png"), folder / "evaluation.json"):
+    for path in (*folder.glob("fig[0-9][0-9]_*.png"), folder / "evaluation.json", folder / REPORT):
         path.unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # not there, or somebody else's files in it
         folder.rmdir()

@@ -148,6 +148,10 @@ function panel() {
   };
   rows();
   document.addEventListener("keydown", keys);
+  window.addEventListener("hashchange", () => { // a link to a place
+    recall(); draw();
+    byId("frame").scrollIntoView({ block: "nearest" });
+  });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     legend(); draw(); resizePlots();
   });

@@ -64,13 +64,27 @@ def _png(figure: Figure) -> bytes:
     return content.getvalue()
 
 
-def page(content: Content, *, title: str = "", layers: Sequence[Layer] = (), more: str = "") -> str:
-    """The page as text; ``layers`` come first, ``more`` is markup below the view."""
+def page(
+    content: Content,
+    *,
+    title: str = "",
+    layers: Sequence[Layer] = (),
+    lead: str = "",
+    more: str = "",
+) -> str:
+    """The page as text.
+
+    Args:
+        content: What it shows.
+        title: Plain text; by default the bag's name.
+        layers: Shown before those of the results.
+        lead, more: Markup below the answer and below the first screen.
+    """
     title = title or f"Landing sites from {short_name(content.summary['bag'])}"
     data, columns = page_data(content, layers)
     return document(
         title,
-        _body(content, title, more),
+        _body(content, title, lead, more),
         data=data,
         columns=columns,
         scripts=SCRIPTS,
@@ -79,7 +93,7 @@ def page(content: Content, *, title: str = "", layers: Sequence[Layer] = (), mor
     )
 
 
-def _body(content: Content, title: str, more: str) -> str:
+def _body(content: Content, title: str, lead: str, more: str) -> str:
     summary = content.summary
     answer, ground = headline(content)
     none = "" if len(content.sites["x"]) else " none"
@@ -91,7 +105,7 @@ def _body(content: Content, title: str, more: str) -> str:
         f'<div class="first"><header><h1>{escape(title)}</h1>'
         f"<span>{escape(when(content))}</span></header>\n"
         f'<p class="verdict{none}"><b>{escape(answer)}</b> {escape(ground)}</p>\n'
-        f"{_warnings(summary)}\n{view}\n</div>{more}\n{_reasons(content)}\n{timing}\n"
+        f"{lead}{_warnings(summary)}\n{view}\n</div>{more}\n{_reasons(content)}\n{timing}\n"
         f'<div class="columns"><div><h2>Run</h2>\n{plain_table(_run(summary))}</div>\n'
         f"<div><h2>Input</h2>\n{plain_table(_input(summary))}{_points(summary)}</div></div>\n"
         f"<h2>Configuration</h2>\n{_configuration(content.config)}\n{_licences()}"

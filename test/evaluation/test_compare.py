@@ -20,9 +20,12 @@ def test_a_row_for_each_run_and_figures_of_all(tmp_path):
     assert list(result.runs) == ["ff13", "ff14"]
     assert result.runs["ff13"].detection.safe_found == 1.0
     assert result.runs["ff14"].detection.safe_found < 0.6
-    *rows, note = result.table().splitlines()
-    assert [row.split()[0] for row in rows] == ["run", "ff13", "ff14"]
-    assert note == "ff13, ff14: Table 2: needs --bag"
+    lines = result.table().splitlines()
+    assert [row.split()[0] for row in lines[:3]] == ["run", "ff13", "ff14"]
+    assert lines[3:] == [
+        "ff13, ff14: Table 2: needs --bag",
+        "ff13, ff14: report.html: the results lack 'config'",
+    ]
     assert not (second / "evaluation").exists()
     assert {path.name for path in result.figures} == {
         "fig11_processing_time.png",
