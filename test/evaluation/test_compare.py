@@ -24,7 +24,7 @@ def test_a_row_for_each_run_and_figures_of_all(tmp_path):
     assert [row.split()[0] for row in lines[:3]] == ["run", "ff13", "ff14"]
     assert lines[3:] == [
         "ff13, ff14: Table 2: needs --bag",
-        "ff13, ff14: report.html: the results lack 'config'",
+        "ff13, ff14: report.html: the results lack 'bag'",
     ]
     assert not (second / "evaluation").exists()
     assert {path.name for path in result.figures} == {
