@@ -45,6 +45,7 @@ TOPICS = {
         "landing/status",
         "landing/hazards",
         "landing/score",
+        "landing/grid_map",
         "landing/probability",
         "landing/markers",
     ),

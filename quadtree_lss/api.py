@@ -14,6 +14,7 @@ from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.intake import ReadyScan
 from quadtree_lss.replay.bags import Bag, BagError
 from quadtree_lss.replay.elevation_model import rank_sites
+from quadtree_lss.replay.export import export_results
 from quadtree_lss.replay.info import BagInfo, inspect_bag
 from quadtree_lss.replay.replay import ReplayError, ReplayResult, replay
 from quadtree_lss.replay.saved import Grid, Results, ResultsError, load_results
@@ -44,6 +45,7 @@ __all__ = [
     "Sites",
     "Step",
     "Suggestion",
+    "export_results",
     "inspect_bag",
     "load_config",
     "load_results",

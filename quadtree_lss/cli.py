@@ -17,6 +17,7 @@ from quadtree_lss.commands import (
     completion,
     config,
     evaluate,
+    export,
     fly,
     info,
     replay,
@@ -112,6 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     replay.add(commands)
     sites.add(commands)
+    export.add(commands)
     info.add(commands)
     config.add(commands)
     simulate.add(commands)

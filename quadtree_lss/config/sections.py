@@ -429,7 +429,7 @@ class PublishConfig:
     )
     marker_rate: float = _p(
         1.0,
-        "markers for viewers per second at most, while somebody subscribes",
+        "markers and landing/grid_map for viewers per second at most, while somebody subscribes",
         unit="Hz",
         low=0.01,
         high=100.0,

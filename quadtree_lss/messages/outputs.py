@@ -57,6 +57,12 @@ TOPIC_TYPES = {
 }
 """Relative names of the outputs and their types."""
 
+GRID_MAP, GRID_MAP_TYPE = "landing/grid_map", "grid_map_msgs/msg/GridMap"
+"""Sent live where ``grid_map_msgs`` is installed, and always recorded."""
+GRID_MAP_LAYERS = ("elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
+GRID_MAP_LAYERS += ("probability",)
+"""Layers of it, as far as the assessment has them."""
+
 Fields = tuple[tuple[str, str], ...]
 Named = tuple[str, Any]
 """Relative name of a topic, and a message."""
@@ -127,7 +133,7 @@ class MessageMaker:
 
     Args:
         types: Message class by name, such as ``nav_msgs/msg/OccupancyGrid``.
-        pack: What the classes take as an array of uint8 or int8.
+        pack: What the classes take as an array of uint8, int8 or float32.
         frame: Frame of the map.
     """
 
@@ -158,6 +164,45 @@ class MessageMaker:
         yield SCORE, self.grid(encode_score(assessment), corner, spacing, stamp)
         yield SITE_TABLE, self.cloud(encode_sites(assessment), SITE_FIELDS, stamp)
         yield SITES, self.sites(assessment)
+
+    def grid_map(self, assessment: LandingAssessment) -> Any:
+        """``landing/grid_map``: all layers of the landing grid, NaN where unknown."""
+        x, y = assessment.x, assessment.y
+        spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
+        found = {name: getattr(assessment, name, None) for name in GRID_MAP_LAYERS}
+        layers = {name: values for name, values in found.items() if values is not None}
+        middle = (0.5 * float(x[0] + x[-1]), 0.5 * float(y[0] + y[-1]), 0.0)
+        info = self._make(
+            "grid_map_msgs/msg/GridMapInfo",
+            resolution=spacing,
+            length_x=spacing * len(x),
+            length_y=spacing * len(y),
+            pose=self._pose(middle, (0.0, 0.0, 0.0, 1.0)),
+        )
+        return self._make(
+            GRID_MAP_TYPE,
+            header=self._header(assessment.stamp_ns),
+            info=info,
+            layers=list(layers),
+            basic_layers=["elevation"],
+            data=[self.grid_map_layer(values) for values in layers.values()],
+            outer_start_index=0,
+            inner_start_index=0,
+        )
+
+    def grid_map_layer(self, values: NDArray[Any]) -> Any:
+        """One layer (ny, nx) as grid_map keeps it: column by column.
+
+        Row 0 is that of the greatest x, column 0 that of the greatest y.
+        """
+        ny, nx = values.shape
+        dimensions = [
+            self._make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=stride)
+            for label, size, stride in (("column_index", ny, ny * nx), ("row_index", nx, nx))
+        ]
+        layout = self._make("std_msgs/msg/MultiArrayLayout", dim=dimensions, data_offset=0)
+        turned = np.ascontiguousarray(values[::-1, ::-1], np.float32).ravel()
+        return self._make("std_msgs/msg/Float32MultiArray", layout=layout, data=self._pack(turned))
 
     def of_target(self, assessment: LandingAssessment, age: float) -> Iterator[Named]:
         """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown."""

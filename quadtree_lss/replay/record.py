@@ -21,7 +21,7 @@ from rosbags.rosbag2.errors import WriterError
 
 from quadtree_lss.core.landing.sites import LandingAssessment
 from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.messages.outputs import TOPIC_TYPES, MessageMaker
+from quadtree_lss.messages.outputs import GRID_MAP, GRID_MAP_TYPE, TOPIC_TYPES, MessageMaker
 from quadtree_lss.replay.stream import ReplayError
 from quadtree_lss.replay.types import typestore
 
@@ -47,22 +47,31 @@ class Recorder:
         path: Folder to write, which must not exist.
         frame: Of the map.
         maps: Write maps too; not for a bag that holds them already.
+        viewer_rate: ``landing/grid_map``, which is large, at most so often in the bag's time, Hz,
+            and the last.
 
     Raises:
         ReplayError: ``path`` exists or cannot be written.
     """
 
-    def __init__(self, path: Path, frame: str, *, maps: bool = True) -> None:
+    def __init__(
+        self, path: Path, frame: str, *, maps: bool = True, viewer_rate: float = 1.0
+    ) -> None:
         self._path, self._maps = path, maps
         self._writer = self._open()
         self._store = typestore(ros1=False)
         self._messages = MessageMaker(self._store.types, np.asarray, frame)
         self._connections: dict[str, Any] = {}
+        self._period_ns = round(1e9 / viewer_rate)
+        self._viewed_ns: int | None = None
+        self._unseen: tuple[int, LandingAssessment] | None = None
 
     def __enter__(self) -> Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._unseen is not None:
+            self._view(*self._unseen)
         self._writer.close()
         if not self._connections:  # an empty bag is of no use
             shutil.rmtree(self._path, ignore_errors=True)
@@ -78,6 +87,13 @@ class Recorder:
         age = 1e-9 * (now_ns - found.stamp_ns) if found.stamp_ns else float("nan")
         for topic, message in self._messages.of_landing(found, age):
             self._write(topic, message, now_ns)
+        self._unseen = (now_ns, found)
+        if self._viewed_ns is None or abs(now_ns - self._viewed_ns) >= self._period_ns:
+            self._view(now_ns, found)
+
+    def _view(self, now_ns: int, found: LandingAssessment) -> None:
+        self._viewed_ns, self._unseen = now_ns, None
+        self._write(GRID_MAP, self._messages.grid_map(found), now_ns)
 
     def _open(self) -> Writer:
         try:
@@ -96,7 +112,7 @@ class Recorder:
         return writer
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:
-        kind = TOPIC_TYPES[topic]
+        kind = GRID_MAP_TYPE if topic == GRID_MAP else TOPIC_TYPES[topic]
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 f"/{topic}", kind, typestore=self._store, offered_qos_profiles=[LATCHED]

@@ -94,7 +94,8 @@ def replay(
             history = run.history = History()
             sinks: list[Sink] = [history]
             if record is not None:
-                recorder = Recorder(Path(record), config.frames.map, maps=pairs is None)
+                options = {"maps": pairs is None, "viewer_rate": config.publish.marker_rate}
+                recorder = Recorder(Path(record), config.frames.map, **options)
                 sinks.append(stack.enter_context(recorder))
             passes = run.passes = Passes(config, wishes.arguments, sinks)
             cells = (

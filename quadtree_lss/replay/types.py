@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from quadtree_lss.messages.landing_inputs import POINT_TYPE, POLYGON_TYPE
-from quadtree_lss.messages.outputs import CLOUD_TYPE, GRID_TYPE, POSES_TYPE
+from quadtree_lss.messages.outputs import CLOUD_TYPE, GRID_MAP_TYPE, GRID_TYPE, POSES_TYPE
 
 SCAN_TYPE = CLOUD_TYPE
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -158,11 +158,28 @@ bool is_dense
 }
 
 
+_GRID_MAP = (
+    "std_msgs/Header header\ngrid_map_msgs/GridMapInfo info\nstring[] layers\n"
+    "string[] basic_layers\nstd_msgs/Float32MultiArray[] data\nuint16 outer_start_index\n"
+    "uint16 inner_start_index\n",
+    "\nMSG: grid_map_msgs/GridMapInfo\nfloat64 resolution\nfloat64 length_x\nfloat64 length_y\n"
+    "geometry_msgs/Pose pose\n",
+    "\nMSG: std_msgs/Float32MultiArray\nstd_msgs/MultiArrayLayout layout\nfloat32[] data\n",
+    "\nMSG: std_msgs/MultiArrayLayout\nstd_msgs/MultiArrayDimension[] dim\nuint32 data_offset\n",
+    "\nMSG: std_msgs/MultiArrayDimension\nstring label\nuint32 size\nuint32 stride\n",
+    _POSE,
+    _POINT,
+    _QUATERNION,
+)
+
+
 def typestore(ros1: bool) -> Typestore:
     """Decoder of the types above as ROS 1 or ROS 2 serialises them."""
     header = _HEADER.format(sequence="uint32 seq\n" if ros1 else "")
     store = get_typestore(Stores.EMPTY)
-    for name, parts in _DEFINITIONS.items():
+    # That of ROS 2: in ROS 1 the header is elsewhere.
+    definitions = _DEFINITIONS if ros1 else _DEFINITIONS | {GRID_MAP_TYPE: _GRID_MAP}
+    for name, parts in definitions.items():
         separator = "=" * 80
         text = separator.join((*parts, header, _TIME))
         store.register(get_types_from_msg(text, name))

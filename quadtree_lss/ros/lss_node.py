@@ -20,7 +20,7 @@ from quadtree_lss.ros.announce import announce
 from quadtree_lss.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Status
 from quadtree_lss.ros.landing_inputs import LandingInputs
 from quadtree_lss.ros.markers import MarkerPublisher, site_markers
-from quadtree_lss.ros.messages import landing_messages
+from quadtree_lss.ros.messages import GridMap, grid_map_message, landing_messages
 from quadtree_lss.ros.monitor import Durations
 from quadtree_lss.ros.node_runner import run
 from quadtree_lss.ros.parameters import NodeParameters
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from quadtree_lss.core.landing.sites import LandingAssessment
 
 CELLS, OBSERVED = "map/cells", "map/observed"
+GRID_MAP = "landing/grid_map"
 LOOK_PERIOD_S = 0.2
 """How often the age of the map is looked at."""
 
@@ -87,6 +88,11 @@ class LssNode(Node):
             advertise(self, MarkerArray, "landing/markers", latched()),
             self._site_markers,
         )
+        self._grid_map = None
+        if GridMap is not None:
+            publisher = advertise(self, GridMap, GRID_MAP, latched())
+            rate = config.publish.marker_rate
+            self._grid_map = MarkerPublisher(self, rate, publisher, self._grid_map_message)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
         # This takes a while to load, in which the middleware already finds mapping_node.
@@ -160,6 +166,8 @@ class LssNode(Node):
             self._ask()
         self._tell_first(result)
         self._markers.changed()
+        if self._grid_map is not None:
+            self._grid_map.changed()
         latency = self._diagnostics.latency_ms(result.stamp_ns)
         if new and latency is not None:
             self._latency_ms.add(latency)
@@ -180,6 +188,9 @@ class LssNode(Node):
             return None
         lss = self._settings.config.lss
         return site_markers(self._result, self._map.frame, 0.5 * lss.vehicle_diameter + lss.margin)
+
+    def _grid_map_message(self) -> Any:
+        return None if self._result is None else grid_map_message(self._result, self._map.frame)
 
     def _collect(self, status: Status) -> None:
         self._map.take()

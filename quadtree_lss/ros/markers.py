@@ -46,12 +46,12 @@ OTHER_COLOUR = ColorRGBA(r=0.2, g=0.6, b=1.0, a=1.0)
 
 
 class MarkerPublisher:
-    """Publishes markers on a slow timer, only while somebody subscribes and something changed.
+    """Publishes what is for viewers on a slow timer, while somebody subscribes and it changed.
 
     Args:
         node: Owner of the timer.
         rate: Hz.
-        publisher: Of a ``MarkerArray``.
+        publisher: Of a ``MarkerArray`` or another message.
         build: The message, or its bytes.
     """
 

@@ -22,7 +22,7 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Header
+from std_msgs.msg import Float32MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.outputs import MessageMaker, cloud_records, map_from_messages
@@ -31,8 +31,10 @@ if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs
     from quadtree_lss.core.landing.sites import LandingAssessment
 
 __all__ = [
+    "GridMap",
     "TYPES",
     "cloud_records",
+    "grid_map_message",
     "header_message",
     "landing_messages",
     "map_from_messages",
@@ -59,8 +61,18 @@ TYPES = {
     "nav_msgs/msg/OccupancyGrid": OccupancyGrid,
     "sensor_msgs/msg/PointCloud2": PointCloud2,
     "sensor_msgs/msg/PointField": PointField,
+    "std_msgs/msg/Float32MultiArray": Float32MultiArray,
     "std_msgs/msg/Header": Header,
+    "std_msgs/msg/MultiArrayDimension": MultiArrayDimension,
+    "std_msgs/msg/MultiArrayLayout": MultiArrayLayout,
 }
+
+try:  # no part of a bare ROS
+    from grid_map_msgs.msg import GridMap, GridMapInfo
+except ImportError:
+    GridMap = None
+else:
+    TYPES |= {"grid_map_msgs/msg/GridMap": GridMap, "grid_map_msgs/msg/GridMapInfo": GridMapInfo}
 
 
 def message_maker(frame: str) -> MessageMaker:
@@ -85,6 +97,11 @@ def landing_messages(
         age: Of the map, s; NaN if unknown.
     """
     return dict(message_maker(frame).of_landing(assessment, age))
+
+
+def grid_map_message(assessment: LandingAssessment, frame: str) -> Any:
+    """``landing/grid_map``, where `GridMap` is not None."""
+    return message_maker(frame).grid_map(assessment)
 
 
 def target_messages(assessment: LandingAssessment, frame: str, age: float) -> dict[str, Any]:

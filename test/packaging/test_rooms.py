@@ -24,7 +24,7 @@ MAY_IMPORT = {
     "messages": f"config {CORE}",
     "report": f"config {CORE}",
     "exchange": f"config {CORE}",
-    "replay": f"config {CORE} messages report exchange build",
+    "replay": f"config {CORE} messages report exchange plot build",
     "simulation": "build",
     "flight": f"config {CORE} messages replay simulation",
     "ros": f"build config {CORE} messages replay flight",

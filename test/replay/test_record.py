@@ -49,7 +49,7 @@ def recorded(tmp_path_factory):
 
 
 def messages(path):
-    """(topic, time, message) by a reader and types that are not ours."""
+    """(topic, time, message) by a reader that is not ours; types of the bag's own definitions."""
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         for connection, received, raw in reader.messages():
             yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
@@ -62,8 +62,9 @@ def test_all_products_at_their_rates_in_the_time_of_the_bag(recorded):
         times.setdefault(topic, []).append(received)
         assert message.header.frame_id == "map"
         assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec <= received
-    assert times.keys() == MAPS | LANDING
-    for names, rate in ((MAPS, 5.0), (LANDING, 2.0)):
+    assert times.keys() == MAPS | LANDING | {"/landing/grid_map"}
+    assert times["/landing/grid_map"][-1] == times["/landing/sites"][-1]
+    for names, rate in ((MAPS, 5.0), (LANDING, 2.0), ({"/landing/grid_map"}, 1.0)):
         for name in names:
             gaps = np.diff(times[name]) / 1e9
             assert len(gaps) >= 2 and (gaps[:-1] >= 1.0 / rate - 1e-6).all()  # the last at once

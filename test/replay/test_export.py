@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results for other programs, read back by other programs' libraries."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace as changed
+
+import numpy as np
+import pytest
+import yaml
+from replay.recordings import GROUND, write_ros2
+from replay.test_cli import run
+
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.exchange.libraries import ExchangeError
+from quadtree_lss.messages.maps import encode_hazards
+from quadtree_lss.replay.export import FORMATS, export_results
+from quadtree_lss.replay.replay import replay
+from quadtree_lss.replay.saved import Grid, load_results
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("export")
+    bag = write_ros2(folder / "bag", scans=10)
+    return replay(bag, folder / "out", config_from_values(GROUND), report=False)
+
+
+def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    paths = export_results(written.out, tmp_path, ["geotiff"], crs="EPSG:32611")
+    grid = load_results(written.out).grid
+    assert {path.stem for path in paths} == {*grid.layers, "map_height", "map_deviation"}
+    for name, values in grid.layers.items():
+        with rasterio.open(tmp_path / f"{name}.tif") as file:
+            assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG" and file.crs == "EPSG:32611"
+            assert file.descriptions == (name,)
+            x, y = grid.x[5], grid.y[40]
+            (pixel,) = file.sample([(x, y)])
+            np.testing.assert_allclose(pixel[0], np.float32(values[40, 5]))
+            np.testing.assert_allclose(file.read(1), values[::-1].astype(file.dtypes[0]))
+    with rasterio.open(tmp_path / "map_height.tif") as file:
+        (pixel,) = file.sample([(1.3, 2.1)])
+        side, place = written.cells.domain.finest_size, np.array([1.3, 2.1])
+        corner = (written.cells.domain.xmin, written.cells.domain.ymin)
+        middle = corner + (np.floor((place - corner) / side) + 0.5) * side
+        np.testing.assert_allclose(pixel[0], written.cells.at(*middle).height, rtol=1e-6)
+
+
+def test_a_new_layer_of_the_grid_comes_by_itself(written, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    results = load_results(written.out)
+    grid = results.grid
+    more = {**grid.layers, "chance": np.linspace(0.0, 1.0, grid["score"].size)}
+    more["chance"] = more["chance"].reshape(grid["score"].shape)
+    vars(results)["grid"] = Grid(grid.x, grid.y, more)
+    export_results(results, tmp_path, ["geotiff"])
+    with rasterio.open(tmp_path / "chance.tif") as file:
+        np.testing.assert_allclose(file.read(1), more["chance"][::-1], rtol=1e-6)
+        assert file.crs is None and np.isnan(file.nodata)
+
+
+def test_a_geotiff_is_an_elevation_model_again(written, tmp_path):
+    pytest.importorskip("rasterio")
+    from quadtree_lss.exchange.dem import read_dem
+
+    export_results(written.out, tmp_path, ["geotiff"])
+    model, grid = read_dem(tmp_path / "elevation.tif"), load_results(written.out).grid
+    np.testing.assert_allclose(model.x, grid.x)
+    np.testing.assert_allclose(model.y, grid.y)
+    np.testing.assert_allclose(model.elevation, grid["elevation"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("form", ["ply", "gltf"])
+def test_the_mesh_is_the_ground(written, tmp_path, form):
+    trimesh = pytest.importorskip("trimesh")
+    (path,) = export_results(written.out, tmp_path, [form])
+    mesh = trimesh.load(path, force="mesh", process=False)
+    vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.face_normals)
+    if form == "gltf":  # y up, as glTF has it
+        vertices, normals = (v[:, [0, 2, 1]] * (1.0, -1.0, 1.0) for v in (vertices, normals))
+    grid = load_results(written.out).grid
+    known = np.isfinite(grid["elevation"])
+    x, y = np.meshgrid(grid.x, grid.y)
+    expected = np.column_stack([x[known], y[known], grid["elevation"][known]])
+    assert len(vertices) == len(expected) and (normals[:, 2] > 0.5).all()
+    order = np.lexsort(np.round(vertices[:, :2], 3).T)
+    np.testing.assert_allclose(vertices[order], expected[np.lexsort(expected[:, :2].T)], atol=1e-5)
+    whole = known[1:, 1:] & known[1:, :-1] & known[:-1, 1:] & known[:-1, :-1]
+    assert len(mesh.faces) == 2 * np.count_nonzero(whole)
+    colours = np.asarray(mesh.visual.vertex_colors)[:, :3]
+    assert len(np.unique(colours, axis=0)) > 2
+
+
+def test_a_mesh_far_from_the_origin_is_moved_and_says_by_how_much(written, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    results = load_results(written.out)
+    grid = results.grid
+    vars(results)["grid"] = Grid(grid.x + 500_000.0, grid.y + 4_000_000.0, grid.layers)
+    path, note = export_results(results, tmp_path, ["ply"])
+    shift = np.array([float(v) for v in note.read_text().split()[-3:]])
+    moved = np.asarray(trimesh.load(path, process=False).vertices) + shift
+    np.testing.assert_allclose(moved[:, 0].min(), 500_000.0 + grid.x[0], atol=3.0)
+    steps = np.diff(np.unique(np.round(moved[:, 0], 3)))
+    np.testing.assert_allclose(steps, grid.spacing, atol=1e-3)
+
+
+def test_geojson_without_and_with_a_place_on_the_earth(written, tmp_path):
+    (path,) = export_results(written.out, tmp_path, ["geojson"])
+    local = json.loads(path.read_text())
+    sites = load_results(written.out).sites
+    points = [f for f in local["features"] if f["properties"]["kind"] == "site"]
+    assert "map frame" in local["coordinates"] and len(points) == len(sites["x"]) > 0
+    for k, feature in enumerate(points):
+        known = feature["properties"]
+        assert feature["geometry"]["coordinates"] == [sites[name][k] for name in "xyz"]
+        assert known["rank"] == k + 1 and known["id"] == sites["id"][k]
+    pytest.importorskip("rasterio")
+    (path,) = export_results(written.out, tmp_path, ["geojson"], origin=(38.0, -116.0))
+    world = json.loads(path.read_text())
+    assert "coordinates" not in world
+    for feature, placed in zip(local["features"], world["features"], strict=True):
+        if feature["geometry"]["type"] == "Point":
+            x, y, _ = feature["geometry"]["coordinates"]
+            longitude, latitude, _ = placed["geometry"]["coordinates"]
+            metre = np.radians(6_371_000.0)  # of a degree, on a sphere: to half a per cent
+            np.testing.assert_allclose((latitude - 38.0) * metre, y, atol=0.006 * 16)
+            east = (longitude + 116.0) * metre * np.cos(np.radians(38.0))
+            np.testing.assert_allclose(east, x, atol=0.006 * 16)
+        else:
+            (ring,) = placed["geometry"]["coordinates"]
+            assert ring[0] == ring[-1] and len(ring) == 49
+
+
+def test_map_server_reads_back_the_occupancy_grids(written, tmp_path):
+    """As nav2's map_server does in its mode trinary."""
+    export_results(written.out, tmp_path, ["map_server"])
+    found = written.assessment
+    landing = np.where(found.safe, 0, np.where(found.hazard >= 128, -1, 100))
+    for name, expected in (("hazards", encode_hazards(found)), ("landing", landing)):
+        told = yaml.safe_load((tmp_path / f"{name}.yaml").read_text())
+        content = (tmp_path / told["image"]).read_bytes()
+        header, size, most, pixels = content.split(b"\n", 3)
+        width, height = map(int, size.split())
+        assert header == b"P5" and most == b"255"
+        shade = np.frombuffer(pixels, np.uint8).reshape(height, width)[::-1] / 255.0
+        occupied = 1.0 - shade
+        values = np.full(shape := (height, width), -1)
+        values[occupied > told["occupied_thresh"]] = 100
+        values[occupied < told["free_thresh"]] = 0
+        assert shape == expected.shape
+        np.testing.assert_array_equal(values, expected)
+        np.testing.assert_allclose(told["origin"][0] + 0.5 * told["resolution"], found.x[0])
+
+
+def test_the_command_writes_all_of_it(written, tmp_path, capsys):
+    for name in ("rasterio", "trimesh"):
+        pytest.importorskip(name)
+    code, out, _ = run(capsys, "export", written.out, "--out", tmp_path / "all")
+    assert code == 0 and "elevation.tif" in out and "files in" in out
+    written_now = {path.name for path in (tmp_path / "all").iterdir()}
+    assert {"safe.tif", "ground.ply", "ground.glb", "sites.geojson", "landing.yaml"} <= written_now
+    code, out, _ = run(capsys, "export", written.out, "--format", "geojson", "--json", "-q")
+    assert json.loads(out)["files"] == [str(written.out / "exchange" / "sites.geojson")]
+    code, _, err = run(capsys, "export", written.out, "--format", "geotif")
+    assert code == 2 and "did you mean 'geotiff'?" in err
+    code, _, err = run(capsys, "export", written.out, "--crs", "EPSG:nonsense")
+    assert code == 1 and "is no coordinate reference system" in err and err.count("\n") == 1
+    code, _, err = run(capsys, "export", tmp_path)
+    assert code == 1 and "no folder that replay wrote" in err
+
+
+def test_both_a_system_and_an_origin_is_too_much(written, tmp_path):
+    with pytest.raises(ExchangeError, match="not both"):
+        export_results(written.out, tmp_path, crs="EPSG:32611", origin=(0.0, 0.0))
+
+
+def test_a_folder_that_cannot_be_written_is_named(written, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExchangeError, match="cannot be written"):
+        export_results(written.out, tmp_path / "file", ["geojson"])
+
+
+@pytest.mark.parametrize(("module", "form"), [("rasterio", "geotiff"), ("trimesh", "ply")])
+def test_a_missing_library_is_one_line(module, form, written):
+    program = (
+        f"import sys; sys.modules['{module}'] = None\n"
+        "from quadtree_lss.cli import main\n"
+        f"sys.exit(main(['export', {str(written.out)!r}, '--format', '{form}']))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert f"need {module}" in done.stderr and "quadtree_lss[exchange]" in done.stderr
+
+
+def test_the_formats_of_the_command_are_those_there_are():
+    from quadtree_lss.commands import export
+
+    assert tuple(FORMATS) == export.FORMATS
+
+
+def test_an_assessment_without_a_safe_place_is_exported_too(written, tmp_path):
+    """No row of sites, no finite score."""
+    none = changed(written.assessment, safe=np.zeros_like(written.assessment.safe))
+    none = changed(none, sites=none.sites.of(slice(0)), score=np.full_like(none.score, np.nan))
+    from quadtree_lss.replay.replay import write_results
+
+    result = changed(written, assessment=none)
+    write_results(tmp_path / "none", result, config_from_values(GROUND), report=False)
+    for name in ("rasterio", "trimesh"):
+        pytest.importorskip(name)
+    export_results(tmp_path / "none", tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"] == []

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``landing/grid_map`` live, where ``grid_map_msgs`` is installed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadtree_lss.ros.messages import GridMap, message_maker
+
+
+def test_a_layer_is_a_float_array_of_ros():
+    values = np.arange(12.0).reshape(3, 4)
+    values[0, 0] = np.nan
+    layer = message_maker("map").grid_map_layer(values)
+    assert [d.size for d in layer.layout.dim] == [3, 4]
+    np.testing.assert_array_equal(layer.data, values[::-1, ::-1].ravel())
+
+
+@pytest.mark.skipif(GridMap is None, reason="grid_map_msgs is not installed")
+def test_the_message_can_be_serialised():
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    from quadtree_lss.config.settings import Config
+    from quadtree_lss.core.landing.assessment import nothing_mapped
+    from quadtree_lss.core.landing.target import Reason
+    from quadtree_lss.core.mapping.mapper import Mapper
+    from quadtree_lss.ros.messages import grid_map_message
+
+    axis = np.arange(4.0)
+    cells = Mapper(Config()).snapshot()
+    message = grid_map_message(nothing_mapped(cells, 1, Reason.NOTHING_MAPPED, axis, axis), "map")
+    again = deserialize_message(serialize_message(message), GridMap)
+    assert again.layers == message.layers and again.info.length_x == 4.0
