@@ -13,6 +13,7 @@ from quadtree_lss.core.tree.cell_map import CellMap, Ground, Profile
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.messages.intake import ReadyScan
 from quadtree_lss.replay.bags import Bag, BagError
+from quadtree_lss.replay.compare import Comparison, compare_results
 from quadtree_lss.replay.elevation_model import rank_sites
 from quadtree_lss.replay.export import export_results
 from quadtree_lss.replay.info import BagInfo, inspect_bag
@@ -26,6 +27,7 @@ __all__ = [
     "BagError",
     "BagInfo",
     "CellMap",
+    "Comparison",
     "Config",
     "ConfigError",
     "Grid",
@@ -45,6 +47,7 @@ __all__ = [
     "Sites",
     "Step",
     "Suggestion",
+    "compare_results",
     "export_results",
     "inspect_bag",
     "load_config",

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.commands import (
+    compare,
     completion,
     config,
     evaluate,
@@ -113,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     replay.add(commands)
     sites.add(commands)
+    compare.add(commands)
     export.add(commands)
     info.add(commands)
     config.add(commands)
