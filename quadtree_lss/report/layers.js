@@ -99,17 +99,18 @@ function gridUnder(k) {
                      leaves.ymin + (Math.floor(k / fine.n) + 0.5) * fine.size);
 }
 let relief = null;
-function reliefPicture() {
-  if (relief) return relief;
+function reliefPicture(k = -1) { // of what was seen by the k-th answer, or at last
+  if (relief && relief.k === k) return relief;
   const canvas = document.createElement("canvas"), n = canvas.width = canvas.height = fine.n;
   const context = canvas.getContext("2d"), image = context.createImageData(n, n);
   for (let j = 0; j < n; j++) for (let i = 0; i < n; i++) {
     const to = 4 * ((n - 1 - j) * n + i);
-    image.data.fill(fine.shade[j * n + i], to, to + 3);
+    const from = j * n + i, gone = k >= 0 && laterThan(gridUnder(from), k);
+    image.data.fill(gone ? 128 : fine.shade[from], to, to + 3);
     image.data[to + 3] = 255;
   }
   context.putImageData(image, 0, 0);
-  return (relief = { canvas, box: [leaves.xmin, leaves.ymin, leaves.size, leaves.size] });
+  return (relief = { k, canvas, box: [leaves.xmin, leaves.ymin, leaves.size, leaves.size] });
 }
 
 // ---- legend ------------------------------------------------------------------------------------

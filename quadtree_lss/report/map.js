@@ -70,7 +70,7 @@ function drawPane(canvas, name) {
     c.globalCompositeOperation = "hard-light";
     c.globalAlpha = reliefOf(layer);
     c.imageSmoothingEnabled = true;
-    place(c, reliefPicture());
+    place(c, reliefPicture(view.answer));
     c.globalAlpha = 1; c.globalCompositeOperation = "source-over";
   }
   for (const kind of layer.outlines || []) drawOutline(c, kind);

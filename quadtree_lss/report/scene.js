@@ -109,8 +109,9 @@ class Space {
     put(found.canvas, [x, y, w, h]);
     c.globalCompositeOperation = "hard-light"; c.globalAlpha = reliefOf(LAYERS[view.layer]);
     c.imageSmoothingEnabled = true;
-    put(reliefPicture().canvas, reliefPicture().box);
-    return { canvas, box: reliefPicture().box };
+    const lit = reliefPicture(view.answer);
+    put(lit.canvas, lit.box);
+    return { canvas, box: lit.box };
   }
   at(x, y, z) { // of the map, in the scene
     return new THREE.Vector3(x - this.middle.x, y - this.middle.y, this.high * (z - this.z0));
@@ -138,7 +139,7 @@ class Space {
       ([, x, y], k) => ({ x, y, rank: k + 1 }));
     for (const site of shown) {
       const chosen = view.answer < 0 && site.rank - 1 === view.site;
-      const top = this.on(site.x, site.y, chosen ? 0.2 * this.reach + 3 : 0.12 * this.reach);
+      const top = this.on(site.x, site.y, chosen ? 3 * data.lander.radius : 2.2 * data.zone);
       for (const r of [1, 0.985, 0.97]) this.circle(site.x, site.y, r * data.zone, 0x111111);
       this.circle(site.x, site.y, 1.02 * data.zone, 0xffffff);
       this.line([this.on(site.x, site.y), top], chosen ? 0x0b5fa5 : 0x1c1c1c);
