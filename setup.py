@@ -194,6 +194,8 @@ setup(
         "zstandard>=0.20",
     ],
     extras_require={
+        # Many flights on the cores of this or of other computers.
+        "campaign": ["distributed>=2024.2", "bokeh>=3.1"],
         # ROS 2 Jazzy from the Python package index, for computers without a ROS installation.
         "wheels": [
             "ros-jazzy-rclpy",

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.commands import (
+    campaign,
     compare,
     completion,
     config,
@@ -120,6 +121,7 @@ def _parser() -> argparse.ArgumentParser:
     config.add(commands)
     simulate.add(commands)
     evaluate.add(commands)
+    campaign.add(commands)
     fly.add(commands)
     completion.add(commands)
     return parser

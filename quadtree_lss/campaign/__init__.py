@@ -1,7 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many flights: simulated, mapped and scored."""
+"""Studies of many flights, flown on one computer or many."""
 
-from quadtree_lss.campaign.seed_summary import SeedsResult
-from quadtree_lss.campaign.seeds import FlightOptions, evaluate_seeds, parse_seeds
+from quadtree_lss.campaign.compare import compare_campaigns
+from quadtree_lss.campaign.engine import Where, campaign
+from quadtree_lss.campaign.kinds import CampaignError, Case, Flown, Kind, Quantity
+from quadtree_lss.campaign.study import Study, read_study
+from quadtree_lss.campaign.summary import CampaignResult
 
-__all__ = ["FlightOptions", "SeedsResult", "evaluate_seeds", "parse_seeds"]
+__all__ = [
+    "CampaignError",
+    "CampaignResult",
+    "Case",
+    "Flown",
+    "Kind",
+    "Quantity",
+    "Study",
+    "Where",
+    "campaign",
+    "compare_campaigns",
+    "read_study",
+]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import beta
 
 _RESAMPLES = 4000
@@ -43,8 +43,7 @@ def summarise(
     at = int(value.argmin() if worst == "smallest" else value.argmax())
     low = high = float("nan")
     if value.size > 1:
-        draws = np.random.default_rng(0).integers(0, value.size, (_RESAMPLES, value.size))
-        low, high = np.percentile(value[draws].mean(axis=1), (2.5, 97.5))
+        low, high = bootstrap(value)
     return Statistic(
         mean=float(value.mean()),
         worst=float(value[at]),
@@ -53,6 +52,26 @@ def summarise(
         high=float(high),
         count=int(kept.size),
     )
+
+
+def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Bounds of the mean of values (n,) with 95 % confidence, by drawing from them again."""
+    generator = np.random.default_rng(0)
+    means = [
+        values[generator.integers(0, values.size, values.size)].mean() for _ in range(_RESAMPLES)
+    ]
+    low, high = np.percentile(means, (2.5, 97.5))
+    return float(low), float(high)
+
+
+def rate_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Bounds of a rate from ``events`` in ``trials`` (Clopper and Pearson), both sides together."""
+    if trials == 0:
+        return float("nan"), float("nan")
+    tail = 0.5 * (1.0 - confidence)
+    low = float(beta.ppf(tail, events, trials - events + 1)) if events else 0.0
+    high = float(beta.ppf(1.0 - tail, events + 1, trials - events)) if events < trials else 1.0
+    return low, high
 
 
 def upper_bound(events: int, trials: int, confidence: float = 0.95) -> float:

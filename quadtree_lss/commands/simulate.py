@@ -64,6 +64,10 @@ def add_flight_options(parser: argparse._ActionsContainer) -> None:
     add("--range-noise", type=not_negative, metavar="M", help="one sigma of a range, m")
     add("--outliers", type=share, default=0.0, metavar="F", help="share of false returns")
     add("--dropouts", type=share, default=0.0, metavar="F", help="share of missing returns")
+    add("--rocks", type=not_negative, metavar="K", help="share of the ground that rocks cover")
+    add("--glide-slope", type=positive, default=30.0, metavar="DEG", help="of morpheus")
+    text = "errors of the navigation, as many times as usual"
+    add("--navigation-error", type=not_negative, default=1.0, metavar="X", help=text)
     add(
         "--flights",
         type=whole(1),
@@ -89,6 +93,9 @@ def _run(options: argparse.Namespace) -> int:
             outliers=options.outliers,
             dropouts=options.dropouts,
             flights=options.flights,
+            rocks=options.rocks,
+            glide_slope_deg=options.glide_slope,
+            navigation_error=options.navigation_error,
             overwrite=options.overwrite,
             progress=bar.update,
             stop=interruption.asked,

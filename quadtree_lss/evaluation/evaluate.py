@@ -16,6 +16,7 @@ from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.evaluation.metrics import (
     Detection,
     ElevationError,
+    ErrorField,
     MissedPlace,
     SafetyField,
     SiteVerdict,
@@ -148,9 +149,8 @@ def evaluate(
     given = None if bag is None else Path(bag)
     doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
     notes = [] if doubt is None else [doubt]
-    leaves, grid = results.leaves, results.grid
-    heights = elevation_field(leaves, grid, truth)
-    safety = safety_field(grid, truth)
+    heights = elevation_field(results.leaves, results.grid, truth)
+    safety = safety_field(results.grid, truth)
     if not safety.scored.size:
         msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
         raise EvaluationError(msg)
@@ -164,14 +164,45 @@ def evaluate(
     except OSError as error:
         msg = f"cannot create {folder}: {error.strerror}"
         raise EvaluationError(msg) from error
-    verdicts = site_verdicts(results.sites[:_TOP], truth)
     written: tuple[Path, ...] = ()
     if figures:
         from quadtree_lss.evaluation.figures import draw_all
 
         written = draw_all(folder, results, truth, heights, safety)
+    result = replace(
+        _scores(results, truth, heights, safety),
+        consistency=table_2,
+        out=folder,
+        figures=written,
+        notes=tuple(notes),
+    )
+    if figures:
+        result = _with_page(result, Path(results_dir), truth, safety)
+    text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
+    (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+    return result
+
+
+def score(results: Results, truth: Truth) -> EvaluationResult:
+    """The scores alone; nothing is written, and there is no Table 2.
+
+    Raises `EvaluationError` when the map and the truth do not overlap.
+    """
+    safety = safety_field(results.grid, truth)
+    if not safety.scored.size:
+        msg = "the map does not overlap the scanned box"
+        raise EvaluationError(msg)
+    heights = elevation_field(results.leaves, results.grid, truth)
+    return _scores(results, truth, heights, safety)
+
+
+def _scores(
+    results: Results, truth: Truth, heights: ErrorField, safety: SafetyField
+) -> EvaluationResult:
+    verdicts = site_verdicts(results.sites[:_TOP], truth)
+    leaves = results.leaves
     times = results.map_ms if results.map_ms.size else np.array([math.nan])
-    result = EvaluationResult(
+    return EvaluationResult(
         elevation=elevation_error(heights),
         detection=detection(safety),
         sites=len(results.sites),
@@ -186,16 +217,10 @@ def evaluate(
         map_ms_p99=float(np.percentile(times, 99.0)),
         map_s_total=float(times.sum() * 1e-3),
         lss_ms=float(results.summary.get("lss_ms") or math.nan),
-        consistency=table_2,
-        out=folder,
-        figures=written,
-        notes=tuple(notes),
+        consistency=None,
+        out=Path(),
+        figures=(),
     )
-    if figures:
-        result = _with_page(result, Path(results_dir), truth, safety)
-    text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
-    (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
-    return result
 
 
 def _with_page(

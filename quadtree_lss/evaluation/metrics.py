@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt, label
 
 from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Leaves, Truth
-from quadtree_lss.simulation.safety import Lander, contact_safe, on_dem
+from quadtree_lss.simulation.safety import contact_safe, on_dem
 
 _SAMPLE_STEP = 0.5  # m, at most, between the points where elevations are compared
 _COINCIDE = 1e-3  # m
@@ -177,7 +177,7 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
         in_x = np.flatnonzero((grid.x >= xmin - _COINCIDE) & (grid.x <= xmax + _COINCIDE))
         in_y = np.flatnonzero((grid.y >= ymin - _COINCIDE) & (grid.y <= ymax + _COINCIDE))
         points = np.stack(np.meshgrid(grid.x[in_x], grid.y[in_y]), axis=-1).reshape(-1, 2)
-        truly_safe = contact_safe(truth.x, truth.y, truth.elevation, points, Lander())
+        truly_safe = contact_safe(truth.x, truth.y, truth.elevation, points, truth.lander)
         truly_safe = truly_safe.reshape(in_y.size, in_x.size)
     window = np.ix_(in_y, in_x)
     return SafetyField(
@@ -238,7 +238,7 @@ def site_verdicts(sites: FloatArray, truth: Truth) -> tuple[SiteVerdict, ...]:
     outside the scanned box, is simulated on the DEM. Where the lander would reach over the edge of
     the DEM nothing is known.
     """
-    lander = Lander()
+    lander = truth.lander
     known = on_dem(truth.x, truth.y, sites[:, :2], lander)
     safe = contact_safe(truth.x, truth.y, truth.elevation, sites[:, :2], lander)
     verdicts = []
@@ -267,7 +267,7 @@ def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
     for k in range(1, count + 1):
         j, i = np.nonzero(patch == k)
         x, y = float(field.x[i].mean()), float(field.y[j].mean())
-        reach = 0.5 * Lander().diameter + Lander().pad_radius
+        reach = 0.5 * truth.lander.diameter + truth.lander.pad_radius
         box = np.ix_(np.abs(truth.y - y) <= reach, np.abs(truth.x - x) <= reach)
         ground = truth.elevation[box]
         peak_j, peak_i = np.unravel_index(int(ground.argmax()), ground.shape)

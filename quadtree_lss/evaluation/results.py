@@ -18,6 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.replay.result import ReplayResult
+from quadtree_lss.replay.results import cells_arrays, grid_arrays
+from quadtree_lss.simulation.safety import Lander
+from quadtree_lss.simulation.simulate import TRUTH_NAME
 from quadtree_lss.simulation.terrain import bilinear
 
 FloatArray = NDArray[np.float64]
@@ -31,7 +35,7 @@ _CELLS_EXTRA = ("observed",)
 _GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
-_TRUTH_NAMES = ("bag_name", "seed")
+_TRUTH_NAMES = ("bag_name", "seed", "lander")
 
 
 class EvaluationError(QuadtreeLssError):
@@ -165,6 +169,8 @@ class Truth:
     bag_name: str | None = None
     """Name of the bag beside the file; None where the file does not tell, like ``seed``."""
     seed: int | None = None
+    lander: Lander = Lander()
+    """Whose safety it is."""
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
         """True elevation (m) at map coordinates; NaN outside the DEM."""
@@ -227,7 +233,10 @@ def _check_length(path: Path, name: str, array: NDArray[Any], length: int, of: s
 
 def load_leaves(path: Path) -> Leaves:
     """Read ``cells.npz``."""
-    a = _arrays(path, _CELLS, _CELLS_EXTRA)
+    return _leaves(path, _arrays(path, _CELLS, _CELLS_EXTRA))
+
+
+def _leaves(path: Path, a: dict[str, Any]) -> Leaves:
     _check_length(path, "domain", a["domain"], 5, "xmin, ymin, size, min_level, max_level")
     a.setdefault("observed", np.zeros_like(a["level"]))
     for name in (*_CELLS[:-1], *_CELLS_EXTRA):
@@ -250,7 +259,10 @@ def load_leaves(path: Path) -> Leaves:
 
 def load_grid(path: Path) -> Grid:
     """Read ``grid.npz``."""
-    a = _arrays(path, _GRID)
+    return _grid(path, _arrays(path, _GRID))
+
+
+def _grid(path: Path, a: dict[str, Any]) -> Grid:
     _check_shape(path, a, "x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
     return Grid(**{**a, "safe": a["safe"].astype(bool), "hazard": a["hazard"].astype(np.uint8)})
 
@@ -258,7 +270,13 @@ def load_grid(path: Path) -> Grid:
 def load_truth(path: str | Path) -> Truth:
     """Read ``truth.npz``."""
     file = Path(path)
-    a = _arrays(file, _TRUTH, (*_TRUTH_EXTRA, *_TRUTH_NAMES))
+    return truth_of(_arrays(file, _TRUTH, (*_TRUTH_EXTRA, *_TRUTH_NAMES)), file)
+
+
+def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
+    """Truth of the content of its ``file``."""
+    names = (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES)
+    a = {name: arrays[name] for name in names if name in arrays}
     _check_shape(file, a, "x", "y", "elevation")
     _check_shape(file, a, "safe_x", "safe_y", "safe")
     _check_length(file, "box", a["box"], 4, "xmin, xmax, ymin, ymax")
@@ -268,6 +286,9 @@ def load_truth(path: str | Path) -> Truth:
     a.setdefault("scan_flight", np.zeros(scans, np.int64))
     for name in _TRUTH_EXTRA:
         _check_length(file, name, a[name], scans, "one per scan")
+    limits = np.asarray(a.pop("lander", Lander().limits), float)
+    _check_length(file, "lander", limits, 4, "diameter, pad radius, slope, roughness")
+    a["lander"] = Lander(*limits.tolist())
     for name, kind in (("bag_name", str), ("seed", int)):
         if name in a:
             a[name] = kind(a[name].item()) if a[name].size == 1 else None
@@ -286,6 +307,22 @@ def _columns(path: Path, names: tuple[str, ...], kind: type[int] | type[float]) 
         msg = f"{path} is not a table with the columns {', '.join(names)}"
         raise EvaluationError(msg) from error
     return np.array(rows, kind).reshape(-1, len(names))
+
+
+def results_of(replayed: ReplayResult) -> Results:
+    """The results of a replay that wrote none: the same as of a folder."""
+    where = Path(str(replayed.summary["bag"]))
+    cells, grid = cells_arrays(replayed.cells), grid_arrays(replayed.assessment)
+    rows = [(row.points, row.points_used, row.leaves) for row in replayed.timings]
+    return Results(
+        leaves=_leaves(where, {name: cells[name] for name in (*_CELLS, *_CELLS_EXTRA)}),
+        grid=_grid(where, {name: grid[name] for name in _GRID}),
+        sites=replayed.assessment.sites.position.reshape(-1, 3),
+        map_ms=np.array([row.map_ms for row in replayed.timings], float),
+        stamps_ns=np.array([row.stamp_ns for row in replayed.timings], np.int64),
+        counts=np.array(rows, np.int64).reshape(-1, 3),
+        summary=replayed.summary,
+    )
 
 
 def load_results(directory: str | Path) -> Results:

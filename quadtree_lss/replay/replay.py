@@ -33,7 +33,7 @@ __all__ = ["Progress", "ReplayError", "ReplayResult", "replay"]
 
 
 def replay(
-    bag: str | Path,
+    bag: str | Path | Bag,
     out: str | Path | None,
     config: Config,
     *,
@@ -55,7 +55,7 @@ def replay(
     map is taken.
 
     Args:
-        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
+        bag: A bag as of `bags.Bag`, its path, or point clouds (`cloud_files.open_recording`).
         out: Folder for the results, made if missing; None writes nothing.
         config: Everything that can be set.
         scan_topic, pose_topic: Topics; by default found by name, then by type.
@@ -80,7 +80,8 @@ def replay(
     began = time.perf_counter()
     run, stream = Run(config, progress, stop), Stream(scan_topic, pose_topic, start, duration)
     with ExitStack() as stack:
-        opened = stack.enter_context(open_recording(bag, poses, config.frames.map))
+        given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
+        opened = stack.enter_context(given)
         pairs = MapPairs.alone(opened) if scan_topic is None else None
         if pairs is None:
             stream.resolve(opened, config)

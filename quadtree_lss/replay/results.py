@@ -151,54 +151,58 @@ def write_timing(path: Path, timings: Iterable[ScanTiming]) -> None:
 
 
 def write_cells(path: Path, cells: CellMap) -> None:
-    """``cells.npz``: one array per field of the leaves, in Morton order."""
+    """``cells.npz``, see `cells_arrays`."""
+    _write_npz(path, cells_arrays(cells))
+
+
+def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
+    """Content of ``cells.npz``: one array per field of the leaves, in Morton order."""
     domain = cells.domain
-    _write_npz(
-        path,
-        {
-            "level": cells.level,
-            "ix": cells.ix,
-            "iy": cells.iy,
-            "x": cells.x,
-            "y": cells.y,
-            "size": cells.size,
-            "z": cells.z,
-            "nx": cells.normal[:, 0],
-            "ny": cells.normal[:, 1],
-            "nz": cells.normal[:, 2],
-            "covariance": cells.covariance,
-            "covariance_pose": cells.covariance_pose,
-            "count": cells.count,
-            "measured": cells.measured,
-            "roughness": cells.roughness,
-            "exception_fraction": cells.exception_fraction,
-            "feature": cells.feature,
-            "observed": np.bincount(cells.leaf_raster()[cells.observed], minlength=len(cells.z)),
-            "observed_cells": cells.observed,
-            "domain": np.array(
-                [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
-            ),
-            "stamp_ns": np.array(cells.stamp_ns),
-            "offset": np.array([cells.offset_z, cells.offset_variance]),
-        },
-    )
+    return {
+        "level": cells.level,
+        "ix": cells.ix,
+        "iy": cells.iy,
+        "x": cells.x,
+        "y": cells.y,
+        "size": cells.size,
+        "z": cells.z,
+        "nx": cells.normal[:, 0],
+        "ny": cells.normal[:, 1],
+        "nz": cells.normal[:, 2],
+        "covariance": cells.covariance,
+        "covariance_pose": cells.covariance_pose,
+        "count": cells.count,
+        "measured": cells.measured,
+        "roughness": cells.roughness,
+        "exception_fraction": cells.exception_fraction,
+        "feature": cells.feature,
+        "observed": np.bincount(cells.leaf_raster()[cells.observed], minlength=len(cells.z)),
+        "observed_cells": cells.observed,
+        "domain": np.array(
+            [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
+        ),
+        "stamp_ns": np.array(cells.stamp_ns),
+        "offset": np.array([cells.offset_z, cells.offset_variance]),
+    }
 
 
 def write_grid(path: Path, assessment: LandingAssessment) -> None:
-    """``grid.npz``: the grid points of the landing site selection, arrays (ny, nx)."""
-    _write_npz(
-        path,
-        {
-            "x": assessment.x,
-            "y": assessment.y,
-            "elevation": assessment.elevation,
-            "plane_elevation": assessment.plane_elevation,
-            "slope_deg": assessment.slope_deg,
-            "hazard": assessment.hazard,
-            "safe": assessment.safe,
-            "score": assessment.score,
-        },
-    )
+    """``grid.npz``, see `grid_arrays`."""
+    _write_npz(path, grid_arrays(assessment))
+
+
+def grid_arrays(assessment: LandingAssessment) -> dict[str, NDArray[Any]]:
+    """Content of ``grid.npz``: the landing grid's points, arrays (ny, nx)."""
+    return {
+        "x": assessment.x,
+        "y": assessment.y,
+        "elevation": assessment.elevation,
+        "plane_elevation": assessment.plane_elevation,
+        "slope_deg": assessment.slope_deg,
+        "hazard": assessment.hazard,
+        "safe": assessment.safe,
+        "score": assessment.score,
+    }
 
 
 def write_history(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -70,9 +70,25 @@ def hazard_field(generator: np.random.Generator, field: HazardField | None = Non
     ground += field.texture * _texture(generator, count, field.texture_length / field.post)
     _add_craters(generator, axis, ground, field)
     rocks = np.zeros((count, count))
-    _add_rocks(generator, axis, rocks, field)
-    _add_piles(generator, axis, rocks, field)
+    if field.rock_abundance > 0.0:
+        _add_rocks(generator, axis, rocks, field)
+        _add_piles(generator, axis, rocks, field)
     return Terrain(axis, axis, ground + rocks)
+
+
+def strewn(generator: np.random.Generator, terrain: Terrain, abundance: float) -> Terrain:
+    """A given terrain with rocks and rock piles, over 100 m about its centre or all of it."""
+    xmin, xmax, ymin, ymax = terrain.bounds
+    field = HazardField(rock_abundance=abundance)
+    size = field.post * np.floor(min(field.size, xmax - xmin, ymax - ymin) / field.post)
+    field = replace(field, size=float(size))
+    own = np.linspace(-0.5 * field.size, 0.5 * field.size, round(field.size / field.post) + 1)
+    x, y = own + 0.5 * (xmin + xmax), own + 0.5 * (ymin + ymax)
+    rocks = np.zeros((own.size, own.size))
+    _add_rocks(generator, own, rocks, field)
+    _add_piles(generator, own, rocks, field)
+    x, y = np.clip(x, xmin, xmax), np.clip(y, ymin, ymax)
+    return Terrain(x, y, terrain.elevation_at(x[None, :], y[:, None]) + rocks)
 
 
 def _undulation(

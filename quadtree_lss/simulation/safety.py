@@ -36,6 +36,11 @@ class Lander:
     max_roughness: float = 0.3
     yaws: int = 16
 
+    @property
+    def limits(self) -> tuple[float, float, float, float]:
+        """Diameter, radius of a pad, greatest slope in degrees and roughness, for a file."""
+        return self.diameter, self.pad_radius, self.max_slope_deg, self.max_roughness
+
 
 def contact_safe(
     x: ArrayLike,

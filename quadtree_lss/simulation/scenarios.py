@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.simulation.hazard_field import hazard_field
+from quadtree_lss.simulation.hazard_field import HazardField, hazard_field, strewn
 from quadtree_lss.simulation.lidar import FlashLidar
 from quadtree_lss.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
 from quadtree_lss.simulation.parabola import Parabola
@@ -61,6 +61,9 @@ class Request:
     range_noise: float | None
     outliers: float
     dropouts: float
+    glide_slope_deg: float
+    navigation_error: float
+    conservatism: float
 
     def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
         """Lidar of a scenario with the user's noise where one is given."""
@@ -69,6 +72,17 @@ class Request:
             range_noise=range_noise if self.range_noise is None else self.range_noise,
             outliers=self.outliers,
             dropouts=self.dropouts,
+        )
+
+    def drifting(self, attitude_bias_deg: float, attitude_drift_deg: float) -> DriftingNavigation:
+        """Navigation of a scenario, its errors as many times as large as the user says."""
+        usual = DriftingNavigation()
+        return DriftingNavigation(
+            self.navigation_error * usual.position_bias,
+            self.navigation_error * usual.position_drift,
+            self.navigation_error * attitude_bias_deg,
+            self.navigation_error * attitude_drift_deg,
+            conservatism=self.conservatism,
         )
 
 
@@ -132,6 +146,7 @@ def _morpheus(request: Request, flight: int) -> Flight:
         half_y=0.5 * (box[3] - box[2]),
         duration=request.duration,
         field_of_view_deg=1.0,
+        glide_slope_deg=request.glide_slope_deg,
         reverse=flight % 2 == 1,
     )
     # Scans at 20 Hz, none on a pose; poses begin before the first scan and end after the last.
@@ -143,7 +158,7 @@ def _morpheus(request: Request, flight: int) -> Flight:
         truth=terrain,
         lidar=request.lidar(1.0, 0.06),
         trajectory=sweep.trajectory(),
-        navigation=DriftingNavigation(),
+        navigation=request.drifting(0.01, 0.0015),
         scan_times=scans,
         pose_times=_times(request.duration + 2.0 * lead, 100.0, -lead),
         box=box,
@@ -164,7 +179,7 @@ def _descent(request: Request, flight: int) -> Flight:
         truth=terrain,
         lidar=request.lidar(20.0, 0.06),
         trajectory=descent_trajectory(_centre(terrain, box), request.duration),
-        navigation=DriftingNavigation(attitude_bias_deg=0.02, attitude_drift_deg=0.005),
+        navigation=request.drifting(0.02, 0.005),
         scan_times=scans,
         pose_times=_times(request.duration + 2.0 * lead, 50.0, -lead),
         box=box,
@@ -196,8 +211,26 @@ def make_request(
     range_noise: float | None = None,
     outliers: float = 0.0,
     dropouts: float = 0.0,
+    glide_slope_deg: float = 30.0,
+    navigation_error: float = 1.0,
+    conservatism: float = 2.0,
+    rocks: float | None = None,
+    slope_deg: float | None = None,
 ) -> Request:
-    """Check the options and make or read the terrain."""
+    """Check the options and make or read the terrain.
+
+    Args:
+        duration: Of the flight, s.
+        terrain: A DEM or the path of one; by default the scenario's own.
+        range_noise: One sigma of a range, m.
+        outliers, dropouts: Shares of false and of missing returns.
+        glide_slope_deg: Of the morpheus scenario.
+        navigation_error: How many times the usual errors of morpheus and descent.
+        conservatism: How many times its errors the navigation claims.
+        rocks: Share of the ground that rocks cover, the k of Golombek and Rapp (a made field has
+            0.05); on a given terrain rocks are added, over 100 m about its centre at most.
+        slope_deg: Root mean square slope of a made field (1.5).
+    """
     if scenario not in SCENARIOS:
         msg = f"unknown scenario {scenario!r}; there are {', '.join(sorted(SCENARIOS))}"
         raise SimulationError(msg)
@@ -215,11 +248,41 @@ def make_request(
     if range_noise is not None and not (np.isfinite(range_noise) and range_noise >= 0.0):
         msg = f"range noise must be a length in metres, not {range_noise:g}"
         raise SimulationError(msg)
+    limits = {
+        "glide_slope_deg": (glide_slope_deg, 10.0, 80.0),
+        "navigation_error": (navigation_error, 0.0, 100.0),
+        "conservatism": (conservatism, 0.01, 100.0),
+        "rocks": (0.05 if rocks is None else rocks, 0.0, 0.3),
+        "slope_deg": (0.0 if slope_deg is None else slope_deg, 0.0, 20.0),
+    }
+    for name, (value, low, high) in limits.items():
+        if not low <= value <= high:
+            msg = f"{name} must be between {low:g} and {high:g}, not {value:g}"
+            raise SimulationError(msg)
     if isinstance(terrain, (str, Path)):
         terrain = load_terrain(terrain)
     if terrain is None and SCENARIOS[scenario].default_field:
-        terrain = hazard_field(generator)
-    return Request(terrain, seconds, range_noise, outliers, dropouts)
+        given = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
+        chosen = {name: value for name, value in given.items() if value is not None}
+        terrain = hazard_field(generator, HazardField(**chosen))
+    elif terrain is not None:
+        if slope_deg is not None:
+            msg = "slope_deg is of a made field, not of a given terrain"
+            raise SimulationError(msg)
+        terrain = strewn(generator, terrain, rocks) if rocks else terrain
+    elif rocks is not None or slope_deg is not None:
+        msg = f"{scenario} has no rocks and no field: give a terrain"
+        raise SimulationError(msg)
+    return Request(
+        terrain,
+        seconds,
+        range_noise,
+        outliers,
+        dropouts,
+        glide_slope_deg,
+        navigation_error,
+        conservatism,
+    )
 
 
 def quaternions(rotations: FloatArray) -> FloatArray:

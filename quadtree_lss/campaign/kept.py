@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One flight of a campaign flown again, with everything that there is to see of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from quadtree_lss.campaign.kinds import CampaignError, kind_of
+from quadtree_lss.campaign.store import Store
+from quadtree_lss.campaign.study import Study
+
+
+def keep(study: Study, out: str | Path, index: int) -> Path:
+    """Flies flight ``index`` again; returns the folder with what it left.
+
+    Raises:
+        CampaignError: there is no such flight.
+    """
+    store = Store(out)
+    with store.opened():
+        count = replace(study, repeats=study.repeats + store.added()).count
+    if not 0 <= index < count or (study.seeds and index >= study.count):
+        msg = f"there is no flight {index}"
+        raise CampaignError(msg)
+    folder = store.out / "kept" / f"{index:06d}"
+    kind_of(study.kind).keep(study.case(index), folder)
+    return folder
