@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import signal
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
@@ -227,6 +228,8 @@ def _client(where: Where) -> Iterator[Any]:
                     how["address"] = where.scheduler_address
                 client = stack.enter_context(Client(**how))
             else:
+                deaf = stack.enter_context(contextlib.ExitStack())
+                deaf.enter_context(_deaf_children())
                 cluster = LocalCluster(
                     n_workers=where.workers,
                     threads_per_worker=1,
@@ -235,7 +238,22 @@ def _client(where: Where) -> Iterator[Any]:
                     silence_logs=logging.CRITICAL,
                 )
                 client = stack.enter_context(Client(stack.enter_context(cluster)))
+                deaf.close()
         except (OSError, ValueError, TimeoutError) as error:
             msg = f"no scheduler: {one_line(str(error) or type(error).__name__)}"
             raise CampaignError(msg) from error
         yield client
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes that are started within it ignore Ctrl-C: what it means is the parent's affair."""
+    try:
+        heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except ValueError:  # not the main thread, which alone hears it
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, heard)

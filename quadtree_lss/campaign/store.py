@@ -107,7 +107,7 @@ class Store:
             writer = csv.writer(file, lineterminator="\n")
             if fresh:
                 writer.writerow(["index", *timing])
-            writer.writerow([index, *(f"{value:.4g}" for value in timing.values())])
+            writer.writerow([index, *(f"{value:.7g}" for value in timing.values())])
 
     def times(self) -> list[dict[str, str]]:
         """Rows of ``times.csv``."""

@@ -289,10 +289,9 @@ def _values(value: Any, name: str) -> list[Any]:
             return [Drawn(how, tuple(of))]
         if how in DRAWN and isinstance(of, list):
             low, high = (float(v) for v in of)
-            drawn = Drawn(how, (low, high))
-            drawn.draw(np.random.default_rng(0))
-            if how == "normal" or 0.0 < high - low and (how == "uniform" or low > 0.0):
-                return [drawn]
+            positive = low > 0.0 if how == "log_uniform" else high > 0.0 or how == "uniform"
+            if np.isfinite([low, high]).all() and positive and (low < high or how == "normal"):
+                return [Drawn(how, (low, high))]
     except (TypeError, ValueError):
         pass
     msg = (

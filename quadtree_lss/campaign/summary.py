@@ -8,6 +8,7 @@ import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +127,7 @@ class CampaignResult:
         """Why flights failed, by number."""
         return {index: r.error for index, r in self.records.items() if r.error}
 
-    @property
+    @cached_property
     def lines(self) -> list[tuple[str, list[Line]]]:
         """Each combination's name and its quantities."""
         parts = groups(self.study, flown(self.records.values()))

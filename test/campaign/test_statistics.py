@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from quadtree_lss.campaign.statistics import summarise, upper_bound
+from quadtree_lss.campaign.statistics import rate_interval, summarise, upper_bound
 
 
 def test_mean_worst_and_whose_it_is():
@@ -54,3 +54,14 @@ def test_bound_is_the_rate_at_which_so_few_become_unlikely(events, trials):
 def test_bound_at_the_ends():
     assert upper_bound(5, 5) == 1.0
     assert np.isnan(upper_bound(0, 0))
+
+
+@pytest.mark.parametrize(("events", "trials"), [(0, 100), (1, 100), (7, 20), (20, 20)])
+def test_rate_interval_leaves_two_and_a_half_percent_on_each_side(events, trials):
+    low, high = rate_interval(events, trials)
+    assert 0.0 <= low <= events / trials <= high <= 1.0
+    if events < trials:
+        assert binom.cdf(events, trials, high) == pytest.approx(0.025)
+    if events:
+        assert binom.sf(events - 1, trials, low) == pytest.approx(0.025)
+    assert np.isnan(rate_interval(0, 0)).all()

@@ -317,23 +317,6 @@ def test_missed_places_are_listed_with_what_stands_there(tmp_path):
     assert np.hypot(first.peak_x - 3.0, first.peak_y + 2.0) < 0.35
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--config", "parabola", "--set", "lss.margin=1"], ["--config", "--set"]),
-        (["--outliers", "0.5", "--jobs", "2"], ["--outliers", "--jobs"]),
-        (["--range-noise", "0", "--figures"], ["--range-noise", "--figures"]),
-        (["--scenario", "morpheus", "--bags", "x"], ["--scenario", "--bags"]),
-    ],
-)
-def test_options_of_seeds_do_not_go_with_a_folder(tmp_path, capsys, arguments, words):
-    assert main(["evaluate", str(tmp_path), "--truth", "t.npz", *arguments]) == 2
-    text = capsys.readouterr().err.splitlines()[-1]
-    assert "only with --seeds" in text
-    assert all(word in text for word in words)
-
-
-@pytest.mark.parametrize("seeds", ["abc", "1,1"])
-def test_what_is_no_list_of_seeds_is_wrong_usage(capsys, seeds):
-    assert main(["evaluate", "--seeds", seeds]) == 2
-    assert "--seeds" in capsys.readouterr().err.splitlines()[-1]
+def test_many_seeds_are_a_study_now(capsys):
+    assert main(["evaluate", "--seeds", "101-120"]) == 2
+    assert "quadtree-lss campaign STUDY.yaml" in capsys.readouterr().err.splitlines()[-1]

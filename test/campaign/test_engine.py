@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Campaigns give the same files for any number of workers, after any end, by any scheduler."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import psutil
+import pytest
+
+from quadtree_lss.campaign import Where, campaign, compare_campaigns, read_study
+from quadtree_lss.campaign.kinds import CampaignError
+from quadtree_lss.commands.common import INTERRUPTED
+
+pytest.importorskip("distributed")
+# One after the other: each has processes of its own.
+pytestmark = pytest.mark.xdist_group("campaign")
+
+STUDY = """
+name: small
+scenario: descent
+seed: 30002
+flights: 4
+conditions:
+  duration: 1
+  terrain: ground.npz
+  range_noise: {uniform: [0.05, 0.1]}
+parameters:
+  lss.margin: [0.0, 1.0]
+"""
+COUNT = 8
+PROGRAM = [sys.executable, "-m", "quadtree_lss.cli", "campaign"]
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    return written(tmp_path_factory.mktemp("study"), STUDY)
+
+
+def written(folder, text):
+    """A study, and beside it the ground that it names."""
+    axis = np.arange(-10.0, 10.1, 0.25)
+    bumps = 0.2 * np.sin(axis[None, :]) * np.cos(0.7 * axis[:, None])
+    np.savez(folder / "ground.npz", x=axis, y=axis, elevation=bumps)
+    path = folder / "study.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def first(study, tmp_path_factory):
+    """By one worker."""
+    out = tmp_path_factory.mktemp("first")
+    steps = []
+    result = campaign(
+        read_study(study), out, Where(workers=1), progress=lambda n, of: steps.append((n, of))
+    )
+    return result, steps
+
+
+def files(out):
+    return {path.name: path.read_bytes() for path in sorted((out / "flights").iterdir())}
+
+
+def start(study, out, *options):
+    """In a session of its own, so that signals reach nobody else."""
+    command = [*PROGRAM, str(study), "--out", str(out), *map(str, options)]
+    return subprocess.Popen(
+        command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def wait_until(condition, seconds=90.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def flown(out):
+    return len(list(out.glob("flights/*.json")))
+
+
+def test_each_flight_is_a_file_and_told(first):
+    result, steps = first
+    assert steps == [(k, COUNT) for k in range(COUNT + 1)]
+    assert not result.failed and not result.interrupted and sorted(result.records) == [*range(8)]
+    assert len(files(result.out)) == COUNT
+    with (result.out / "flights.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["flight"]) for row in rows] == [*range(COUNT)]
+    assert float(rows[3]["safe_found"]) == result.records[3].figures["safe_found"]
+    content = json.loads((result.out / "campaign.json").read_text())
+    assert [part["name"] for part in content["summary"]] == ["lss.margin 0.0", "lss.margin 1.0"]
+    page = (result.out / "campaign.html").read_text()
+    assert "--keep 17" in page and "data:image/png" in page and "Safe terrain found" in page
+
+
+def test_two_workers_give_the_same_files(first, study, tmp_path):
+    campaign(read_study(study), tmp_path, Where(workers=2))
+    assert files(tmp_path) == files(first[0].out)
+
+
+def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
+    shutil.copytree(first[0].out, tmp_path / "c")
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "c" / "flights").iterdir()}
+    gone = sorted(before)[5]
+    gone.unlink()
+    result = campaign(read_study(study), tmp_path / "c", Where(workers=1), rerun=[2])
+    assert files(tmp_path / "c") == files(first[0].out)
+    changed = {p for p, at in before.items() if p.stat().st_mtime_ns != at}
+    assert changed == {gone, sorted(before)[2]}
+    assert result.table() == first[0].table()
+    with pytest.raises(CampaignError, match="no flight 99"):
+        campaign(read_study(study), tmp_path / "c", rerun=[99])
+
+
+def test_the_campaign_killed_and_resumed(first, study, tmp_path):
+    process = start(study, tmp_path, "--workers", 2)
+    wait_until(lambda: flown(tmp_path) >= 2)
+    children = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
+    process.communicate()
+    assert 2 <= flown(tmp_path) < COUNT
+    psutil.wait_procs(children, timeout=30.0)
+    assert not any(child.is_running() for child in children)
+    again = start(study, tmp_path, "--workers", 2)
+    _, told = again.communicate(timeout=120)
+    assert again.returncode == 0, told
+    assert files(tmp_path) == files(first[0].out)
+
+
+def test_a_worker_killed_loses_nothing(first, study, tmp_path):
+    process = start(study, tmp_path, "--workers", 2)
+    wait_until(lambda: flown(tmp_path) >= 1)
+    with (tmp_path / "times.csv").open(newline="") as file:
+        worker = int(next(csv.DictReader(file))["process"])
+    assert worker in [child.pid for child in psutil.Process(process.pid).children(True)]
+    os.kill(worker, signal.SIGKILL)
+    _, told = process.communicate(timeout=120)
+    assert process.returncode == 0, told
+    assert files(tmp_path) == files(first[0].out)
+
+
+def test_a_scheduler_started_separately(first, study, tmp_path):
+    note = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli"]
+    options = ["--no-dashboard", "--host", "127.0.0.1", "--port", "0"]
+    scheduler = [f"{command[2]}.dask_scheduler", *options, "--scheduler-file", str(note)]
+    worker = [f"{command[2]}.dask_worker", "--scheduler-file", str(note), "--nthreads", "1"]
+    worker += ["--no-dashboard", "--local-directory", str(tmp_path / "dask")]
+    with contextlib.ExitStack() as stack:
+        for arguments in (scheduler, worker, worker):
+            process = subprocess.Popen(
+                [*command[:2], *arguments], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+            )
+            stack.callback(process.wait, 30)
+            stack.callback(process.terminate)
+            wait_until(note.exists)
+        address = json.loads(note.read_text())["address"]
+        result = campaign(read_study(study), tmp_path / "out", Where(scheduler_file=str(note)))
+        assert not result.failed
+        assert files(tmp_path / "out") == files(first[0].out)
+        again = Where(scheduler_address=address)
+        campaign(read_study(study), tmp_path / "out", again, rerun=[1])
+        assert files(tmp_path / "out") == files(first[0].out)
+
+
+def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):
+    process = start(study, tmp_path, "--workers", 1)
+    wait_until(lambda: flown(tmp_path) >= 1)
+    os.killpg(process.pid, signal.SIGINT)
+    shown, told = process.communicate(timeout=60)
+    assert process.returncode == INTERRUPTED
+    assert "interrupted" in told.splitlines()[-1] and "Traceback" not in told
+    assert "Safe terrain found" in shown
+    assert json.loads((tmp_path / "campaign.json").read_text())["interrupted"]
+    assert files(tmp_path).items() <= files(first[0].out).items()
+    assert flown(tmp_path) < COUNT
+
+
+def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
+    text = STUDY.replace("duration: 1", "duration: [1, 0.5]").replace("flights: 4", "flights: 1")
+    path = written(tmp_path, text)
+    out = tmp_path / "out"
+    result = campaign(read_study(path), out, Where(workers=1))
+    assert sorted(result.failed) == [2, 3] and "duration" in result.failed[2]
+    assert "flight 2 failed" in result.table()
+    assert "flight 2" not in result.table().replace("flight 2 failed", "")
+    again = start(path, out, "--workers", 1)
+    assert again.wait(60) == 3  # nothing was flown: failures stay
+    assert len((out / "times.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.slow
+def test_more_flights_are_added_and_stay(first, study, tmp_path):
+    shutil.copytree(first[0].out, tmp_path / "c")
+    result = campaign(read_study(study), tmp_path / "c", Where(workers=2), add=3)
+    assert sorted(result.records) == [*range(12)]  # whole turns
+    assert files(first[0].out).items() <= files(tmp_path / "c").items()
+    assert len(campaign(read_study(study), tmp_path / "c").records) == 12
+
+
+@pytest.mark.slow
+def test_it_ends_when_an_interval_is_narrow_enough(tmp_path):
+    until = "until: {quantity: mean_absolute, half_width: 0.01}\n"
+    text = STUDY.replace("flights: 4", "flights: 1000").replace("[0.0, 1.0]", "1.0")
+    path = written(tmp_path, until + text)
+    one = campaign(read_study(path), tmp_path / "one", Where(workers=1))
+    two = campaign(read_study(path), tmp_path / "two", Where(workers=2))
+    assert one.enough == two.enough == len(one.records) < 100
+    assert one.as_dict() == two.as_dict()
+    again = campaign(read_study(path), tmp_path / "two")
+    assert again.as_dict() == two.as_dict()
+
+
+@pytest.mark.slow
+def test_two_campaigns_are_compared_in_pairs(first, study, tmp_path):
+    path = written(tmp_path, STUDY.replace("  duration", "  outliers: 0.05\n  duration"))
+    other = campaign(read_study(path), tmp_path / "out", Where(workers=2))
+    found = compare_campaigns(first[0].out, other.out)
+    errors = [
+        other.records[k].figures["mean_absolute"] - first[0].records[k].figures["mean_absolute"]
+        for k in range(COUNT)
+    ]
+    row = next(d for d in found.differences if d.quantity.name == "mean_absolute")
+    assert row.mean == pytest.approx(sum(errors) / COUNT)
+    assert row.low <= row.mean <= row.high
+    assert (row.better, row.worse) == (sum(e < 0 for e in errors), sum(e > 0 for e in errors))
+    assert errors[row.largest_flight] == row.largest == max(errors)
+    assert "8 pairs" in found.table()
+    with pytest.raises(CampaignError, match="no folder of a campaign"):
+        compare_campaigns(first[0].out, tmp_path)
+
+
+def test_one_folder_has_one_campaign_at_a_time(first, study):
+    import fcntl
+
+    with (first[0].out / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(CampaignError, match="another campaign"):
+            campaign(read_study(study), first[0].out)
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        Where(scheduler_address="tcp://127.0.0.1:9"),
+        Where(scheduler_file="nowhere.json"),
+        Where(workers=1, scheduler_file="nowhere.json"),
+    ],
+)
+def test_who_is_not_there_is_named(study, tmp_path, where):
+    with pytest.raises(CampaignError):
+        campaign(read_study(study), tmp_path, where)
+
+
+@pytest.mark.slow
+def test_a_flight_is_flown_again_and_kept(first, study):
+    done = start(study, first[0].out, "--keep", 3)
+    shown, told = done.communicate(timeout=120)
+    assert done.returncode == 0, told
+    kept = first[0].out / "kept" / "000003"
+    assert str(kept) in shown
+    found = json.loads((kept / "evaluation" / "evaluation.json").read_text())
+    figures = first[0].records[3].figures
+    assert found["elevation"]["mean_absolute"] == figures["mean_absolute"]
+    assert (kept / "results" / "report.html").exists() and list((kept / "bag").iterdir())

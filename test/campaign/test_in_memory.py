@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flight handed over in memory gives the same bits as through a bag."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from quadtree_lss.campaign.mapped import figures, fly_in_memory, lander_of
+from quadtree_lss.config.loading import load_config
+from quadtree_lss.evaluation.evaluate import evaluate, score
+from quadtree_lss.evaluation.results import load_results, load_truth
+from quadtree_lss.replay.replay import replay
+from quadtree_lss.simulation import simulate
+
+CASES = {
+    "morpheus": {"duration": 3.0, "outliers": 0.01, "dropouts": 0.02, "navigation_error": 2.0},
+    "parabola": {"duration": 3.0, "range_noise": 0.1},
+    "descent": {"duration": 2.0, "flights": 2, "rocks": 0.1},
+}
+
+
+def _same(one, two, where=""):
+    assert type(one) is type(two), where
+    if dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            if field.name not in ("summary", "map_ms"):
+                _same(getattr(one, field.name), getattr(two, field.name), f"{where}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        np.testing.assert_array_equal(one, two, err_msg=where)
+        assert one.dtype == two.dtype, where
+    else:
+        assert one == two, where
+
+
+@pytest.mark.parametrize("scenario", list(CASES))
+def test_the_same_bits_as_through_a_bag(scenario, tmp_path):
+    config = load_config([scenario] if scenario != "descent" else [], {"lss.max_slope_deg": 8.0})
+    options = CASES[scenario]
+    simulate(scenario, tmp_path / "bag", seed=30001, lander=lander_of(config), **options)
+    replay(tmp_path / "bag", tmp_path / "results", config, report=False)
+    results, truth, _ = fly_in_memory(scenario, 30001, config, options)
+    by_bag = load_results(tmp_path / "results"), load_truth(tmp_path / "truth.npz")
+    _same(results, by_bag[0])
+    _same(truth, by_bag[1])
+    assert truth.lander.max_slope_deg == 8.0
+    assert figures(score(results, truth), results, truth) == figures(score(*by_bag), *by_bag)
+    told = evaluate(tmp_path / "results", tmp_path / "truth.npz", consistency=False, figures=False)
+    assert told.detection == score(results, truth).detection

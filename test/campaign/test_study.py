@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Studies: which flights there are, and that each is decided by its number alone."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from quadtree_lss.campaign import CampaignError, read_study
+from quadtree_lss.campaign.store import key_of
+from quadtree_lss.campaign.study import parse_seeds
+
+VARIED = """
+name: varied
+scenario: parabola
+config: parabola
+seed: 30000
+flights: 40
+conditions:
+  duration: 2
+  range_noise: {uniform: [0.05, 0.1]}
+  outliers: [0, 0.02]
+parameters:
+  lss.margin: {range: [0.0, 1.0, 3]}
+"""
+
+
+@pytest.fixture
+def study_of(tmp_path):
+    def read(text):
+        path = tmp_path / "study.yaml"
+        path.write_text(text)
+        return read_study(path)
+
+    return read
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [("7", [7]), ("101-103", [101, 102, 103]), ("5,1-2,9", [5, 1, 2, 9]), (" 3 - 4 ", [3, 4])],
+)
+def test_lists_of_seeds(text, seeds):
+    assert parse_seeds(text) == seeds
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a", "1-", "5-3", "1,,2", "-4", "1.5", "0-99999999", "1,1", "5,4-6"]
+)
+def test_what_is_no_list_of_seeds_is_named(text):
+    with pytest.raises(CampaignError):
+        parse_seeds(text)
+
+
+def test_lists_go_together_and_flights_of_a_turn_share_their_seed(study_of):
+    study = study_of(VARIED)
+    assert study.count == 40 * 2 * 3
+    assert study.varied == ("lss.margin", "outliers", "range_noise")
+    turn = [study.case(index) for index in range(6)]
+    pairs = {(case.labels["outliers"], case.labels["lss.margin"]) for case in turn}
+    assert pairs == {(outliers, margin) for outliers in (0, 0.02) for margin in (0.0, 0.5, 1.0)}
+    assert len({case.seed for case in turn}) == 1
+    assert {case.parameters["lss.margin"] for case in turn} == {0.0, 0.5, 1.0}
+    assert study.case(6).seed != turn[0].seed
+
+
+def test_what_is_drawn_has_its_distribution_and_does_not_hang_on_the_rest(study_of):
+    study = study_of(VARIED)
+    noise = [study.case(6 * turn).conditions["range_noise"] for turn in range(40)]
+    assert all(0.05 <= value <= 0.1 for value in noise)
+    assert len(set(noise)) == 40
+    assert 0.06 < sum(noise) / 40 < 0.09
+    more = study_of(
+        VARIED.replace("  duration: 2", "  duration: 2\n  dropouts: {choice: [0, 0.1]}")
+    )
+    assert more.case(0).conditions["range_noise"] == noise[0]
+    assert {more.case(6 * turn).conditions["dropouts"] for turn in range(40)} == {0, 0.1}
+
+
+def test_more_flights_change_none_of_the_first(study_of):
+    few, many = study_of(VARIED), study_of(VARIED.replace("flights: 40", "flights: 50"))
+    assert [few.case(index) for index in range(20)] == [many.case(index) for index in range(20)]
+
+
+def test_the_key_tells_everything_that_decides_a_flight(study_of, tmp_path):
+    case = study_of(VARIED).case(3)
+    assert key_of(case) == key_of(dataclasses.replace(case, labels={}))
+    others = [
+        dataclasses.replace(case, **{name: value})
+        for name, value in {
+            "seed": 1,
+            "scenario": "descent",
+            "version": "9",
+            "build": "9",
+            "conditions": {**case.conditions, "duration": 3},
+            "parameters": {**case.parameters, "lss.margin": 0.7},
+        }.items()
+    ]
+    assert len({key_of(other) for other in (case, *others)}) == 7
+    terrain = tmp_path / "dem.npz"
+    keys = []
+    for content in (b"one", b"two"):
+        terrain.with_name(f"{content.decode()}.npz").write_bytes(content)
+        path = str(terrain.with_name(f"{content.decode()}.npz"))
+        keys.append(key_of(dataclasses.replace(case, conditions={"terrain": path})))
+    assert keys[0] != keys[1]
+
+
+def test_cases_win_over_what_holds_for_all(study_of):
+    study = study_of(
+        "scenario: morpheus\nconfig: morpheus\nseeds: 101-103\nparameters: {lss.margin: 1.0}\n"
+        "cases:\n  - {name: usual}\n  - name: rules\n"
+        "    parameters: {lss.assessment: paper, lss.margin: 0.0}\n"
+    )
+    assert study.count == 6
+    usual, rules = study.case(2), study.case(3)
+    assert usual.seed == rules.seed == 102
+    assert usual.labels == {"case": "usual", "lss.margin": 1.0}
+    assert usual.parameters["lss.assessment"] == "touchdown"
+    assert rules.parameters["lss.assessment"] == "paper"
+    assert (usual.parameters["lss.margin"], rules.parameters["lss.margin"]) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("- 1", "mapping"),
+        ("flights: 3\nfligths: 4", "fligths"),
+        ("scenario: morpheus", "either seeds"),
+        ("flights: 3\nseeds: 1-3", "either seeds"),
+        ("flights: 0", "flights"),
+        ("flights: 3\nseed: -1", "seed"),
+        ("flights: 3\nkind: nothing", "unknown kind"),
+        ("flights: 3\nkind: nowhere:KIND", "nowhere"),
+        ("flights: 3\nscenario: [morpheus, moon]", "moon"),
+        ("flights: 3\nconditions: {wind: 3}", "wind"),
+        ("flights: 3\nconditions: {rocks: {uniform: [1, 0]}}", "rocks"),
+        ("flights: 3\nconditions: {rocks: {poisson: 3}}", "poisson"),
+        ("flights: 3\nconditions: {rocks: []}", "rocks"),
+        ("flights: 3\nconditions: {rocks: {log_uniform: [0, 1]}}", "rocks"),
+        ("flights: 3\nuntil: {quantity: luck, half_width: 1}", "luck"),
+        ("flights: 3\nuntil: 4", "until"),
+        ("flights: 3\ncases: [{name: a}, {name: a}]", "two cases"),
+        ("flights: 9000000", "most"),
+    ],
+)
+def test_what_makes_no_sense_is_named_in_one_line(study_of, text, word):
+    with pytest.raises(CampaignError, match=word) as caught:
+        study_of(text)
+    assert "study.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_parameters_are_named(study_of):
+    with pytest.raises(Exception, match="lss.margin"):
+        study_of("flights: 3\nparameters: {lss.margn: 1}")
+
+
+def test_there_must_be_a_file(tmp_path):
+    with pytest.raises(CampaignError, match="cannot be read"):
+        read_study(tmp_path / "none.yaml")
