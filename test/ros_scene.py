@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from quadtree_lss.ros.listener import Listener
 from quadtree_lss.ros.messages import header_message
 from quadtree_lss.ros.qos import stream
-from quadtree_lss.simulation.recording import BagRecorder
+from quadtree_lss.simulation.recording import POSE_TOPIC, SCAN_TOPIC, BagRecorder, Messages
 
 START_NS = 1_700_000_000_000_000_000
 SCAN_NS, POSE_NS = 100_000_000, 37_000_000
@@ -65,13 +65,15 @@ def _scan(rng: np.random.Generator) -> NDArray[np.float64]:
 
 def write_bag(path: Path, scans: int) -> None:
     """The events as a bag."""
-    with BagRecorder(path) as bag:
+    make = Messages()
+    with BagRecorder(path, make) as bag:
         for event in events(scans):
             if event.points_lidar is None:
-                pose = (POSITION, DOWN_XYZW, COVARIANCE)
-                bag.pose(event.stamp_ns, *pose, event.stamp_ns + 1_000_000)
+                pose = make.pose(event.stamp_ns, POSITION, DOWN_XYZW, COVARIANCE)
+                bag.write(POSE_TOPIC, event.stamp_ns + 1_000_000, pose)
             else:
-                bag.scan(event.stamp_ns, event.points_lidar, event.stamp_ns + 10_000_000)
+                scan = make.scan(event.stamp_ns, event.points_lidar)
+                bag.write(SCAN_TOPIC, event.stamp_ns + 10_000_000, scan)
 
 
 def cloud(stamp_ns: int, points_lidar: NDArray[np.float64]) -> PointCloud2:

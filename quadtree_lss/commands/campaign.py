@@ -15,7 +15,7 @@ from quadtree_lss.commands.common import (
     print_json,
     whole,
 )
-from quadtree_lss.commands.console import Interruption, ProgressBar, say, warn
+from quadtree_lss.commands.console import Interruption, ProgressBar, say, show, warn
 
 TEXT = "Fly a study of many flights on this computer's cores or on a Dask cluster, with resume."
 EXAMPLES = """examples:
@@ -27,8 +27,8 @@ EXAMPLES = """examples:
   quadtree-lss campaign studies/morpheus.yaml --out many --scheduler-address tcp://host:8786
   quadtree-lss campaign compare campaigns/before campaigns/after
 
-Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept and summed up. Once
-more stops at once.
+Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept and summed up. A
+second one stops at once.
 """
 
 
@@ -65,7 +65,9 @@ def _run(options: argparse.Namespace) -> int:
         return DONE
     failed = options.rerun == "failed"
     where = Where(options.workers, options.scheduler_address, options.scheduler_file)
-    with Interruption() as interruption, ProgressBar("campaign", "flight", options.verbose) as bar:
+    then = f"sums up in {options.out} what is done"
+    verbose = options.verbose
+    with Interruption(then) as interruption, ProgressBar("campaign", "flights", verbose) as bar:
         result = campaign(
             study,
             options.out,
@@ -80,7 +82,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"out": str(result.out), **result.as_dict()})
     else:
-        print(result.table())
+        show(result.table())
         print(f"page and tables in {result.out}")
     if result.interrupted:
         say(f"interrupted: {len(result.records)} of {result.study.count} flights are done")
@@ -100,5 +102,5 @@ def _compare(options: argparse.Namespace) -> int:
     if options.json:
         print_json(comparison.as_dict())
     else:
-        print(comparison.table())
+        show(comparison.table())
     return DONE

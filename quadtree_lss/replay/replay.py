@@ -17,6 +17,7 @@ from quadtree_lss.config.loading import dump_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.messages.landing_inputs import LandingWishes
 from quadtree_lss.replay import results
+from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.cloud_files import open_recording
 from quadtree_lss.replay.history import History
 from quadtree_lss.replay.landing import LandingTopics
