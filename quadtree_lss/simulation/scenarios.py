@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -262,9 +262,13 @@ def make_request(
     if isinstance(terrain, (str, Path)):
         terrain = load_terrain(terrain)
     if terrain is None and SCENARIOS[scenario].default_field:
-        given = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
-        chosen = {name: value for name, value in given.items() if value is not None}
-        terrain = hazard_field(generator, HazardField(**chosen))
+        usual = HazardField()
+        field = replace(
+            usual,
+            rock_abundance=usual.rock_abundance if rocks is None else rocks,
+            slope_rms_deg=usual.slope_rms_deg if slope_deg is None else slope_deg,
+        )
+        terrain = hazard_field(generator, field)
     elif terrain is not None:
         if slope_deg is not None:
             msg = "slope_deg is of a made field, not of a given terrain"

@@ -131,7 +131,7 @@ def simulate(
             raise KeyboardInterrupt
         if truth_path is not None:
             arrays = simulation.truth(path.name, lander)
-            np.savez_compressed(truth_path, **arrays)
+            np.savez_compressed(truth_path, **arrays)  # type: ignore[arg-type]
             safe_fraction = float(arrays["safe"].mean())
     except BaseException as error:
         # Half a bag looks like a whole one.

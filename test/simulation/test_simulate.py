@@ -104,7 +104,7 @@ def test_truth_has_the_agreed_arrays(morpheus):
     assert set(truth) == {
         "x", "y", "elevation", "safe_x", "safe_y", "safe", "box",
         "scan_stamp_ns", "scan_position", "scan_quaternion_xyzw", "scan_outline", "scan_flight",
-        "bag_name", "seed",
+        "bag_name", "seed", "lander",
     }  # fmt: skip
     assert (str(truth["bag_name"]), int(truth["seed"])) == (result.bag_path.name, 5)
     assert truth["elevation"].shape == (truth["y"].size, truth["x"].size)
