@@ -7,6 +7,7 @@ that what was rounded on the way to the wire was rounded for both.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -236,10 +237,20 @@ def _matrices(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
 
 
 def round_trip(cells: CellMap) -> CellMap:
-    """The map as a subscriber gets it."""
-    domain = cells.domain
-    return decode_cells(
-        encode_cells(cells), cells.observed, domain.xmin, domain.ymin, cells.stamp_ns
+    """The map as a subscriber gets it: some columns in single precision."""
+
+    def single(values: Array) -> Array:
+        return values.astype(np.float32).astype(np.float64)
+
+    return replace(
+        cells,
+        covariance_range=single(cells.covariance_range),
+        covariance_pose=single(cells.covariance_pose),
+        roughness=single(cells.roughness),
+        exception_fraction=single(cells.exception_fraction),
+        feature=single(cells.feature),
+        offset_z=float(np.float32(cells.offset_z)),
+        offset_variance=float(np.float32(cells.offset_variance)),
     )
 
 

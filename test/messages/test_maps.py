@@ -56,6 +56,12 @@ def test_what_matters_comes_back_exactly(cells):
         np.testing.assert_allclose(getattr(back, name), getattr(cells, name), rtol=6e-8, atol=1e-38)
 
 
+def test_a_round_trip_is_what_a_subscriber_decodes(cells):
+    records, d = maps.encode_cells(cells), cells.domain
+    received = maps.decode_cells(records, cells.observed, d.xmin, d.ymin, cells.stamp_ns)
+    assert_same(maps.round_trip(cells), received)
+
+
 def test_a_second_round_trip_changes_nothing(cells):
     once = maps.round_trip(cells)
     assert_same(once, maps.round_trip(once))

@@ -22,17 +22,6 @@ def peak(state: Array) -> Array:
     return out
 
 
-def widened(state: Array) -> Array:
-    """States (M, 5) of fitted bells with the height of what they were fitted to.
-
-    A bell fitted to a hemisphere by least squares peaks a quarter above it. The volume k^2 is
-    right; widening sigma by sqrt(`SHAPE`) lowers the peak and keeps it.
-    """
-    out = state.copy()
-    out[:, 4] *= np.sqrt(SHAPE)
-    return out
-
-
 def height(state: Array, x: Array, y: Array) -> Array:
     """Eq. 57: height of features (..., 5) at x, y (...) about the cell's centre, A left out."""
     square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from math import atan2, cos, hypot, sin
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -44,11 +46,20 @@ def log(rotations: ArrayLike) -> Array:
 def rotation_from_quaternion(quaternions_xyzw: ArrayLike) -> Array:
     """Rotation matrices of unit quaternions: (..., 4) to (..., 3, 3)."""
     q = np.asarray(quaternions_xyzw, dtype=np.float64)
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    vector, scalar = q[..., :3], q[..., 3, None, None]
-    k = skew(vector)
-    out: Array = np.eye(3) + 2.0 * scalar * k + 2.0 * (k @ k)
-    return out
+    # Poses come one by one, at hundreds a second: plain numbers take a tenth of the time.
+    x, y, z, w = q.tolist() if q.ndim == 1 else np.moveaxis(q, -1, 0)
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    xx, yy, zz = scale * x * x, scale * y * y, scale * z * z
+    xy, xz, yz = scale * x * y, scale * x * z, scale * y * z
+    wx, wy, wz = scale * w * x, scale * w * y, scale * w * z
+    rows = np.array(
+        (
+            (1.0 - yy - zz, xy - wz, xz + wy),
+            (xy + wz, 1.0 - xx - zz, yz - wx),
+            (xz - wy, yz + wx, 1.0 - xx - yy),
+        )
+    )
+    return rows if q.ndim == 1 else np.moveaxis(rows, (0, 1), (-2, -1))
 
 
 def quaternion_from_rotation(rotations: ArrayLike) -> Array:
@@ -80,4 +91,8 @@ def quaternion_from_rotation(rotations: ArrayLike) -> Array:
 def slerp(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
     """Rotation at ``fraction`` of the way between two matrices (3, 3), at constant rate."""
     r0, r1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-    return r0 @ exp(fraction * log(r0.T @ r1))
+    x, y, z, w = quaternion_from_rotation(r0.T @ r1).tolist()
+    sine = hypot(x, y, z)
+    half = fraction * atan2(sine, w)
+    turn = sin(half) / sine if sine > 1e-12 else fraction
+    return r0 @ rotation_from_quaternion((turn * x, turn * y, turn * z, cos(half)))

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.settings import Config
-from quadtree_lss.core.geometry.feature import widened
 from quadtree_lss.core.mapping.alignment import LEAST_LIFT, lift, offset_of
 from quadtree_lss.core.mapping.contradiction import Contradiction, Verdict, departs
 from quadtree_lss.core.mapping.measure import Rules, unseen_parts
@@ -21,6 +20,7 @@ from quadtree_lss.core.sensing.sweep import Sweep
 from quadtree_lss.core.tree import checkpoint
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.checkpoint import State
+from quadtree_lss.core.tree.columns import fill_columns
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import LeafTable, unfold
 
@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 
 #: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
 JUMP_NS = SECOND_NS
-#: What is known of a leaf (`LEAF`), at least and exactly.
-INHERITED, MEASURED = 2, 3
 #: Cells that a scan must have to tell the range noise.
 NOISE_CELLS = 3
 #: Share of a new scan in the running mean of the observed range noise.
@@ -211,34 +209,42 @@ class Mapper:
     def snapshot(self) -> CellMap:
         """The map as it stands; copies, so that later scans do not change it."""
         rows = self.leaves.in_order()
-        leaves = np.take(self.leaves.rows.view(np.ndarray), rows)
-        unseen = np.empty((len(rows), 9))
-        unseen_parts(self.leaves, rows, unseen)
-        known = leaves["known"] >= INHERITED
-        measured = leaves["known"] == MEASURED
-        n = self.domain.finest_count
+        m, n = len(rows), self.domain.finest_count
         observed = np.empty((n, n), dtype=np.uint8)
         unfold(self.leaves.observed, observed)
-        unknown = np.where(known, 0.0, np.nan)
-        counted = np.maximum(leaves["residuals"], 1.0)
-        # On flat ground noise is all there is, and times a large cell's area it would look rough.
-        mean = np.maximum(leaves["distance_sum"] - leaves["noise_sum"], 0.0) / counted
-        area = self.domain.cell_size(leaves["level"]) ** 2
+        ix, iy, count = np.empty((3, m), dtype=np.uint32)
+        level, measured = np.empty((2, m), dtype=np.uint8)
+        elevation, roughness, exceptions = single = np.empty((3, m))
+        normal, range_part, pose_part = np.empty((m, 3)), np.empty((m, 9)), np.empty((m, 9))
+        feature = np.empty((m, 5))
+        unseen_parts(self.leaves, rows, range_part)
+        fill_columns(
+            self.leaves,
+            rows,
+            (ix, iy, count),
+            level,
+            measured,
+            single,
+            normal,
+            range_part,
+            pose_part,
+            feature,
+        )
         return CellMap(
             stamp_ns=self.stamp_ns,
             domain=self.domain,
-            level=leaves["level"].astype(np.uint8),
-            ix=leaves["ix"].astype(np.uint32),
-            iy=leaves["iy"].astype(np.uint32),
-            z=leaves["z"] + unknown,
-            normal=leaves["normal"] + unknown[:, None],
-            covariance_range=_matrices(leaves["range_part"] + unseen + unknown[:, None]),
-            covariance_pose=_matrices(leaves["pose_part"] + unknown[:, None]),
-            count=np.where(measured, leaves["points"], 0.0).astype(np.uint32),
-            measured=measured,
-            roughness=np.where(measured, area * mean, np.nan),
-            exception_fraction=np.where(measured, leaves["exception_sum"] / counted, np.nan),
-            feature=widened(leaves["feature"]),
+            level=level,
+            ix=ix,
+            iy=iy,
+            z=elevation,
+            normal=normal,
+            covariance_range=range_part.reshape(-1, 3, 3),
+            covariance_pose=pose_part.reshape(-1, 3, 3),
+            count=count,
+            measured=measured.view(np.bool_),
+            roughness=roughness,
+            exception_fraction=exceptions,
+            feature=feature,
             observed=observed.view(np.bool_),
             offset_z=self._offset[0],
             offset_variance=self._offset[1],
@@ -277,8 +283,3 @@ class Mapper:
         self._owed = float(state["owed"])
         count, height, variance = state["against"].tolist()
         self._against = Contradiction(int(count), height, variance)
-
-
-def _matrices(flat: Array) -> Array:
-    """(M, 9) to (M, 3, 3)."""
-    return flat.reshape(-1, 3, 3)

@@ -60,7 +60,7 @@ class CellMap:
         roughness: (M,) roughness density of Eq. 55 without its noise floor, m^3.
         exception_fraction: (M,) Eq. 48.
         feature: (M, 5) A, k, mu_x, mu_y (about the centre), sigma of Eq. 51; NaN for none. k^2 is
-            the volume, k^2 / (2 pi sigma^2) the height (``geometry.feature.widened``).
+            the volume, k^2 / (2 pi sigma^2) the height (``columns.WIDER``).
         observed: (n, n) [iy, ix], True for finest cells in which a point fell.
         offset_z: By how much the ground of the newest scan that could be compared with the map lay
             over it by its pose: the map's height plus this is the height by navigation, m. NaN if
