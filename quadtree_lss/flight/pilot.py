@@ -260,12 +260,15 @@ class Pilot:
             self.time_to_go = float(np.median(times)) if found is None else found[0]
 
     def _down(self) -> FloatArray:
+        """Straight down; it waits where it is while it is not yet over the aim."""
         position, velocity, mass = self._state
+        off = (self.aim - position)[:2]
         push = np.array([0.0, 0.0, self.vehicle.gravity])
-        push[:2] = 0.35 * (self.aim - position)[:2] - 1.1 * velocity[:2]
+        push[:2] = 0.35 * off - 1.1 * velocity[:2]
         size, most = float(np.hypot(*push[:2])), 0.25 * self.vehicle.gravity
         push[:2] *= min(1.0, most / max(size, 1e-9))
-        push[2] += 1.2 * (-self.rules.touchdown_speed - velocity[2])
+        over = float(np.clip((1.5 - np.hypot(*off)) / 0.7, 0.0, 1.0))
+        push[2] += 1.2 * (-over * self.rules.touchdown_speed - velocity[2])
         return thrust_for(self.vehicle, mass, push)
 
     def _wait(self) -> FloatArray:

@@ -127,6 +127,18 @@ def test_what_it_says_it_reaches_it_reaches():
     assert np.hypot(*(course.lander.position[:2] - 0.98 * far)) < 0.3
 
 
+def test_it_waits_at_the_gate_until_it_is_over_the_aim():
+    """Pushed aside there, as by a navigation that jumps, it still comes down softly on it."""
+    course = Course()
+    course.fly(2.0).pilot.hear(at(3.0, 0.0))
+    course.fly(until=lambda c: c.pilot.mode == "terminal")
+    course.lander.position[0] += 3.0
+    course.lander.velocity[0] += 1.0
+    course.fly()
+    assert np.hypot(*(course.lander.position[:2] - [3.0, 0.0])) < 0.3
+    assert np.hypot(*course.lander.velocity[:2]) < 0.3 and course.lander.tilt_deg < 6.0
+
+
 def test_it_says_nothing_new_when_it_is_low():
     course = Course()
     course.fly(2.0).pilot.hear(at(3.0, 0.0))
