@@ -16,7 +16,10 @@ from typing import Any, Literal, NamedTuple
 
 from quadtree_lss.errors import QuadtreeLssError
 
-REGISTERED = {"map": "quadtree_lss.campaign.mapped:MAP"}
+REGISTERED = {
+    "map": "quadtree_lss.campaign.mapped:MAP",
+    "fly": "quadtree_lss.campaign.flights:FLY",
+}
 
 Value = float | int | str | bool | None
 

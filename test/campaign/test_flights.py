@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The kind ``fly``: landings as flights of a study."""
+
+from pathlib import Path
+
+import pytest
+
+from quadtree_lss.campaign.flights import FLY, settings_of
+from quadtree_lss.campaign.kinds import Case
+from quadtree_lss.campaign.study import read_study
+from quadtree_lss.flight.fly import fly
+
+STUDIES = Path(__file__).parents[2] / "studies"
+STUDY = """\
+kind: fly
+scenario: [none, perfect]
+config: flight
+seed: 30017
+flights: 2
+conditions: {slant_range: 260.0, speed: 26.0, rocks: 0.1}
+parameters: {lss.margin: 0.7}
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    (tmp_path / "study.yaml").write_text(STUDY)
+    return read_study(tmp_path / "study.yaml")
+
+
+def test_a_case_flies_as_the_function_does(study):
+    case = study.case(1)
+    assert (case.scenario, case.index) == ("perfect", 1)
+    figures = FLY.fly(case).figures
+    alone = fly(
+        case.seed,
+        {"avoidance": "perfect", "slant_range": 260.0, "speed": 26.0, "rock_abundance": 0.1},
+    )
+    for name in ("x", "y", "propellant", "safe", "time"):
+        assert figures[name] == alone[name]
+    assert figures["one"] == 1 and figures["unsafe"] + figures["aborted"] + figures["safe"] == 1
+
+
+def test_every_quantity_is_a_figure(study):
+    figures = FLY.fly(study.case(0)).figures
+    missing = {q.name for q in FLY.quantities} - figures.keys()
+    assert missing == {"propellant_ratio"}  # only with the condition `reference`
+
+
+def test_conditions_and_parameters_reach_the_flight(study):
+    case = study.case(0)
+    more = {**case.conditions, "fault": "pose_gap@40+1", "survey": 3.0, "reference": True}
+    settings, reference = settings_of(
+        Case(0, "fly", "package", 1, conditions=more, parameters=case.parameters)
+    )
+    assert reference and settings.plan.survey == 3.0 and settings.rock_abundance == 0.1
+    assert settings.faults[0].kind == "pose_gap" and settings.config["lss.margin"] == 0.7
+
+
+@pytest.mark.parametrize("name", ["flight", "flight_rocks", "flight_faults"])
+def test_the_studies_of_the_repository_can_be_flown(name):
+    study = read_study(STUDIES / f"{name}.yaml")
+    for index in range(len(study.combinations)):
+        settings_of(study.case(index))
+    assert study.what is FLY
