@@ -41,7 +41,7 @@ def add_command(
     parser.set_defaults(run=run, parser=parser)
     add = parser.add_argument
     add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
-    text = "progress bar even if this is no terminal; where internal errors come from"
+    text = "progress bar even without a terminal; where internal errors come from"
     add("-v", "--verbose", action="store_true", help=text)
     return parser
 
@@ -49,7 +49,7 @@ def add_command(
 def named(text: str) -> Path:
     """Type of an option: a file or folder, which an empty text does not name."""
     if not text.strip():
-        msg = "an empty name is no file or folder"
+        msg = "the name of a file or folder is empty"
         raise argparse.ArgumentTypeError(msg)
     return Path(text)
 
@@ -78,7 +78,7 @@ def whole(least: int) -> Callable[[str], int]:
         except ValueError:
             value = least - 1
         if value < least:
-            msg = f"{text!r} is no whole number from {least}"
+            msg = f"{text!r} is not a whole number of {least} or more"
             raise argparse.ArgumentTypeError(msg)
         return value
 
@@ -91,7 +91,7 @@ def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and fits(value)):
-        msg = f"{text!r} is no finite number {wanted}"
+        msg = f"{text!r} is not a finite number {wanted}"
         raise argparse.ArgumentTypeError(msg)
     return value
 

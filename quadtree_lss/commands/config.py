@@ -70,7 +70,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({row.name: parameter_as_dict(row) for row in rows})
     else:
-        print("\n\n".join(explain_text(row) for row in rows))
+        show("\n\n".join(explain_text(row) for row in rows))
     return DONE
 
 

@@ -39,7 +39,7 @@ def place(text: str) -> tuple[list[float] | None]:
     """``3,-4``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) != 1:
-        msg = f"'{text}' is no place X,Y"
+        msg = f"'{text}' is not a place X,Y"
         raise argparse.ArgumentTypeError(msg)
     return (None if corners is None else corners[0],)
 

@@ -113,7 +113,8 @@ def _run(options: argparse.Namespace) -> int:
             stop=interruption.asked,
         )
     if options.out is None and link_latest(out) is None:
-        warn(f"warning: {out.parent / 'latest'} does not point at these results: it is no link")
+        latest = out.parent / "latest"
+        warn(f"warning: {latest} does not point at these results: it is not a link")
     for line in result.warnings:
         warn(f"warning: {line}")
     for line in result.losses:

@@ -90,6 +90,6 @@ def checked_value(row: Parameter, value: object) -> Value:
             msg = f"{row.name} = {value} is outside [{row.low:g}, {row.high:g}]{unit}"
             raise ConfigError(msg)
     if row.choices and value not in row.choices:
-        msg = f"{row.name} = {value!r} is none of {', '.join(row.choices)}"
+        msg = f"{row.name} = {value!r} is not one of {', '.join(row.choices)}"
         raise ConfigError(msg)
     return value  # type: ignore[return-value]

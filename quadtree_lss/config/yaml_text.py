@@ -76,11 +76,11 @@ def parse_yaml(text: str, *, aliases: bool = False) -> object:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
-        msg = f"no valid YAML{line}: {getattr(error, 'problem', None) or error}"
+        msg = f"not valid YAML{line}: {getattr(error, 'problem', None) or error}"
         raise YamlError(msg) from None
     except RecursionError:
-        msg = "no valid YAML: nested too deeply"
+        msg = "not valid YAML: nested too deeply"
         raise YamlError(msg) from None
     except Exception as error:  # PyYAML's of values: dates, numbers, keys that cannot be keys
-        msg = f"no valid YAML: {error}"
+        msg = f"not valid YAML: {error}"
         raise YamlError(msg) from None

@@ -329,10 +329,10 @@ def load_results(directory: str | Path) -> Results:
     """Read a results directory of ``replay``; raises `EvaluationError` if a file is amiss."""
     folder = Path(directory)
     if not folder.is_dir():
-        msg = f"{folder} is no folder of results"
+        msg = f"{folder} is not a results folder"
         raise EvaluationError(msg)
     if not (folder / "summary.json").exists() and (folder / "latest" / "summary.json").exists():
-        msg = f"{folder} is no folder that replay wrote; did you mean {folder / 'latest'}?"
+        msg = f"{folder} is not a folder that replay wrote; did you mean {folder / 'latest'}?"
         raise EvaluationError(msg)
     timing = folder / "timing.csv"
     summary = _summary(folder / "summary.json")
@@ -351,7 +351,7 @@ def _summary(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        msg = f"{path} does not exist: {path.parent} is no folder that replay wrote"
+        msg = f"{path} does not exist: {path.parent} is not a folder that replay wrote"
         raise EvaluationError(msg) from error
     except OSError as error:
         msg = f"{path} cannot be read: {error.strerror}"

@@ -35,7 +35,7 @@ def read_clouds(path: Path) -> Clouds:
         raise
     except Exception as error:  # any content must do, and each library has errors of its own
         line = (str(error) or type(error).__name__).splitlines()[0]
-        msg = f"{path}: no readable {path.suffix.lower()} file: {line}"
+        msg = f"{path}: not a readable {path.suffix.lower()} file: {line}"
         raise ExchangeError(msg) from None
     if stamps is None:
         clouds = [part for cloud in clouds for part in _parts(cloud)]
@@ -105,7 +105,7 @@ def _las(path: Path) -> Clouds:
 def _coordinates(path: Path, array: Array) -> Array:
     """The first three columns are x, y, z."""
     if array.ndim not in (2, 3) or array.shape[-1] < 3 or array.dtype.kind not in "fiu":
-        msg = f"{path}: {array.dtype} {array.shape} is no cloud (N, 3) or (H, W, 3) of numbers"
+        msg = f"{path}: {array.dtype} {array.shape} is not a point cloud, (N, 3) or (H, W, 3)"
         raise ExchangeError(msg)
     wanted = array[..., :3]
     return np.asarray(wanted, np.float32 if array.dtype == np.float32 else np.float64)

@@ -58,7 +58,7 @@ def read_dem(path: Path) -> ElevationModel:
         raise ExchangeError(msg)
     read = _npz if path.suffix.lower() == ".npz" else _raster
     if read is _raster and path.suffix.lower() not in TIFF:
-        msg = f"{path}: no elevation model (.npz {' '.join(TIFF)})"
+        msg = f"{path}: not an elevation model (.npz {' '.join(TIFF)})"
         raise ExchangeError(msg)
     model = read(path)
     if min(len(model.x), len(model.y)) < 3 or not np.isfinite(model.elevation).any():

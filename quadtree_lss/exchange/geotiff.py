@@ -38,7 +38,7 @@ def reference(crs: str = "", origin: tuple[float, float] | None = None) -> str:
     try:
         return str(rasterio.crs.CRS.from_user_input(crs).to_wkt())
     except (rasterio.errors.CRSError, ValueError) as error:
-        msg = f"'{crs}' is no coordinate reference system: {str(error).splitlines()[0]}"
+        msg = f"'{crs}' is not a coordinate reference system: {str(error).splitlines()[0]}"
         raise ExchangeError(msg) from None
 
 

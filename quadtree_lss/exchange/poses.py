@@ -49,7 +49,7 @@ def read_poses(path: Path) -> PoseTable:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}"
+        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is not text'}"
         raise ExchangeError(msg) from None
     lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
     if not lines:
@@ -78,7 +78,7 @@ def read_poses(path: Path) -> PoseTable:
             stamps.append(int(exact if clock == "stamp_ns" else exact * 10**9))
             values.append([float(row[place[name]]) for name in wanted])
         except (ValueError, IndexError, InvalidOperation, OverflowError):
-            msg = f"{path}: pose {number} is no row of numbers: {' '.join(row)[:80]}"
+            msg = f"{path}: pose {number} is not a row of numbers: {' '.join(row)[:80]}"
             raise ExchangeError(msg) from None
     if not stamps:
         msg = f"{path}: there is no pose in it"

@@ -139,7 +139,7 @@ def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
         MessageError: ``layout`` if the field lies outside a point or is no single value.
     """
     if int(field.count) != 1 or not 0 <= int(field.offset) <= msg.point_step - int(kind[1]):
-        text = f"cloud field '{field.name}' is no single value within a point"
+        text = f"cloud field '{field.name}' is not a single value within a point"
         raise MessageError("layout", text)
     return np.ndarray(
         (msg.height, msg.width),
@@ -188,7 +188,7 @@ def _copied_bytes(data: Any) -> NDArray[np.uint8]:
     if values.size == 0:
         return np.empty(0, dtype=np.uint8)
     if values.dtype.kind not in "iu" or values.min() < 0 or values.max() > 255:
-        text = f"cloud data of type {type(data).__name__} are no bytes"
+        text = f"cloud data of type {type(data).__name__} are not bytes"
         raise MessageError("size", text)
     return values.astype(np.uint8)
 

@@ -173,6 +173,6 @@ def _rotation(quaternion: Any, what: str) -> Array:
     xyzw = (float(q.x), float(q.y), float(q.z), float(q.w))
     length = math.hypot(*xyzw)
     if not abs(length - 1.0) <= UNIT_TOLERANCE:  # also when it is not a number
-        text = f"{what} ({q.x}, {q.y}, {q.z}, {q.w}) is no unit quaternion: length {length:.4g}"
+        text = f"{what} ({q.x}, {q.y}, {q.z}, {q.w}) is not a unit quaternion: length {length:.4g}"
         raise MessageError("quaternion", text)
     return rotation_from_quaternion(xyzw)

@@ -76,7 +76,7 @@ class Results:
         except (OSError, ValueError) as error:
             raise _unreadable(path, error) from None
         if not isinstance(content, dict):
-            raise _unreadable(path, "it is no object of JSON")
+            raise _unreadable(path, "it is not a JSON object")
         return content
 
     @cached_property
@@ -137,11 +137,11 @@ def load_results(folder: str | os.PathLike[str]) -> Results:
     """
     path = Path(folder)
     if not path.is_dir():
-        msg = f"{path}: no folder of results"
+        msg = f"{path} is not a results folder"
         raise ResultsError(msg)
     for name in ("summary.json", "grid.npz"):
         if not (path / name).is_file():
-            msg = f"{path}: has no {name}: it is no folder that replay wrote"
+            msg = f"{path} has no {name}: replay did not write this folder"
             if (path / "latest" / name).is_file():
                 msg += f"; did you mean {path / 'latest'}?"
             raise ResultsError(msg)

@@ -110,7 +110,7 @@ class SqliteFile:
             kind, page = database.execute(query, (table,)).fetchone() or ("missing", 0)
             columns = database.execute(f"PRAGMA table_xinfo({table})").fetchall()
             if kind != "table" or not page or any(column[-1] for column in columns):
-                msg = f"{table} is no plain table ({kind})"
+                msg = f"{table} is not a plain table ({kind})"
                 raise sqlite3.DatabaseError(msg)
         rows = database.execute("SELECT id, name, type FROM topics").fetchmany(1 << 16)
         for number, name, kind in rows:

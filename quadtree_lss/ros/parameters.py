@@ -89,11 +89,11 @@ def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]
         entity, _, policy = ending.partition(".")
         words = [word for word in QOS_POLICIES[policy] if word != "unknown"]
         if words and not (isinstance(value, str) and value.lower() in words):
-            msg = f"{name} = {value!r} is none of {', '.join(words)}"
+            msg = f"{name} = {value!r} is not one of {', '.join(words)}"
             raise ConfigError(msg)
         whole = isinstance(value, int) and not isinstance(value, bool)
         if not words and not (whole and 0 <= value < 2**31):  # type: ignore[operator]
-            msg = f"{name} = {value!r} is no number of messages"
+            msg = f"{name} = {value!r} is not a number of messages"
             raise ConfigError(msg)
         found.append((topic, entity))
     return found
@@ -210,12 +210,12 @@ def _checked(config: Config) -> Config:
     """
     root = config.files.root
     if "\0" in root:
-        msg = f"files.root = {root!r} is no name of a folder"
+        msg = f"files.root = {root!r} is not the name of a folder"
         raise ConfigError(msg)
     paths = {"map_file.path": config.map_file.path, "checkpoint.path": config.checkpoint.path}
     for name, path in paths.items():
         if path and (path.rpartition("/")[2] in ("", ".", "..") or "\0" in path):
-            msg = f"{name} = {path!r} is no name of a file"
+            msg = f"{name} = {path!r} is not the name of a file"
             raise ConfigError(msg)
         if path and root and not is_below(Path(path), root):
             msg = f"{name} = {path!r} is not below files.root = {root!r}"

@@ -112,8 +112,8 @@ def test_a_matrix_takes_points_where_the_pose_does():
         (np.eye(3), r"\(4, 4\)"),
         (np.diag([1.0, 1.0, np.nan, 1.0]), "finite"),
         (np.diag([1.0, 1.0, 1.0, 2.0]), "last row"),
-        (np.diag([1.0, 1.0, 2.0, 1.0]), "no rotation"),
-        (np.diag([1.0, 1.0, -1.0, 1.0]), "no rotation"),
+        (np.diag([1.0, 1.0, 2.0, 1.0]), "not a rotation"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "not a rotation"),
     ],
 )
 def test_what_is_no_pose_is_refused(matrix, word):

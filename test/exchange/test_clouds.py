@@ -94,7 +94,7 @@ def test_what_is_no_cloud_is_one_line(tmp_path, suffix, content):
 @pytest.mark.parametrize("shape", [(5,), (5, 2), (2, 2, 2, 3)])
 def test_another_array_is_no_cloud(tmp_path, shape):
     np.save(tmp_path / "a.npy", np.zeros(shape))
-    with pytest.raises(ExchangeError, match="no cloud"):
+    with pytest.raises(ExchangeError, match="not a point cloud"):
         read_clouds(tmp_path / "a.npy")
     np.savez(tmp_path / "b.npz", x=np.zeros(3), y=np.zeros(3))
     with pytest.raises(ExchangeError, match="no array 'points', but x, y"):

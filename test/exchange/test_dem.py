@@ -78,7 +78,7 @@ def test_other_files_are_no_elevation_model(tmp_path):
         with pytest.raises(ExchangeError, match=word):
             read_dem(tmp_path / name)
     (tmp_path / "dem.txt").write_text("1 2 3")
-    with pytest.raises(ExchangeError, match="no elevation model"):
+    with pytest.raises(ExchangeError, match="not an elevation model"):
         read_dem(tmp_path / "dem.txt")
     with pytest.raises(ExchangeError, match="no such file"):
         read_dem(tmp_path / "none.tif")

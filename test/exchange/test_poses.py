@@ -49,9 +49,9 @@ def test_csv_without_a_header_has_the_order_of_tum(tmp_path):
         (b"stamp_ns,x,y,z,qx,qy,qz,qw\n", "no pose"),
         (b"stamp_ns,x,y,qx,qy,qz,qw\n1,1,1,1,1,1,1\n", "lacks z"),
         (b"x,y,z,qx,qy,qz,qw\n1,1,1,1,1,1,1\n", "lacks stamp_ns"),
-        (b"1 2 3\n", "pose 1 is no row of numbers: 1 2 3"),
+        (b"1 2 3\n", "pose 1 is not a row of numbers: 1 2 3"),
         (b"1 2 3 4 0 0 0 one\n", "pose 1"),
-        (b"\xff\xfe\x00", "no text"),
+        (b"\xff\xfe\x00", "not text"),
     ],
 )
 def test_what_is_no_file_of_poses_is_one_line(tmp_path, content, word):

@@ -81,7 +81,7 @@ def test_no_ground_in_common_is_one_line(before, tmp_path, capsys):
     with pytest.raises(ResultsError, match="no ground in common"):
         compare_results(before, tmp_path / "b")
     code, _, err = run(capsys, "compare", before, tmp_path)
-    assert code == 1 and "no folder that replay wrote" in err and err.count("\n") == 1
+    assert code == 1 and "replay did not write this folder" in err and err.count("\n") == 1
 
 
 def test_the_command_tells_it_in_words(before, tmp_path, capsys):

@@ -168,9 +168,9 @@ def test_the_command_writes_all_of_it(written, tmp_path, capsys):
     code, _, err = run(capsys, "export", written.out, "--format", "geotif")
     assert code == 2 and "did you mean 'geotiff'?" in err
     code, _, err = run(capsys, "export", written.out, "--crs", "EPSG:nonsense")
-    assert code == 1 and "is no coordinate reference system" in err and err.count("\n") == 1
+    assert code == 1 and "is not a coordinate reference system" in err and err.count("\n") == 1
     code, _, err = run(capsys, "export", tmp_path)
-    assert code == 1 and "no folder that replay wrote" in err
+    assert code == 1 and "replay did not write this folder" in err
 
 
 def test_both_a_system_and_an_origin_is_too_much(written, tmp_path):

@@ -69,7 +69,7 @@ def test_sites_can_be_ranked_again_on_a_map_read_back(written):
 
 
 def test_what_is_no_results_folder_is_said(written, tmp_path):
-    with pytest.raises(ResultsError, match="no folder"):
+    with pytest.raises(ResultsError, match="not a results folder"):
         load_results(tmp_path / "none")
     with pytest.raises(ResultsError, match="no summary.json"):
         load_results(tmp_path)

@@ -182,7 +182,7 @@ def test_the_checkpoint_before_is_kept_and_taken_up_when_the_newest_is_damaged(t
     before.write_bytes(b"damaged")
     (tmp_path / "map.refused").unlink()
     empty = Mapper(load_config(overrides=SMALL))
-    with pytest.raises(MapFileError, match="previous: is no checkpoint.*starting with an empty"):
+    with pytest.raises(MapFileError, match="previous: is not a checkpoint.*starting with an empty"):
         Checkpoints(path).take_up(empty)
     assert empty.stamp_ns == 0
     checkpoints, _ = kept(path, 2)

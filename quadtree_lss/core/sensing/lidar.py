@@ -65,7 +65,7 @@ class Pose:
         rotation = t[:3, :3]
         unit = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
         if not unit or np.linalg.det(rotation) < 0.0:
-            msg = "the upper left (3, 3) of the matrix is no rotation"
+            msg = "the upper left (3, 3) of the matrix is not a rotation"
             raise ValueError(msg)
         left, _, right = np.linalg.svd(rotation)
         if covariance is None:

@@ -55,7 +55,7 @@ def from_bytes(content: bytes) -> State:
     except CheckpointError:
         raise
     except Exception as error:  # zipfile and NumPy raise a dozen kinds on damaged bytes
-        msg = f"is no checkpoint, or a damaged one ({type(error).__name__})"
+        msg = f"is not a checkpoint, or a damaged one ({type(error).__name__})"
         raise CheckpointError(msg) from None
 
 
@@ -68,7 +68,7 @@ def _check_sizes(archive: zipfile.ZipFile, size: int) -> None:
     parts = archive.infolist()
     packed = any(part.compress_type != zipfile.ZIP_STORED for part in parts)
     if packed or sum(part.file_size for part in parts) > size:
-        msg = "is no checkpoint: its content is compressed or larger than itself"
+        msg = "is not a checkpoint: its content is compressed or larger than itself"
         raise CheckpointError(msg)
 
 
@@ -92,7 +92,7 @@ def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
     wanted, found = like["domain"], state.get("domain", np.empty(0))
     alike = found.dtype == wanted.dtype and found.shape == wanted.shape
     if not alike or not np.array_equal(state.get("format", ""), FORMAT):
-        msg = "is no checkpoint of this version"
+        msg = "is not a checkpoint of this version"
         raise CheckpointError(msg)
     if not np.array_equal(found, wanted):
         msg = (
