@@ -51,7 +51,7 @@ class Ancestors:
     of_leaf: Index
 
 
-def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
+def fuse_to_level(cells: CellMap, level: int, *, with_pose: bool = True) -> Ancestors:
     """Fuse leaves to their ancestors of ``level`` by Eq. 39-45.
 
     Each leaf's plane is moved to the ancestor's centre (exactly, value and covariance) and
@@ -59,6 +59,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     E = (sum R_i^-1)^-1 sum R_i^-1 E_i. Pose error is shared, so it enters once: the mean of the
     leaves' pose parts, weighted by their measurements. Inherited planes are no information.
     Fusing children of children at once is the same as level by level, information being additive.
+    Without ``with_pose`` there are no pose parts (0, 3, 3): the planes do not need them.
     """
     n = 1 << level
     below = cells.level >= level
@@ -79,7 +80,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
         z=np.zeros(len(cell)),
         normal=np.zeros((len(cell), 3)),
         range_part=np.zeros((len(cell), 3, 3)),
-        pose_part=np.zeros((len(cell), 3, 3)),
+        pose_part=np.zeros((len(cell) if with_pose else 0, 3, 3)),
         of_leaf=np.where(below, place[key], -1),
     )
     fuse_leaves(
@@ -120,13 +121,15 @@ def fuse_leaves(
         normal, range_part, pose_part: (K, 3), (K, 3, 3), (K, 3, 3).
         weight: (K,) measurements.
         place: (A, 2) x and y of the ancestors' centres, m.
-        z, fused, fused_range, fused_pose: What is made of them: (A,), (A, 3), (A, 3, 3) twice.
+        z, fused, fused_range, fused_pose: What is made of them: (A,), (A, 3), (A, 3, 3) twice, the
+            last only if it is not empty.
     """
     k: cython.Py_ssize_t
     a: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     count: cython.Py_ssize_t = place.shape[0]
+    with_pose: cython.bint = fused_pose.shape[0] > 0
     total = cython.declare(cython.double[::1], np.zeros(count))
     pulled = cython.declare(cython.double[:, ::1], np.zeros((count, 3)))
     own = cython.declare(cython.double[3])
@@ -163,29 +166,33 @@ def fuse_leaves(
                 own[i], mean[i] = normal[k, i], fused[a, i]
                 for j in range(3):
                     ranges[3 * i + j] = range_part[k, i, j]
-                    poses[3 * i + j] = pose_part[k, i, j]
+                    if with_pose:
+                        poses[3 * i + j] = pose_part[k, i, j]
             basis_at(own, basis)
             change_of_tangent(own, mean, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
             second = basis[3] * arm[0] + basis[4] * arm[1] + basis[5] * arm[2]
             shift_origin(ranges, first, second)
-            shift_origin(poses, first, second)
             turn_tangent(ranges, turn)
-            turn_tangent(poses, turn)
+            if with_pose:
+                shift_origin(poses, first, second)
+                turn_tangent(poses, turn)
             minus_at(own, mean, error)
             error[2] = -(own[0] * arm[0] + own[1] * arm[1] + own[2] * arm[2])
             inverse_symmetric(ranges, information)
             for i in range(3):
                 for j in range(3):
                     fused_range[a, i, j] += information[3 * i + j]
-                    fused_pose[a, i, j] += weight[k] / total[a] * poses[3 * i + j]
+                    if with_pose:
+                        fused_pose[a, i, j] += weight[k] / total[a] * poses[3 * i + j]
                     pulled[a, i] += information[3 * i + j] * error[j]
         for a in range(count):
             for i in range(3):
                 mean[i] = fused[a, i]
                 for j in range(3):
                     information[3 * i + j] = fused_range[a, i, j]
-                    poses[3 * i + j] = fused_pose[a, i, j]
+                    if with_pose:
+                        poses[3 * i + j] = fused_pose[a, i, j]
             inverse_symmetric(information, ranges)
             for i in range(3):
                 error[i] = 0.0
@@ -197,9 +204,11 @@ def fuse_leaves(
             rise = error[2] / own[2]
             z[a] += rise
             shift_origin(ranges, -rise * own[0], -rise * own[1])
-            shift_origin(poses, -rise * own[0], -rise * own[1])
+            if with_pose:
+                shift_origin(poses, -rise * own[0], -rise * own[1])
             for i in range(3):
                 fused[a, i] = own[i]
                 for j in range(3):
                     fused_range[a, i, j] = ranges[3 * i + j]
-                    fused_pose[a, i, j] = poses[3 * i + j]
+                    if with_pose:
+                        fused_pose[a, i, j] = poses[3 * i + j]

@@ -40,7 +40,7 @@ def elevation_deviation(cells: CellMap, level: int) -> Array:
     varies linearly and is greatest at a corner. 0 for leaves of the level or above, and NaN for
     leaves without a plane.
     """
-    fused = fuse_to_level(cells, level)
+    fused = fuse_to_level(cells, level, with_pose=False)
     out = np.where(cells.estimated, 0.0, np.nan)
     leaves = np.column_stack([cells.x, cells.y, cells.z, 0.5 * cells.size])
     above = np.where(cells.estimated & (cells.level > level), fused.of_leaf, -1)

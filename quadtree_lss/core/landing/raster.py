@@ -63,11 +63,12 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     """
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
-    leaf = np.zeros((n, n), dtype=np.int32)
-    elevation, slope_x, slope_y, subscale, peak = layers = np.zeros((5, n, n))
+    leaf = np.empty((n, n), dtype=np.int32)
+    elevation, slope_x, slope_y, subscale, peak = layers = np.empty((5, n, n))
+    layers[3:] = 0.0
     if not (cells.measured.any() and cells.observed.any()):
         unseen = np.zeros((n, n), dtype=np.bool_)
-        elevation += np.nan
+        layers[1:3], layers[0] = 0.0, np.nan
         leaf, seen, firm = cells.leaf_raster(), unseen, unseen
         return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, peak, seen, firm)
     seen = grown(cells.observed, max_gap, side, short=0.5)
@@ -84,9 +85,10 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
         leaf,
         layers,
     )
-    measured = cells.measured.take(leaf)
-    if not measured.all():
-        elevation = elevation.take(nearest_marked(measured)[1])
+    measured = np.isfinite(elevation)
+    gaps = np.flatnonzero(~measured)
+    if len(gaps):
+        elevation.ravel()[gaps] = elevation.take(nearest_marked(measured)[1].take(gaps))
     return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, peak, seen, firm)
 
 
@@ -111,8 +113,8 @@ def lay_out(
         normal, feature: (M, 3), (M, 5).
         side: Of the finest cells, m.
         leaf: (n, n), set to the row of the leaf.
-        layers: (5, n, n) zeros, set to elevation, slopes in x and y, mean and greatest height of
-            the feature.
+        layers: (5, n, n), set to elevation, slopes in x and y; where there is a feature, the last
+            two to its mean and its greatest height.
     """
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
