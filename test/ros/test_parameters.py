@@ -93,7 +93,7 @@ def test_qos_overrides_are_left_to_ros(context):
         ({"mapping__fit": "cubic"}, ["mapping.fit", "height", "ml"]),
         ({"frames__map": ""}, ["frames.map"]),
         ({"checkpoint__path": "/"}, ["checkpoint.path", "'/'"]),
-        ({"map_file__path": "maps/."}, ["map_file.path", "no name of a file"]),
+        ({"map_file__path": "maps/."}, ["map_file.path", "not the name of a file"]),
         ({f"{POSE_QOS}reliability": "nonsense"}, [TOLD_QOS + "reliability", "best_effort"]),
         ({f"{POSE_QOS}depth": -3}, [TOLD_QOS + "depth", "-3"]),
         ({f"{POSE_QOS}depth": "abc"}, [TOLD_QOS + "depth", "'abc'"]),
