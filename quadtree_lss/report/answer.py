@@ -117,7 +117,7 @@ def headline(content: Content) -> tuple[str, str]:
 def _without(content: Content, ground: str) -> str:
     """What limits, said once, then the nearest miss and the largest circle."""
     text = f"{content.summary['explanation']}".removeprefix("no safe site: ").rstrip(".")
-    lines = [f"{text[:1].upper()}{text[1:]}", ground]
+    lines = [f"{text[:1].upper()}{text[1:]}", *([ground] if content.seen.any() else ())]
     miss, circle = nearest_miss(content), largest_circle(content)
     if miss is not None:
         lines.append(f"Nearest miss at x {miss.x:.2f}, y {miss.y:.2f} m: {miss.why}")

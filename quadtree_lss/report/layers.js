@@ -38,7 +38,7 @@ function makeLayers() {
     title: "Hazards by kind", of: "grid", outlines: lines,
     classes: [{ name: "none", colour: data.colours.clear }, ...filled],
     value: i => filled.findIndex(h => grid.hazard[i] & h.bit) + 1,
-    note: centred + (lines.length ? "Outlines do not exclude landing. " : ""),
+    note: (data.touchdown ? centred : "") + (lines.length ? "Outlines do not exclude landing. " : ""),
   };
   onGrid("slope", "Slope at the lander's scale", "deg", grid.slope, "slope", "unseen",
          { mark: grid.slope.mark });

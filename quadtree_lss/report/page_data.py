@@ -69,6 +69,7 @@ def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "timing": _timing(content),
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
         "excluding": palette.excluding(config.lss.assessment),
+        "touchdown": config.lss.assessment == "touchdown",
         "colours": {
             "clear": palette.CLEAR_COLOUR,
             "excluded": palette.EXCLUDED_COLOUR,
@@ -178,12 +179,14 @@ def _json(value: float) -> float | None:
 def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] | None:
     """Answers and scans in seconds since the first of both; None without a second answer."""
     history = content.history
-    if not history or len(history["answer_stamp_ns"]) < 2:
+    if not history:
         return None
     scans, answers = history["scan_stamp_ns"], history["answer_stamp_ns"]
-    stamps = np.concatenate([scans, answers[answers > 0]])
-    first = int(stamps.min()) if len(stamps) else 0
-    shown = np.unique(np.linspace(0, len(answers) - 1, MAX_ANSWERS).round().astype(int))
+    mapped = np.flatnonzero(answers > 0)  # of a map with a scan in it
+    if len(mapped) < 2:
+        return None
+    first = int(min(scans.min(initial=answers[mapped[0]]), answers[mapped].min()))
+    shown = mapped[np.unique(np.linspace(0, len(mapped) - 1, MAX_ANSWERS).round().astype(int))]
     shape = content.grid["hazard"].shape
 
     def bits(name: str) -> NDArray[Any]:

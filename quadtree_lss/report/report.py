@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from quadtree_lss.config.settings import Config, parameters, values_from_config
 from quadtree_lss.report import figures
-from quadtree_lss.report.answer import headline, when
+from quadtree_lss.report.answer import headline, largest_circle, nearest_miss, when
 from quadtree_lss.report.content import Content, read
 from quadtree_lss.report.page_data import Layer, page_data
 from quadtree_lss.report.template import document, plain_table, source, table
@@ -127,10 +127,13 @@ def _warnings(summary: Mapping[str, Any]) -> str:
 def _sites(content: Content) -> str:
     sites = content.sites
     if not len(sites["x"]):
-        return (
-            '<p class="note">No site: the answer above says what limits. On the map, ? is the'
-            " nearest miss and the dashed circle the largest one of clear ground.</p>"
-        )
+        marks = [
+            "? the nearest miss" if nearest_miss(content) else "",
+            "the dashed circle the largest one of clear ground" if largest_circle(content) else "",
+        ]
+        shown = " and ".join(filter(None, marks))
+        on_map = f" On the map, {shown}." if shown else ""
+        return f'<p class="note">No site: the answer above says what limits.{on_map}</p>'
     chosen = [
         ("x", "m", "x", "{:.2f}"),
         ("y", "m", "y", "{:.2f}"),

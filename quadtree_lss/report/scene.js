@@ -226,7 +226,7 @@ class Space {
   }
   fitTrack() {
     const h = data.history;
-    if (!h) return;
+    if (!h || !h.position.length) return;
     view.track = byId("show-track").checked = true;
     this.update();
     const top = this.at(h.position[0], h.position[1], h.position[2]);

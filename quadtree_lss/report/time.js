@@ -14,11 +14,11 @@ function setInstant(k) { // of the answers; the last one is the map as it lies
   const found = h.sites[Math.min(k, last)].length;
   byId("clock").textContent = `${h.seconds[Math.min(k, last)].toFixed(1)} s · ${found || "no"} site` +
     (found === 1 ? "" : "s");
-  if (chart_sites) chart_sites.redraw(false);
+  for (const chart of charts_sites) chart.redraw(false);
   if (space) space.update();
   draw();
 }
-let chart_sites = null;
+const charts_sites = [];
 function timeline() {
   const h = data.history;
   if (!h) { byId("show-track").parentElement.hidden = true; return; }
@@ -42,12 +42,6 @@ function timeline() {
   const final = new Set(sites.map(s => s.id));
   const ids = [...counts.keys()].sort((a, b) => final.has(b) - final.has(a) ||
     counts.get(b) - counts.get(a)).slice(0, 7);
-  const known = h.sites.some(all => all.some(s => s[5] !== null)), at = known ? 5 : 4;
-  const scale = known ? 100 : 1;
-  const columns = ids.map(id => h.sites.map(all => {
-    const row = all.find(s => s[0] === id);
-    return row && row[at] !== null ? scale * row[at] : null;
-  }));
   const rank = id => (sites.find(s => s.id === id) || {}).rank;
   const name = id => (rank(id) ? `site ${rank(id)}` : `place ${id}`);
   const mark = u => { // the shown instant
@@ -56,14 +50,23 @@ function timeline() {
     c.save(); c.strokeStyle = ink("--ink"); c.lineWidth = devicePixelRatio; c.beginPath();
     c.moveTo(p, u.bbox.top); c.lineTo(p, u.bbox.top + u.bbox.height); c.stroke(); c.restore();
   };
-  chart_sites = plot(byId("chart-sites"), 150, {
-    series: [{ label: "time", value: second_s }, ...ids.map((id, k) =>
-      curve(name(id), CURVES[k], known ? " %" : "", { width: rank(id) ? 2 : 1, spanGaps: false,
-        points: { show: true, size: 3 } }))],
-    scales: { x: { time: false } },
-    axes: [{ label: "time, s" }, { label: known ? "safe with, %" : "score" }],
-    hooks: { draw: [mark] },
-    cursor: { bind: { mousedown: u => () => { setInstant(u.cursor.idx); return null; } } },
-  }, [h.seconds, ...columns]);
+  const chart = (column, scale, label, unit) => {
+    if (!h.sites.some(all => all.some(s => s[column] !== null))) return;
+    const lines = ids.map(id => h.sites.map(all => {
+      const row = all.find(s => s[0] === id);
+      return row && row[column] !== null ? scale * row[column] : null;
+    }));
+    charts_sites.push(plot(byId("chart-sites"), 130, {
+      series: [{ label: "time", value: second_s }, ...ids.map((id, k) =>
+        curve(name(id), CURVES[k], unit, { width: rank(id) ? 2 : 1, spanGaps: false,
+          points: { show: true, size: 3 } }))],
+      scales: { x: { time: false } }, axes: [{ label: "time, s" }, { label }],
+      hooks: { draw: [mark] }, legend: { show: !charts_sites.length },
+      cursor: { sync: { key: "sites" },
+        bind: { mousedown: u => () => { setInstant(u.cursor.idx); return null; } } },
+    }, [h.seconds, ...lines]));
+  };
+  chart(5, 100, "safe with, %", " %");
+  chart(4, 1, "score", "");
   setInstant(last);
 }

@@ -222,7 +222,7 @@ def test_the_slider_shows_the_map_growing(text, tmp_path):
         tellTest("at", [view.answer, byId("clock").textContent]);
         tellTest("unseen", [grey(0), grey(last)]);
         setInstant(last); tellTest("end", view.answer);
-        tellTest("curves", chart_sites.data.length);
+        tellTest("curves", charts_sites[0].data.length);
         """,
     )
     assert told["at"][0] == 0 and "site" in told["at"][1] and told["end"] == -1

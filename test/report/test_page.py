@@ -128,6 +128,17 @@ def test_history_tells_since_when_ground_is_seen(result, text):
     assert len(found.column(history["position"])) == 3 * len(result.timings)
 
 
+def test_answers_before_the_first_scan_are_no_time_of_the_flight(content):
+    stamps = content.history["answer_stamp_ns"].copy()
+    stamps[0] = 0
+    data, _ = unpacked(
+        dataclasses.replace(content, history={**content.history, "answer_stamp_ns": stamps})
+    )
+    assert min(data["history"]["seconds"]) >= 0.0
+    none = {**content.history, "answer_stamp_ns": np.zeros_like(stamps)}
+    assert unpacked(dataclasses.replace(content, history=none))[0]["history"] is None
+
+
 def test_rates_are_those_that_info_tells(result, text):
     assert "10, recorded at 10.00 Hz" in text and "22, recorded at 20.00 Hz" in text
     name = "/".join(Path(result.summary["bag"]).parts[-2:])
