@@ -7,7 +7,6 @@ import base64
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,12 +16,11 @@ from scipy.stats import spearmanr
 
 from quadtree_lss.campaign.statistics import bootstrap
 from quadtree_lss.evaluation.plotting import RUNS
+from quadtree_lss.report.template import Markup, document, table
 
 if TYPE_CHECKING:
     from quadtree_lss.campaign.summary import CampaignResult
 
-# Nothing may be loaded from anywhere.
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 MOST_REASONS = 4
 BINS = 6
 
@@ -45,19 +43,18 @@ def replay_command(result: CampaignResult, index: int) -> str:
 def _page(
     result: CampaignResult, times: Sequence[Mapping[str, str]], pictures: Mapping[str, bytes]
 ) -> str:
-    style = files("quadtree_lss.report").joinpath("page.css").read_text("utf-8")
-    title = f"Campaign {escape(result.study.name)}"
+    title = f"Campaign {result.study.name}"
     parts = []
     for name, lines in result.lines:
         header = ("", "mean or number", "95 % interval", "worst", "flight")
         parts.append(f"<h2>{escape(name)}</h2>{table(header, [line.cells() for line in lines])}")
     worst = [
-        (quantity.label, index, f"{value:.{quantity.digits}f} {quantity.unit}".strip())
+        (quantity.label, _link(index), f"{value:.{quantity.digits}f} {quantity.unit}".strip())
         for quantity, pairs in result.worst()
         for index, value in pairs
     ]
     commands = replay_command(result, 17)
-    failed = [(index, why) for index, why in result.failed.items()]
+    failed = [(_link(index), why) for index, why in result.failed.items()]
     images = "".join(
         f'<p><img style="max-width:100%" alt="{escape(name)}"'
         f' src="data:image/png;base64,{base64.b64encode(content).decode()}"></p>'
@@ -69,31 +66,20 @@ def _page(
         note += f", {result.enough} were enough"
     if failed:
         note += f", {len(failed)} failed"
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        f"<title>{title}</title><style>\n{style}</style></head><body>\n"
-        f'<h1>{title}</h1>\n<p class="verdict">{escape(note)}.</p>\n{"".join(parts)}\n'
-        f'<h2>Worst flights</h2>\n<p class="note">Flown again and kept, flight 17 for instance, by'
-        f" <code>{escape(commands)}</code></p>\n{table(('by', 'flight', 'value'), worst)}\n"
-        f"<h2>What explains it</h2>\n{images}\n"
+    body = (
+        f'<h1>{escape(title)}</h1>\n<p class="verdict">{escape(note)}.</p>\n{"".join(parts)}\n'
+        '<h2>Worst flights</h2>\n<p class="note">A flight\'s number leads to its page once it is'
+        f" kept: flight 17 for instance by <code>{escape(commands)}</code></p>\n"
+        f"{table(('by', 'flight', 'value'), worst)}\n<h2>What explains it</h2>\n{images}\n"
         + (f"<h2>Failed</h2>{table(('flight', 'why'), failed)}\n" if failed else "")
-        + f"<h2>Time</h2>\n{_times(times)}\n</body></html>\n"
+        + f"<h2>Time</h2>\n{_times(times)}"
     )
+    return document(title, body)
 
 
-def table(header: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """A table; texts are aligned to the left."""
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in rows)
-    return f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
-
-
-def _cell(value: object) -> str:
-    text = str(value)
-    kind = ' class="text"' if any(c.isalpha() for c in text) else ""
-    return f"<td{kind}>{escape(text)}</td>"
+def _link(index: int) -> Markup:
+    """To the page of a flight that is kept (`kept.keep`)."""
+    return Markup(f'<a href="kept/{index:06d}/evaluation/report.html">{index}</a>')
 
 
 def _times(rows: Sequence[Mapping[str, str]]) -> str:

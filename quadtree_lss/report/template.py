@@ -67,13 +67,17 @@ def source(name: str) -> str:
     return files("quadtree_lss.report").joinpath(name).read_text("utf-8")
 
 
+class Markup(str):
+    """A value of a table that is markup already."""
+
+
 def table(
     header: Sequence[str],
     rows: Iterable[Iterable[object]],
     marks: Iterable[str] | None = None,
     attributes: str = "",
 ) -> str:
-    """Rows of values, escaped; ``marks`` are attributes of each row."""
+    """Rows of values, escaped but for `Markup`; ``marks`` are attributes of each row."""
     rows = [tuple(row) for row in rows]
     marks = [""] * len(rows) if marks is None else list(marks)
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
@@ -91,6 +95,8 @@ def plain_table(rows: Iterable[Iterable[object]]) -> str:
 
 
 def _cell(value: object) -> str:
+    if isinstance(value, Markup):
+        return f"<td>{value}</td>"
     text = str(value)
     kind = ' class="text"' if any(c.isalpha() for c in text) else ""
     return f"<td{kind}>{escape(text)}</td>"
