@@ -73,6 +73,7 @@ def keep(case: Case, folder: Path) -> None:
 FLY = Kind(
     fly=fly,
     keep=keep,
+    page="flight.html",
     scenarios=AVOIDANCE,
     conditions=CONDITIONS,
     quantities=(

@@ -88,6 +88,7 @@ class Kind:
     Attributes:
         fly: Gives the figures of a case; raises `QuadtreeLssError` if it fails.
         keep: Flies a case again and leaves everything there is to see in a folder.
+        page: The page in that folder.
         scenarios, conditions: Names that a study may use.
         quantities: Of the table.
         explained: Figures that the sensitivity plots explain.
@@ -96,6 +97,7 @@ class Kind:
 
     fly: Callable[[Case], Flown]
     keep: Callable[[Case, Path], None]
+    page: str
     scenarios: Collection[str]
     conditions: Collection[str]
     quantities: tuple[Quantity, ...]

@@ -142,6 +142,7 @@ def keep(case: Case, folder: Path) -> None:
 MAP = Kind(
     fly=fly,
     keep=keep,
+    page="evaluation/report.html",
     scenarios=tuple(SCENARIOS),
     conditions=CONDITIONS,
     quantities=(

@@ -14,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
+from quadtree_lss.campaign.kinds import kind_of
 from quadtree_lss.campaign.statistics import bootstrap
 from quadtree_lss.evaluation.plotting import RUNS
 from quadtree_lss.report.template import Markup, document, table
@@ -49,12 +50,16 @@ def _page(
         header = ("", "mean or number", "95 % interval", "worst", "flight")
         parts.append(f"<h2>{escape(name)}</h2>{table(header, [line.cells() for line in lines])}")
     worst = [
-        (quantity.label, _link(index), f"{value:.{quantity.digits}f} {quantity.unit}".strip())
+        (
+            quantity.label,
+            _link(result, index),
+            f"{value:.{quantity.digits}f} {quantity.unit}".strip(),
+        )
         for quantity, pairs in result.worst()
         for index, value in pairs
     ]
     commands = replay_command(result, 17)
-    failed = [(_link(index), why) for index, why in result.failed.items()]
+    failed = [(_link(result, index), why) for index, why in result.failed.items()]
     images = "".join(
         f'<p><img style="max-width:100%" alt="{escape(name)}"'
         f' src="data:image/png;base64,{base64.b64encode(content).decode()}"></p>'
@@ -77,9 +82,10 @@ def _page(
     return document(title, body)
 
 
-def _link(index: int) -> Markup:
+def _link(result: CampaignResult, index: int) -> Markup:
     """To the page of a flight that is kept (`kept.keep`)."""
-    return Markup(f'<a href="kept/{index:06d}/evaluation/report.html">{index}</a>')
+    page = kind_of(result.study.kind).page
+    return Markup(f'<a href="kept/{index:06d}/{page}">{index}</a>')
 
 
 def _times(rows: Sequence[Mapping[str, str]]) -> str:

@@ -102,6 +102,7 @@ def test_each_flight_is_a_file_and_told(first):
     content = json.loads((result.out / "campaign.json").read_text())
     assert [part["name"] for part in content["summary"]] == ["lss.margin 0.0", "lss.margin 1.0"]
     page = (result.out / "campaign.html").read_text()
+    assert 'href="kept/00000' in page and "/evaluation/report.html" in page
     assert "--keep 17" in page and "data:image/png" in page and "Safe terrain found" in page
 
 
@@ -274,4 +275,5 @@ def test_a_flight_is_flown_again_and_kept(first, study):
     found = json.loads((kept / "evaluation" / "evaluation.json").read_text())
     figures = first[0].records[3].figures
     assert found["elevation"]["mean_absolute"] == figures["mean_absolute"]
+    assert (kept / "evaluation" / "report.html").exists()
     assert (kept / "results" / "report.html").exists() and list((kept / "bag").iterdir())
