@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import itertools
 import json
-import re
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
@@ -15,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.campaign.kinds import CampaignError, Case, Kind, Value, kind_of
+from quadtree_lss.campaign.kinds import CampaignError, Case, Kind, kind_of
+from quadtree_lss.campaign.values import MOST_FLIGHTS, Drawn, parse_seeds, values_of
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import values_from_config
 from quadtree_lss.config.yaml_text import YamlError, parse_yaml
@@ -35,41 +35,6 @@ KEYS = (
     "until",
 )
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
-MOST_FLIGHTS = 1_000_000
-
-
-def _normal(generator: np.random.Generator, mean: float, sigma: float) -> float:
-    return float(generator.normal(mean, sigma))
-
-
-def _uniform(generator: np.random.Generator, low: float, high: float) -> float:
-    return float(generator.uniform(low, high))
-
-
-def _log_uniform(generator: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(generator.uniform(np.log(low), np.log(high))))
-
-
-DRAWN: dict[str, Callable[[np.random.Generator, float, float], float]] = {
-    "uniform": _uniform,
-    "log_uniform": _log_uniform,
-    "normal": _normal,
-}
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A value that each flight draws for itself."""
-
-    how: str
-    of: tuple[Any, ...]
-
-    def draw(self, generator: np.random.Generator) -> Value:
-        """One value."""
-        if self.how == "choice":
-            chosen: Value = self.of[int(generator.integers(len(self.of)))]
-            return chosen
-        return DRAWN[self.how](generator, *self.of)
 
 
 Combination = Mapping[tuple[str, str], Any]
@@ -256,7 +221,7 @@ def _combinations(
                 raise CampaignError(msg)
             for key, value in given.items():
                 parts[(part, str(key))] = value
-    axes = {key: _values(value, key[1]) for key, value in parts.items()}
+    axes = {key: values_of(value, key[1]) for key, value in parts.items()}
     for (part, key), values in axes.items():
         if part == "conditions" and key not in kind.conditions:
             msg = f"unknown condition {key!r}; there are {', '.join(kind.conditions)}"
@@ -267,38 +232,6 @@ def _combinations(
         if key == "terrain":
             axes[(part, key)] = [v if v is None else str(_beside(v, file)) for v in values]
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-
-
-def _values(value: Any, name: str) -> list[Any]:
-    """What a value in a study stands for: one, several in turn, or one that is drawn."""
-    if isinstance(value, list):
-        if not value:
-            msg = f"{name}: an empty list"
-            raise CampaignError(msg)
-        return value
-    if not isinstance(value, Mapping):
-        return [value]
-    how, of = next(iter(value.items())) if len(value) == 1 else ("", None)
-    try:
-        if how == "each" and isinstance(of, list) and of:
-            return of
-        if how == "range" and isinstance(of, list):
-            first, last, number = of
-            return [float(v) for v in np.linspace(first, last, int(number))]
-        if how == "choice" and isinstance(of, list) and of:
-            return [Drawn(how, tuple(of))]
-        if how in DRAWN and isinstance(of, list):
-            low, high = (float(v) for v in of)
-            positive = low > 0.0 if how == "log_uniform" else high > 0.0 or how == "uniform"
-            if np.isfinite([low, high]).all() and positive and (low < high or how == "normal"):
-                return [Drawn(how, (low, high))]
-    except (TypeError, ValueError):
-        pass
-    msg = (
-        f"{name}: {value} is no value, list, range: [first, last, number], each: [...],"
-        " choice: [...], uniform: [low, high], log_uniform: [low, high], normal: [mean, sigma]"
-    )
-    raise CampaignError(msg)
 
 
 def _beside(name: object, file: Path) -> Path:
@@ -319,19 +252,3 @@ def _whole(value: object, name: str, least: int) -> int:
         msg = f"{name} must be a whole number from {least}, not {value!r}"
         raise CampaignError(msg)
     return value
-
-
-def parse_seeds(text: str) -> list[int]:
-    """Numbers from ``101-120``, ``1,2,7`` or both, each once; raises `CampaignError`."""
-    seeds: list[int] = []
-    for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
-        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not first <= last < first + MOST_FLIGHTS:
-            msg = f"{text!r}: expected numbers and ranges, such as 101-120 or 1,2,7"
-            raise CampaignError(msg)
-        seeds += range(first, last + 1)
-    if len(set(seeds)) < len(seeds):
-        msg = f"{text!r}: a number is named more than once"
-        raise CampaignError(msg)
-    return seeds

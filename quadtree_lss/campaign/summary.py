@@ -43,8 +43,7 @@ class Line:
         flight = "-" if self.worst_flight is None else str(self.worst_flight)
         if self.events is not None:
             bounds = f"{100.0 * self.low:.2f} … {100.0 * self.high:.2f} %"
-            whose = flight if self.events else "-"
-            return q.label, f"{self.events} of {self.count}", bounds, "-", whose
+            return q.label, f"{self.events} of {self.count}", bounds, "-", flight
         interval = "-" if self.low != self.low else f"{self.low:{digits}} … {self.high:{digits}}"
         label = f"{q.label} [{q.unit}]" if q.unit else q.label
         return label, _show(self.mean, digits), interval, _show(self.worst, digits), flight
@@ -64,8 +63,8 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
     """One quantity of flights."""
     indices = [record.index for record in records]
     values = [number(record, quantity.name) for record in records]
-    statistic = summarise(indices, values, quantity.worst)
     if quantity.of is None:
+        statistic = summarise(indices, values, quantity.worst)
         mean, low, high = statistic.mean, statistic.low, statistic.high
         worst, flight = statistic.worst, statistic.worst_seed
         return Line(quantity, mean, low, high, worst, flight, statistic.count)
@@ -73,8 +72,19 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
     trials = int(np.nansum([number(record, quantity.of) for record in records]))
     low, high = rate_interval(events, trials)
     rate = events / trials if trials else float("nan")
-    worst, flight = statistic.worst, statistic.worst_seed
-    return Line(quantity, rate, low, high, worst, flight, trials, events)
+    bad = max(records, key=lambda record: badness(quantity, record), default=None)
+    blamed = bad.index if bad is not None and badness(quantity, bad) > 0.0 else None
+    return Line(quantity, rate, low, high, float("nan"), blamed, trials, events)
+
+
+def badness(quantity: Quantity, record: Record) -> float:
+    """How bad a flight is, the more the worse; of counted events none is 0."""
+    value = number(record, quantity.name)
+    if quantity.of is not None and quantity.worst == "smallest":
+        value = number(record, quantity.of) - value
+    elif quantity.worst == "smallest":
+        value = -value
+    return value if value == value else float("-inf")
 
 
 def narrow_enough(study: Study, records: Sequence[Record]) -> bool:
@@ -129,24 +139,21 @@ class CampaignResult:
 
     @cached_property
     def lines(self) -> list[tuple[str, list[Line]]]:
-        """Each combination's name and its quantities."""
+        """Each combination's name with its number of flights, and its quantities."""
         parts = groups(self.study, flown(self.records.values()))
         return [
-            (name, [line_of(quantity, part) for quantity in self.study.what.quantities])
+            (f"{name}: {len(part)}", [line_of(q, part) for q in self.study.what.quantities])
             for name, part in parts
         ]
 
     def worst(self) -> list[tuple[Quantity, list[tuple[int, float]]]]:
-        """The worst flights by each quantity that is explained, counts events or has a worst."""
+        """The worst flights by each quantity, and its value; where events count, if there were."""
         found = []
-        records = flown(self.records.values())
         for quantity in self.study.what.quantities:
-            sign = 1.0 if quantity.worst == "smallest" else -1.0
-            values = [(sign * number(r, quantity.name), r.index) for r in records]
-            ranked = sorted(v for v in values if v[0] == v[0])[:WORST]
-            if quantity.of is not None:
-                ranked = [v for v in ranked if v[0] < 0.0]
-            found.append((quantity, [(index, sign * value) for value, index in ranked]))
+            least = 0.0 if quantity.of is not None else float("-inf")
+            rated = [(badness(quantity, r), r) for r in flown(self.records.values())]
+            ranked = sorted((-bad, r.index, r) for bad, r in rated if bad > least)[:WORST]
+            found.append((quantity, [(k, number(r, quantity.name)) for _, k, r in ranked]))
         return found
 
     def table(self) -> str:
@@ -158,7 +165,7 @@ class CampaignResult:
                 *(row.cells() for row in part),
             ]
             widths = [max(len(row[k]) for row in rows) for k in range(5)]
-            lines.append(f"{name}: {max((row.count for row in part), default=0)}")
+            lines.append(name)
             lines += [
                 f"{row[0]:<{widths[0]}}" + "".join(f"  {row[k]:>{widths[k]}}" for k in range(1, 5))
                 for row in rows

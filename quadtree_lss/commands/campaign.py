@@ -55,7 +55,7 @@ def _run(options: argparse.Namespace) -> int:
     if len(options.what) != 1 or options.out is None:
         options.parser.error("one STUDY.yaml and --out are required")
     from quadtree_lss.campaign import Where, campaign, read_study
-    from quadtree_lss.campaign.study import parse_seeds
+    from quadtree_lss.campaign.values import parse_seeds
 
     study = read_study(options.what[0])
     if options.keep is not None:

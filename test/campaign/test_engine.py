@@ -100,7 +100,10 @@ def test_each_flight_is_a_file_and_told(first):
     assert [int(row["flight"]) for row in rows] == [*range(COUNT)]
     assert float(rows[3]["safe_found"]) == result.records[3].figures["safe_found"]
     content = json.loads((result.out / "campaign.json").read_text())
-    assert [part["name"] for part in content["summary"]] == ["lss.margin 0.0", "lss.margin 1.0"]
+    assert [part["name"] for part in content["summary"]] == [
+        "lss.margin 0.0: 4",
+        "lss.margin 1.0: 4",
+    ]
     page = (result.out / "campaign.html").read_text()
     assert 'href="kept/00000' in page and "/evaluation/report.html" in page
     assert "--keep 17" in page and "data:image/png" in page and "Safe terrain found" in page
