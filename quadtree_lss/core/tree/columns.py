@@ -18,8 +18,8 @@ if not cython.compiled:
 Array = NDArray[np.float64]
 Counts = NDArray[np.uint32]
 
-#: A bell fitted to a hemisphere by least squares peaks a quarter above it. The volume k^2 is right;
-#: a sigma wider by this lowers the peak and keeps the volume.
+#: A bell fitted to a hemisphere (Eq. 53) by least squares peaks a quarter above it. Its volume is
+#: right; a sigma wider by this lowers the peak and keeps it.
 WIDER = cython.declare(cython.double, feature.SHAPE**0.5)
 
 
