@@ -21,6 +21,9 @@ Ground that is not higher over the floor than the limit is in the way at no head
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from math import radians, tan
+
 import cython
 import numpy as np
 from numpy.typing import NDArray
@@ -37,32 +40,65 @@ Mask = NDArray[np.bool_]
 Marks = NDArray[np.uint8]
 
 if not cython.compiled:  # otherwise from the .pxd
-    from math import fabs, sqrt
+    from math import fabs, nan, sqrt
 
-    BLOCK = 8
-    UNKNOWN, FAILS = -1, 1
+    BLOCK, BINS = 8, 32
+    NAN = nan
     FAR = 1e9
 #: Bounds settle nothing by less than single precision can err, m.
 ROUNDING = 1e-4
 #: Where a resting plane may sink below the lowest pad, as a share of the pads' spread.
 SAG = 0.5 * (2.0**0.5 - 1.0)
 SHAPE = feature.SHAPE
+#: Between the heights of cells that are told apart in their order, m.
+STEP = 0.02
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Between what worst rests of a lander are told apart: beyond, less or more is all the same.
+
+    Attributes:
+        rise: Least and greatest rise of ground over a resting plane, m.
+        slope: Least and greatest slope of a resting plane, rise over run.
+    """
+
+    rise: tuple[float, float]
+    slope: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class WorstRest:
+    """How badly the lander rests at its worst heading, (n + 1, n + 1), within ``Limits``.
+
+    Attributes:
+        rise: Greatest rise of ground under the lander over a resting plane, m; NaN where nobody
+            asked.
+        slope: Of the steepest resting plane, rise over run; NaN where nobody asked.
+    """
+
+    rise: Single
+    slope: Single
 
 
 class TouchdownCheck:
-    """Checks maps of a growing terrain; judges again only the blocks whose ground changed.
+    """Sets the lander down on maps of a growing terrain.
 
-    The verdict on a block depends on the cells that its landers can meet alone, so where none of
-    them changed it is the one of before, bit for bit.
+    How it rests in a block of grid points depends on the cells that its landers can meet alone, so
+    blocks where none of them changed are as before, bit for bit.
     """
 
-    def __init__(self, config: LssConfig) -> None:
+    def __init__(self, config: LssConfig, limits: Limits | None = None) -> None:
         self.config = config
+        rise, slope = config.touchdown_roughness, tan(radians(config.touchdown_slope_deg))
+        self.limits = limits or Limits((rise, rise), (slope, slope))
         self._domain: Domain | None = None
         self._layers: tuple[Array, ...] = ()
 
-    def unsafe(self, raster: TerrainRaster, candidates: Mask) -> Mask:
-        """Grid points (n + 1, n + 1) at which some heading fails; False where not a candidate.
+    def worst(self, raster: TerrainRaster, candidates: Mask) -> WorstRest:
+        """The worst rest at grid points.
+
+        A rest that is too steep for the limits is not looked at for what rises over it.
 
         Args:
             raster: The map on its finest cells.
@@ -71,8 +107,8 @@ class TouchdownCheck:
         layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
         if raster.domain != self._domain:
             self._domain, self._layers = raster.domain, ()
-            self._lander = Lander(self.config, raster.domain)
-            self._verdict = np.full(candidates.shape, UNKNOWN, dtype=np.int8)
+            self._lander = Lander(self.config, self.limits, raster.domain)
+            self._rest = np.full((2, *candidates.shape), np.nan, dtype=np.float32)
         changed = np.zeros(raster.leaf.shape, dtype=np.bool_)
         for layer, before in zip(layers, self._layers, strict=False):
             changed |= layer != before
@@ -80,8 +116,16 @@ class TouchdownCheck:
         self._lander.stand_on(*layers)
         due, other = candidates.view(np.uint8), changed.view(np.uint8)
         for block in range(self._lander.blocks):  # between them a signal can end it
-            self._lander.judge(due, other, self._verdict, block)
-        return np.asarray(candidates & (self._verdict == FAILS))
+            self._lander.judge(due, other, self._rest, block)
+        return WorstRest(*self._rest)
+
+    def unsafe(self, raster: TerrainRaster, candidates: Mask) -> Mask:
+        """Grid points (n + 1, n + 1) at which some heading is over the touchdown limits."""
+        worst = self.worst(raster, candidates)
+        over = (worst.rise > np.float32(self.limits.rise[0])) | (
+            worst.slope > np.float32(self.limits.slope[0])
+        )
+        return np.asarray(candidates & over)
 
 
 @cython.boundscheck(False)
@@ -100,29 +144,31 @@ class Lander:
         pad_place: (4 yaws,) place in the window of the cell that a pad stands on, from that of the
             cell north-east of the grid point; four pads around the circle, heading by heading.
         pad_x, pad_y: (4 yaws,) of the pad from that cell's centre, m.
-        half: (width + BLOCK,) half width of the disc of cells under the lander in each row of the
-            window, BLOCK rows to the south of it the first, in cells.
-        away: (width + BLOCK,) of the centres of those rows from a grid point, and of columns, m.
+        half: (2 reach,) half width of the disc of cells under the lander in each row, in cells.
         top, pad, slope_x, slope_y: (width^2,) window over the block's plane: highest ground of
             each cell, height of a pad at its centre, slopes.
         stand: (4 yaws, BLOCK^2) heights of the pads at each grid point, over the plane, m.
         floor: (BLOCK^2,) below every resting plane of a grid point, over the plane, m.
         spread: (BLOCK^2,) of the pads' heights, m.
         roof: (BLOCK^2,) highest ground under the lander, over the plane, m.
-        high, height: Row and column in the window of the cells, ``highs`` of them, that may be in
-            the way of some grid point, and their highest ground over the plane, m.
-        begin: (width + 1,) the first of them in each row.
-        near: East and north of the grid point at hand and height over the plane of those,
-            ``nears`` of them, that may be in its way, m.
+        high, height: Row and column in the window of the cells, ``highs`` of them, that may be in the way
+            of some grid point, and their highest ground over the plane, m.
+        most: Greatest height of such a cell and those after it, m.
+        rest_x, rest_y, rest_z: (2 yaws,) planes that the lander rests on at the grid point at
+            hand: slopes and height there, over the block's plane.
+        least_x, most_x, least_y, most_y, least_z: Bounds of these.
+        above: (2 yaws,) rise of a cell over them, m.
+        worst_rise, worst_slope: Worst found there.
         plane_x, plane_y: Slopes of the block's plane.
     """
 
-    def __init__(self, config: LssConfig, domain: Domain) -> None:
+    def __init__(self, config: LssConfig, limits: Limits, domain: Domain) -> None:
         side = domain.finest_size
         under = disc(0.5 * config.vehicle_diameter, side)
         self.side, self.radius = side, 0.5 * config.vehicle_diameter
-        self.pad_radius, self.limit = config.pad_radius, config.touchdown_roughness
-        self.steepest = float(np.tan(np.radians(config.touchdown_slope_deg)))
+        self.pad_radius = config.pad_radius
+        self.low_rise, self.high_rise = limits.rise
+        self.low_slope, self.high_slope = limits.slope
         self.yaws = config.touchdown_yaws
         self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
         self.width = BLOCK - 1 + 2 * self.reach
@@ -141,12 +187,9 @@ class Lander:
         self.pad_place = row * self.width + column
         self.pad_x = (x - (column + 0.5) * side).astype(np.float32)
         self.pad_y = (y - (row + 0.5) * side).astype(np.float32)
-        half = np.zeros(self.width + BLOCK, dtype=np.intp)
-        np.maximum.at(half, under.row + self.reach + BLOCK, under.column + 1)
+        half = np.zeros(2 * self.reach, dtype=np.intp)
+        np.maximum.at(half, under.row + self.reach, under.column + 1)
         self.half = half
-        across = np.arange(self.width + BLOCK) - self.reach - BLOCK + 0.5
-        self.away = (across * side).astype(np.float32)
-        self.begin = np.zeros(self.width + 1, dtype=np.intp)
         self.top, self.pad, self.slope_x, self.slope_y = np.zeros(
             (4, self.width**2), dtype=np.float32
         )
@@ -154,10 +197,14 @@ class Lander:
         self.stand = np.zeros((4 * self.yaws, BLOCK**2), dtype=np.float32)
         self.floor, self.spread, self.roof = np.zeros((3, BLOCK**2), dtype=np.float32)
         self.high = np.zeros((2, self.width**2), dtype=np.intp)
-        self.height = np.zeros(self.width**2, dtype=np.float32)
-        self.near = np.zeros((3, self.width**2), dtype=np.float32)
-        self.highs = self.nears = self.spoiler = self.heading = 0
-        self.which = np.zeros(self.width**2, dtype=np.intp)
+        self.height, self.most = np.zeros((2, self.width**2), dtype=np.float32)
+        self.begin = np.zeros(BINS + 1, dtype=np.intp)
+        self.rest_x, self.rest_y, self.rest_z, self.above = np.zeros(
+            (4, 2 * self.yaws), dtype=np.float32
+        )
+        self.highs = self.spoiler = 0
+        self.worst_rise = self.worst_slope = 0.0
+        self.least_x = self.most_x = self.least_y = self.most_y = self.least_z = 0.0
         self.plane_x = self.plane_y = 0.0
 
     def stand_on(self, elevation: Array, slope_x: Array, slope_y: Array, subscale: Array) -> None:
@@ -189,14 +236,14 @@ class Lander:
                     self.ground[k, i, after:] = self.ground[k, i, after - 1]
 
     def judge(
-        self, due: Marks, changed: Marks, verdict: NDArray[np.int8], block: cython.Py_ssize_t
+        self, due: Marks, changed: Marks, rest: Single, block: cython.Py_ssize_t
     ) -> None:
-        """Bring the verdict on a row of blocks up to date after ``stand_on``.
+        """Bring the worst rests of a row of blocks up to date after ``stand_on``.
 
         Args:
             due: (n + 1, n + 1) points that need one.
             changed: (n, n) cells whose ground is not that of the map before.
-            verdict: (n + 1, n + 1) ``UNKNOWN``, 0 if it stands, or ``FAILS``, changed in place.
+            rest: (2, n + 1, n + 1) worst rise and slope there, NaN if unknown, changed in place.
             block: Number of the row, from the south.
         """
         i: cython.Py_ssize_t
@@ -216,13 +263,13 @@ class Lander:
                 k = j * BLOCK - self.reach
                 for i in range(max(k, 0), min(k + self.width, n)):
                     other |= columns[i]
-                self.judge_block(due, other, verdict, block * BLOCK, j * BLOCK)
+                self.judge_block(due, other, rest, block * BLOCK, j * BLOCK)
 
     def judge_block(
         self,
         due: Marks,
         forget: cython.bint,
-        verdict: NDArray[np.int8],
+        rest: Single,
         row: cython.Py_ssize_t,
         column: cython.Py_ssize_t,
     ) -> None:
@@ -233,15 +280,16 @@ class Lander:
         for r in range(row, min(row + BLOCK, due.shape[0])):
             for c in range(column, min(column + BLOCK, due.shape[1])):
                 if forget:
-                    verdict[r, c] = UNKNOWN
-                if not due[r, c] or verdict[r, c] != UNKNOWN:
+                    rest[1, r, c] = NAN
+                if not due[r, c] or rest[1, r, c] == rest[1, r, c]:
                     continue
                 if not loaded:
                     self.load(row, column)
                     self.set_down()
                     self.cover()
                     loaded = True
-                verdict[r, c] = self.fails(r - row, c - column)
+                self.set_worst(r - row, c - column)
+                rest[0, r, c], rest[1, r, c] = self.worst_rise, self.worst_slope
 
     def load(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
         """Take the ground of the window that begins at a cell.
@@ -309,7 +357,6 @@ class Lander:
         k: cython.Py_ssize_t
         half: cython.Py_ssize_t
         place: cython.Py_ssize_t
-        highs: cython.Py_ssize_t = 0
         self.run[:] = -FAR
         self.roof[:] = -FAR
         for half in range(1, self.reach + 1):
@@ -321,126 +368,142 @@ class Lander:
                     z = west if west > east else east
                     self.run[k + j] = z if z > self.run[k + j] else self.run[k + j]
             for i in range(2 * self.reach):
-                if self.half[i + BLOCK] == half:
+                if self.half[i] == half:
                     for k in range(BLOCK * BLOCK):
                         z = self.run[i * BLOCK + k]
                         self.roof[k] = z if z > self.roof[k] else self.roof[k]
         lowest = 1.0 * FAR
         for k in range(BLOCK * BLOCK):
-            if self.roof[k] > self.floor[k] + self.limit and self.floor[k] < lowest:
+            if self.roof[k] > self.floor[k] + self.low_rise and self.floor[k] < lowest:
                 lowest = self.floor[k]
-        self.highs = self.spoiler = 0
-        if lowest == FAR:
-            return
-        lowest += self.limit
-        for i in range(self.width):
-            self.begin[i] = highs
-            for j in range(self.width):
-                # Listed, and kept if it is higher: no branch for the processor to foresee.
-                z = self.top[i * self.width + j]
-                self.high[0, highs], self.high[1, highs], self.height[highs] = i, j, z
-                highs += z > lowest
-        self.begin[self.width] = self.highs = highs
+        self.list_highs(lowest + self.low_rise)
 
-    def fails(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.bint:
-        """Whether the lander at a grid point of the block fails at some heading."""
-        place: cython.Py_ssize_t = row * BLOCK + column
-        last: cython.Py_ssize_t
-        lowest = self.floor[place] + self.limit
-        tilt = sqrt(self.plane_x**2 + self.plane_y**2) + self.spread[place] / self.radius
-        steep: cython.bint = tilt > self.steepest - ROUNDING
-        self.nears = 0
-        if self.roof[place] > lowest:
-            # What spoilt the last grid point mostly spoils this one.
-            self.gather(row, column, lowest, self.spoiler, self.spoiler + 1)
-            if self.nears and self.fails_somewhere(place):
-                return True
-            self.nears = 0
-            last = self.begin[row + 2 * self.reach]
-            self.gather(row, column, lowest, self.begin[row], last)
-        return (steep or self.nears > 0) and self.fails_somewhere(place)
+    def list_highs(self, above: cython.double) -> None:
+        """List the cells of the window that are higher than ``above``, the higher ones first.
 
-    def fails_somewhere(self, place: cython.Py_ssize_t) -> cython.bint:
-        """Whether some heading fails by its slope or by one of the cells that are listed."""
+        They are in order of height to a ``STEP``: more would not pay.
+        """
         i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        for i in range(self.yaws):
-            k = (self.heading + i) % self.yaws
+        self.begin[:] = 0
+        for i in range(self.width * self.width):
+            if self.top[i] > above:
+                self.begin[bin_of(self.top[i] - above) + 1] += 1
+        for i in range(BINS):
+            self.begin[i + 1] += self.begin[i]
+        self.highs, self.spoiler = self.begin[BINS], 0
+        for i in range(self.width):
+            for j in range(self.width):
+                z = self.top[i * self.width + j]
+                if z > above:
+                    k = self.begin[bin_of(z - above)]
+                    self.begin[bin_of(z - above)] += 1
+                    self.high[0, k], self.high[1, k], self.height[k] = i, j, z
+        highest: cython.float = -FAR
+        for k in range(self.highs - 1, -1, -1):
+            highest = max(highest, self.height[k])
+            self.most[k] = highest
+
+    def set_worst(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
+        """Find the worst rest of the lander at a grid point of the block."""
+        place: cython.Py_ssize_t = row * BLOCK + column
+        lowest = self.floor[place] + self.low_rise
+        bound = sqrt(self.plane_x**2 + self.plane_y**2) + self.spread[place] / self.radius
+        self.worst_rise, self.worst_slope = self.low_rise, self.low_slope
+        under: cython.bint = self.roof[place] > lowest
+        if bound <= self.low_slope - ROUNDING and not under:
+            return
+        self.settle(place)
+        if self.worst_slope > self.high_slope or not under:
+            return
+        # What is in the way of one grid point mostly is of the next.
+        self.gather(row, column, self.spoiler, self.spoiler + 1)
+        if self.worst_rise <= self.high_rise:
+            self.gather(row, column, 0, self.highs)
+
+    def settle(self, place: cython.Py_ssize_t) -> None:
+        """Planes that the lander rests on at a grid point, two for each heading.
+
+        Sets their slopes in x and y and height at the grid point, over the block's plane, and the
+        steepest slope.
+        """
+        k: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        steepest = self.worst_slope * self.worst_slope
+        self.least_x = self.least_y = self.least_z = FAR
+        self.most_x = self.most_y = -FAR
+        for k in range(self.yaws):
             east, north = self.stand[4 * k, place], self.stand[4 * k + 1, place]
             west, south = self.stand[4 * k + 2, place], self.stand[4 * k + 3, place]
+            # Rise in the heading and across it over a radius, of either plane.
             if east + west >= north + south:
-                centre, own = 0.5 * (east + west), 0.5 * (east - west)
-                bad = self.rests_badly(k, centre, own, north - centre)
-                bad = bad or self.rests_badly(k, centre, own, centre - south)
+                centre, along = 0.5 * (east + west), 0.5 * (east - west)
+                across, other_along, other_across = north - centre, along, centre - south
             else:
-                centre, own = 0.5 * (north + south), 0.5 * (north - south)
-                bad = self.rests_badly(k, centre, east - centre, own)
-                bad = bad or self.rests_badly(k, centre, centre - west, own)
-            if bad:
-                self.heading = k
-                return True
-        return False
+                centre, across = 0.5 * (north + south), 0.5 * (north - south)
+                along, other_along, other_across = east - centre, centre - west, across
+            for j in range(2):
+                x = along * self.cos[k] - across * self.sin[k]
+                y = along * self.sin[k] + across * self.cos[k]
+                self.rest_x[2 * k + j], self.rest_y[2 * k + j] = x, y
+                self.rest_z[2 * k + j] = centre
+                self.least_x, self.most_x = min(self.least_x, x), max(self.most_x, x)
+                self.least_y, self.most_y = min(self.least_y, y), max(self.most_y, y)
+                self.least_z = min(self.least_z, centre)
+                x += self.plane_x
+                y += self.plane_y
+                steepest = max(steepest, x * x + y * y)
+                along, across = other_along, other_across
+        self.worst_slope = sqrt(steepest)
 
     def gather(
         self,
         row: cython.Py_ssize_t,
         column: cython.Py_ssize_t,
-        above: cython.double,
         first: cython.Py_ssize_t,
         last: cython.Py_ssize_t,
     ) -> None:
-        """List the cells under the lander at a grid point that are higher than ``above``."""
+        """Set the lander at a grid point over some of the cells that may be in its way."""
         k: cython.Py_ssize_t
-        j: cython.Py_ssize_t
         i: cython.Py_ssize_t
-        half: cython.Py_ssize_t
-        nears: cython.Py_ssize_t = 0
-        middle: cython.Py_ssize_t = self.reach + BLOCK
+        j: cython.Py_ssize_t
+        floor: cython.float = self.floor[row * BLOCK + column]
+        above: cython.float = floor + self.worst_rise
         for k in range(first, last):
-            i, j = self.high[0, k] - row + BLOCK, self.high[1, k] - column + BLOCK
-            half = self.half[i]
-            # Without a branch, which no processor could foresee.
-            self.near[0, nears], self.near[1, nears] = self.away[j], self.away[i]
-            self.near[2, nears] = self.height[k]
-            self.which[nears] = k
-            nears += (self.height[k] > above) & (middle - half <= j) & (j < middle + half)
-        self.nears = nears
+            if self.most[k] <= above:
+                return
+            if self.height[k] > above:
+                i, j = self.high[0, k] - row, self.high[1, k] - column - self.reach
+                if 0 <= i < 2 * self.reach and -self.half[i] <= j < self.half[i]:
+                    if self.rise_at(k, (j + 0.5) * self.side, (i - self.reach + 0.5) * self.side):
+                        above = floor + self.worst_rise
 
-    def rests_badly(
-        self,
-        heading: cython.Py_ssize_t,
-        centre: cython.double,
-        along: cython.double,
-        across: cython.double,
+    def rise_at(
+        self, k: cython.Py_ssize_t, east: cython.float, north: cython.float
     ) -> cython.bint:
-        """Whether a resting plane is too steep, or ground rises too high above it.
-
-        Args:
-            heading: Its number.
-            centre: Height of the plane at the grid point over the block's plane, m.
-            along, across: How much it rises in the heading and across it over a radius, m.
-        """
-        k: cython.Py_ssize_t
-        above: cython.int
-        z: cython.float
-        rise_x: cython.float
-        rise_y: cython.float
-        highest: cython.float
-        x = along * self.cos[heading] - across * self.sin[heading]
-        y = along * self.sin[heading] + across * self.cos[heading]
-        steep_x, steep_y = x + self.plane_x, y + self.plane_y
-        if steep_x * steep_x + steep_y * steep_y > self.steepest * self.steepest:
-            return True
-        rise_x, rise_y, highest = x, y, centre + self.limit
-        above = 0
-        for k in range(self.nears):
-            z = self.near[2, k] - rise_x * self.near[0, k]
-            above += z - rise_y * self.near[1, k] > highest
-        if above == 0:
+        """Whether a cell of the list, at a place from the grid point, rises higher than others."""
+        i: cython.Py_ssize_t
+        worst: cython.float = self.worst_rise
+        height: cython.float = self.height[k]
+        # No plane stands lower there than the least of all their heights and slopes would.
+        lowest = self.least_z + (self.least_x if east > 0.0 else self.most_x) * east
+        lowest += (self.least_y if north > 0.0 else self.most_y) * north
+        if height - lowest <= worst - ROUNDING:
             return False
-        for k in range(self.nears):
-            z = self.near[2, k] - rise_x * self.near[0, k]
-            if z - rise_y * self.near[1, k] > highest:
-                self.spoiler = self.which[k]
-                break
+        for i in range(2 * self.yaws):
+            self.above[i] = (
+                height - self.rest_x[i] * east - self.rest_y[i] * north - self.rest_z[i]
+            )
+        for i in range(2 * self.yaws):
+            worst = max(worst, self.above[i])
+        if worst <= self.worst_rise:
+            return False
+        self.worst_rise, self.spoiler = worst, k
         return True
+
+
+def bin_of(height: cython.double) -> cython.Py_ssize_t:
+    """Number of the bin for a height over the least, the highest ones first."""
+    number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, min(height / STEP, BINS - 1.0))
+    return BINS - 1 - number
