@@ -160,6 +160,7 @@ setup(
         NAME: [
             "py.typed",
             "core/*/*.pxd",
+            "config/*.yaml",
             "simulation/*.pxd",
             "report/*.js",
             "report/*.css",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from quadtree_lss.commands.text import fold, table, width
+from quadtree_lss.core.landing.probability import shown
 from quadtree_lss.errors import one_line
 
 if TYPE_CHECKING:
@@ -177,7 +178,18 @@ def result_text(result: ReplayResult, columns: int) -> str:
     return "\n".join(lines)
 
 
-_SITE_HEADER = ("rank", "x", "y", "z", "score", "slope", "roughness", "to hazard", "subscale")
+_SITE_HEADER = (
+    "rank",
+    "x",
+    "y",
+    "z",
+    "safe",
+    "score",
+    "slope",
+    "roughness",
+    "to hazard",
+    "subscale",
+)
 
 
 def _site_rows(sites: Sites) -> list[list[str]]:
@@ -185,6 +197,7 @@ def _site_rows(sites: Sites) -> list[list[str]]:
         [
             str(k + 1),
             *(f"{value:.2f}" for value in sites.position[k]),
+            shown(sites.probability[k]),
             f"{sites.score[k]:.4f}",
             f"{sites.slope_deg[k]:.1f}°",
             f"{sites.roughness[k]:.3f} m",

@@ -65,7 +65,7 @@ def pass_seconds(size: float, finest: int, lss: LssConfig) -> float:
     lander = min(radius / side, 0.5 * finest)
     zone = min((radius + lss.margin) / side, 0.5 * finest)
     each = 600.0 + 6.0 * lander + 3.0 * zone + 10.0 * lss.sites
-    if lss.assessment == "touchdown" and lss.vehicle_diameter <= size:
+    if lss.assessment != "paper" and lss.vehicle_diameter <= size:
         each += lss.touchdown_yaws * (25.0 + 5.0 * lander**2)
     ranking = 5.0 * lss.sites * (size / lss.grid_spacing) ** 2
     return 1e-9 * (each * finest**2 + ranking)

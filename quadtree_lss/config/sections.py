@@ -258,9 +258,37 @@ class LssConfig:
     """Hazards, scoring and ranking (paper V)."""
 
     assessment: str = _p(
-        "touchdown",
-        "the paper's avoided features alone, or lander-scale slope and touchdown check",
-        choices=("paper", "touchdown"),
+        "probability",
+        "what ground is safe: where the risk of landing is at most max_risk; or where the touchdown"
+        " check with its three limits finds nothing; or the paper's avoided features alone",
+        choices=("probability", "touchdown", "paper"),
+    )
+    ranking: str = _p(
+        "probability",
+        "what sites are ranked by: the probability of a safe touchdown if the lander aims there,"
+        " or the paper's score (Eq. 59)",
+        choices=("probability", "score"),
+    )
+    max_risk: float = _p(
+        0.005,
+        "greatest probability that landing at a place fails there; with assessment probability",
+        low=0.0,
+        high=1.0,
+        live=True,
+    )
+    dispersion: float = _p(
+        2.0,
+        "standard deviation, along x and along y, of where the lander comes down about its aim;"
+        " what guidance says on landing/dispersion goes before it",
+        unit="m",
+        low=0.0,
+        high=100.0,
+        live=True,
+    )
+    risk_model: str = _p(
+        "",
+        "file of the fit that turns the worst rest on the map into a probability (fit-risk writes"
+        " one); empty for the one that comes with the package",
     )
     grid_spacing: float = _p(0.5, "spacing of candidate sites", unit="m", low=0.01, high=1000.0)
     vehicle_diameter: float = _p(
@@ -276,7 +304,8 @@ class LssConfig:
     )
     max_slope_deg: float = _p(
         10.0,
-        "slope tolerance of leaves: decides with assessment paper, only shown with touchdown",
+        "steepest ground that the lander stands on; with assessment paper the slope tolerance of"
+        " leaves, only shown with touchdown",
         unit="deg",
         low=0.1,
         high=89.0,
@@ -284,7 +313,8 @@ class LssConfig:
     )
     max_roughness: float = _p(
         0.3,
-        "elevation tolerance of leaves: decides with assessment paper, only shown with touchdown",
+        "highest ground over its pads' plane that the lander clears; with assessment paper the"
+        " elevation tolerance of leaves, only shown with touchdown",
         unit="m",
         low=0.01,
         high=100.0,
@@ -359,6 +389,15 @@ class LssConfig:
         "added score per metre from the target, when one is given",
         low=0.0,
         high=1e6,
+        live=True,
+    )
+    target_risk: float = _p(
+        0.001,
+        "what a metre nearer to the target is worth, as a probability of a safe touchdown, when"
+        " sites are ranked by that",
+        unit="1/m",
+        low=0.0,
+        high=1.0,
         live=True,
     )
     hazard_distance_cap: float = _p(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where landing is wanted and where not: messages of ``landing/area``, ``keep_out``, ``target``."""
+"""What guidance says: ``landing/area``, ``keep_out``, ``target`` and ``dispersion``."""
 
 from __future__ import annotations
 
@@ -14,14 +14,23 @@ from quadtree_lss.messages.poses import check_frame
 
 Array = NDArray[np.float64]
 
-AREA, KEEP_OUT, TARGET = "area", "keep_out", "target"
+AREA, KEEP_OUT, TARGET, DISPERSION = "area", "keep_out", "target", "dispersion"
 """Their topics are ``landing/`` and this."""
 
 POLYGON_TYPE, POINT_TYPE = "geometry_msgs/msg/PolygonStamped", "geometry_msgs/msg/PointStamped"
-TYPES = {AREA: POLYGON_TYPE, KEEP_OUT: POLYGON_TYPE, TARGET: POINT_TYPE}
+DISPERSION_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TYPES = {
+    AREA: POLYGON_TYPE,
+    KEEP_OUT: POLYGON_TYPE,
+    TARGET: POINT_TYPE,
+    DISPERSION: DISPERSION_TYPE,
+}
 
 BINDING = (AREA, KEEP_OUT)
 """Topics without regard to which no site may be given out."""
+
+KNOWN_HEADING, WIDEST = np.radians(15.0), 100.0
+"""Deviation of a heading that counts as known, rad; greatest deviation of a touchdown, m."""
 
 MAX_VERTICES = 1000
 """More are taken for a damaged message."""
@@ -62,6 +71,36 @@ def target_from_message(msg: Any, map_frame: str) -> Array | None:
     return place
 
 
+def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
+    """Deviations along x and y, m, and heading, rad, NaN for any; None if there are none.
+
+    Of the covariance the variances in x and y count, and that of the rotation about z: a heading
+    that is not known to 15 degrees is any. The position means nothing.
+
+    Raises:
+        MessageError: with reason ``frame`` or ``dispersion``.
+    """
+    check_frame(msg.header.frame_id, map_frame, "dispersion")
+    covariance = np.asarray(msg.pose.covariance, dtype=np.float64)
+    variance = covariance[[0, 7]]
+    if np.isnan(variance).all():
+        return None
+    if not ((variance >= 0.0) & (variance <= WIDEST**2)).all():
+        text = f"variances {variance.tolist()} m^2 are not those of at most {WIDEST:g} m"
+        raise MessageError("dispersion", text)
+    q, known = msg.pose.orientation, 0.0 <= covariance[35] <= KNOWN_HEADING**2
+    turned = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return np.array([*np.sqrt(variance), turned if known and np.isfinite(turned) else np.nan])
+
+
+DECODE = {
+    AREA: polygon_from_message,
+    KEEP_OUT: polygon_from_message,
+    TARGET: target_from_message,
+    DISPERSION: dispersion_from_message,
+}
+
+
 class LandingWishes:
     """What was asked for last, as `assess` takes it; offline, where messages come in their order.
 
@@ -87,10 +126,9 @@ class LandingWishes:
         """
         if name in self.fixed:
             return
-        decode = target_from_message if name == TARGET else polygon_from_message
         self._unusable.pop(name, None)
         try:
-            self._values[name] = decode(msg, self._frame)
+            self._values[name] = DECODE[name](msg, self._frame)
         except MessageError as error:
             self.refuse(name, error)
             raise

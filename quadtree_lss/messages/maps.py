@@ -78,6 +78,7 @@ SITE_FIELDS: tuple[tuple[str, str], ...] = (
     ("subscale_height", "f4"),
     ("id", "u4"),
     ("answer", "u4"),
+    ("probability", "f4"),
 )
 
 #: Fields of the one ``landing/status`` point.
@@ -264,6 +265,7 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
     out["roughness"], out["hazard_distance"] = sites.roughness, sites.hazard_distance
     out["subscale_height"] = sites.subscale_height
     out["id"], out["answer"] = sites.id, assessment.answer
+    out["probability"] = sites.probability
     return out
 
 
@@ -307,6 +309,13 @@ def encode_score(assessment: LandingAssessment) -> NDArray[np.int8]:
         span = max(high - low, 1e-12)
         out[allowed] = np.rint(99.0 * (score[allowed] - low) / span).astype(np.int8)
     return out
+
+
+def encode_probability(assessment: LandingAssessment) -> NDArray[np.int8]:
+    """OccupancyGrid values of ``landing/probability``: per cent, rounded down; -1 if unknown."""
+    share = np.nan_to_num(assessment.probability, nan=-1.0)
+    values = np.where(share < 0.0, -1.0, np.floor(100.0 * np.minimum(share, 1.0) + 1e-9))
+    return np.where(assessment.hazard & 0x80 > 0, -1, values).astype(np.int8)
 
 
 def site_orientations(normals: Array) -> Array:

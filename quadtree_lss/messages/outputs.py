@@ -26,6 +26,7 @@ from quadtree_lss.messages.maps import (
     encode_cells,
     encode_hazards,
     encode_observed,
+    encode_probability,
     encode_score,
     encode_sites,
     encode_status,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs
 CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"
 HAZARDS, SCORE = "landing/hazards", "landing/score"
+PROBABILITY = "landing/probability"
 SELECTED, STATUS = "landing/selected", "landing/status"
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
@@ -52,6 +54,7 @@ TOPIC_TYPES = {
     SITE_TABLE: CLOUD_TYPE,
     HAZARDS: GRID_TYPE,
     SCORE: GRID_TYPE,
+    PROBABILITY: GRID_TYPE,
     SELECTED: SELECTED_TYPE,
     STATUS: CLOUD_TYPE,
 }
@@ -162,6 +165,7 @@ class MessageMaker:
         corner = (float(x[0]) - 0.5 * spacing, float(y[0]) - 0.5 * spacing)
         yield HAZARDS, self.grid(encode_hazards(assessment), corner, spacing, stamp)
         yield SCORE, self.grid(encode_score(assessment), corner, spacing, stamp)
+        yield PROBABILITY, self.grid(encode_probability(assessment), corner, spacing, stamp)
         yield SITE_TABLE, self.cloud(encode_sites(assessment), SITE_FIELDS, stamp)
         yield SITES, self.sites(assessment)
 

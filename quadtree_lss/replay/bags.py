@@ -55,8 +55,8 @@ __all__ = [
 SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
 ODOMETRY_TOPIC, TRANSFORMS_TOPIC = "/nav/odometry", "/tf_static"
 
-OUTPUTS = tuple(f"/{name}" for name in TOPIC_TYPES)
-"""How topics end that are clouds or poses by type, but our own output."""
+OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
+"""How topics end that are clouds or poses by type, but our own output or what guidance says."""
 
 
 class BagError(QuadtreeLssError):

@@ -60,14 +60,13 @@ class History:
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """An answer: what is seen, where landing is allowed, sites and target."""
         sites = found.sites
-        unknown = np.full(len(sites.score), np.nan)
-        probability = getattr(sites, "probability", unknown)
+        ranked = sites.id, sites.position, sites.score, sites.probability
         self._answers.add(
             {
                 "stamp_ns": found.stamp_ns,
                 "seen": np.packbits(found.hazard & UNSEEN == 0),
                 "allowed": np.packbits(found.safe),
-                "sites": np.column_stack([sites.id, sites.position, sites.score, probability]),
+                "sites": np.column_stack(ranked),
                 "target": np.array([found.selected.id, *found.selected.position]),
             }
         )

@@ -53,6 +53,7 @@ class ReplayResult:
                 "position": sites.position[k].tolist(),
                 "normal": sites.normal[k].tolist(),
                 "score": sites.score[k],
+                "probability": sites.probability[k],
                 "slope_deg": sites.slope_deg[k],
                 "roughness": sites.roughness[k],
                 "hazard_distance": sites.hazard_distance[k],

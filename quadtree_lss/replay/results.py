@@ -39,6 +39,7 @@ SITE_COLUMNS = (
     "hazard_distance",
     "subscale_height",
     "id",
+    "probability",
 )
 
 
@@ -133,8 +134,10 @@ def write_sites(path: Path, assessment: LandingAssessment) -> None:
         ]
     )
     rows = (
-        [rank, *map(float, row), int(number)]
-        for rank, (row, number) in enumerate(zip(columns, sites.id, strict=True), start=1)
+        [rank, *map(float, row), int(number), float(probability)]
+        for rank, (row, number, probability) in enumerate(
+            zip(columns, sites.id, sites.probability, strict=True), start=1
+        )
     )
     _write_csv(path, SITE_COLUMNS, rows)
 
@@ -202,6 +205,8 @@ def grid_arrays(assessment: LandingAssessment) -> dict[str, NDArray[Any]]:
         "hazard": assessment.hazard,
         "safe": assessment.safe,
         "score": assessment.score,
+        "probability": assessment.probability,
+        "risk": assessment.risk,
     }
 
 

@@ -83,7 +83,7 @@ def nearest_miss(content: Content) -> NearestMiss | None:
     if values is None:
         values, word = grid["slope_deg"], "slope {:.1f} deg, but a hazard within the zone"
     values = np.where(room, values, np.nan)
-    if lss.assessment != "touchdown" or grid["safe"].any() or not np.isfinite(values).any():
+    if lss.assessment == "paper" or grid["safe"].any() or not np.isfinite(values).any():
         return None
     row, column = np.unravel_index(best(values), values.shape)
     why = word.format(values[row, column])

@@ -45,7 +45,7 @@ def slope_figure(content: Content) -> Figure:
     """Slope at the lander's scale; the tolerance is marked in the colour bar and as a contour."""
     figure, axes = _map_axes("Slope at the lander's scale", content)
     grid, lss = content.grid, content.config.lss
-    touchdown = lss.assessment == "touchdown"
+    touchdown = lss.assessment != "paper"
     limit = lss.touchdown_slope_deg if touchdown else lss.max_slope_deg
     top = max(top_limit(grid["slope_deg"])[1], limit)
     label = f"slope, deg (limit {limit:g} in white; grey: unseen)"

@@ -90,7 +90,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
     def part(name: str) -> NDArray[Any]:
         return grid[name][::stride, ::stride]
 
-    touchdown = config.lss.assessment == "touchdown"
+    touchdown = config.lss.assessment != "paper"
     limit = config.lss.touchdown_slope_deg if touchdown else config.lss.max_slope_deg
     found: dict[str, Any] = {
         "nx": len(grid["x"][::stride]),

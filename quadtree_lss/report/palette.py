@@ -35,7 +35,7 @@ MAPS = {
 
 def excluding(assessment: str) -> int:
     """Bits of the hazards that exclude landing with ``lss.assessment``."""
-    return 8 | 4 if assessment == "touchdown" else 8 | 4 | 2 | 1
+    return 8 | 4 | 2 | 1 if assessment == "paper" else 8 | 4
 
 
 def colour_table(name: str) -> NDArray[np.uint8]:

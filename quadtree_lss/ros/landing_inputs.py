@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where landing is wanted and where not: ``landing/area``, ``landing/keep_out``, ``…/target``."""
+"""What guidance says: ``landing/area``, ``keep_out``, ``target`` and ``dispersion``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PolygonStamped
+from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -18,8 +18,7 @@ from rclpy.timer import Timer
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.landing_inputs import (
     BINDING,
-    polygon_from_message,
-    target_from_message,
+    DECODE,
 )
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.qos import latched, stream, subscribe
@@ -81,7 +80,7 @@ class _Input:
 
 
 class LandingInputs:
-    """Subscribes to the three topics and judges what came last by the map's frame.
+    """Subscribes to the topics and judges what came last by the map's frame.
 
     Each is subscribed to twice: latched, to get back after a restart what was sent before, and
     volatile, which matches publishers that keep nothing. Both ways end with the newest message.
@@ -108,12 +107,13 @@ class LandingInputs:
         self._settled = False
         self._inputs: dict[str, _Input] = {}
         self._latched: dict[str, Any] = {}
-        for name, kind, decode in (
-            ("area", PolygonStamped, polygon_from_message),
-            ("keep_out", PolygonStamped, polygon_from_message),
-            ("target", PointStamped, target_from_message),
+        for name, kind in (
+            ("area", PolygonStamped),
+            ("keep_out", PolygonStamped),
+            ("target", PointStamped),
+            ("dispersion", PoseWithCovarianceStamped),
         ):
-            given = self._inputs[name] = _Input(name, decode)
+            given = self._inputs[name] = _Input(name, DECODE[name])
             take = self._taker(given)
             subscribe(node, kind, f"landing/{name}", take, stream(5, reliable=True))
             quiet = SubscriptionEventCallbacks(use_default_callbacks=False)

@@ -29,6 +29,7 @@ TOPICS: Mapping[str, Any] = {
     "landing/site_table": PointCloud2,
     "landing/hazards": OccupancyGrid,
     "landing/score": OccupancyGrid,
+    "landing/probability": OccupancyGrid,
     "landing/selected": PoseWithCovarianceStamped,
     "landing/status": PointCloud2,
 }

@@ -79,6 +79,7 @@ class LssNode(Node):
                 ("landing/site_table", PointCloud2),
                 ("landing/hazards", OccupancyGrid),
                 ("landing/score", OccupancyGrid),
+                ("landing/probability", OccupancyGrid),
             )
         }
         self._target = TargetOutput(self, self._age, self._release)

@@ -60,10 +60,11 @@ KINDS = {
     "/landing/area": PolygonStamped,
     "/landing/keep_out": PolygonStamped,
     "/landing/target": PointStamped,
+    "/landing/dispersion": PoseWithCovarianceStamped,
     f"/{CELLS}": PointCloud2,
     f"/{OBSERVED}": OccupancyGrid,
 }
-LANDING_TOPICS = ("/landing/area", "/landing/keep_out", "/landing/target")
+LANDING_TOPICS = ("/landing/area", "/landing/keep_out", "/landing/target", "/landing/dispersion")
 OPTIONAL = (GIMBAL_TOPIC, *LANDING_TOPICS)
 """Played though nobody may listen."""
 MAP_TOPICS = (f"/{CELLS}", f"/{OBSERVED}")

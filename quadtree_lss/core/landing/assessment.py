@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.grid import GridSampler
+from quadtree_lss.core.landing.probability import Remainder
 from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.landing.score import PointAssessment
 from quadtree_lss.core.landing.target import Reason
@@ -31,6 +32,7 @@ class Sites:
         position: (K, 3) on the plane of the ground at the lander's scale, where its pads rest, m.
         normal: (K, 3) of that plane.
         score: (K,) mean score density over the zone (Eq. 59), lower is better.
+        probability: (K,) of a safe touchdown if the lander aims there; NaN if it is not asked for.
         slope_deg: (K,) at the lander's scale.
         roughness: (K,) greatest mean deviation from the plane beyond noise in the zone: Eq. 55's
             volume over the leaf's area, m.
@@ -45,6 +47,7 @@ class Sites:
     position: Array
     normal: Array
     score: Array
+    probability: Array
     slope_deg: Array
     roughness: Array
     hazard_distance: Array
@@ -103,9 +106,13 @@ class LandingAssessment:
         pending: There is no target, but another assessment, be it of the same map, would give one.
         sites: Ranked sites, none if no ground is safe.
         x, y: (nx,), (ny,) of the grid points, m.
-        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 128 unseen.
+        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain (there
+            the lander stands on the map, yet is too likely not to), 128 unseen.
         safe: (ny, nx) landing centred here is allowed by the ground itself.
         score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
+        probability: (ny, nx) of a safe touchdown if the lander aims there, with the dispersion.
+        risk: (ny, nx) that landing right there fails, with the ground as it is known; both NaN if
+            nobody asked for them.
         explanation: Why there are no sites, or how many grid points are safe.
         offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
         ground: What the layers below are made of when they are asked for.
@@ -121,6 +128,8 @@ class LandingAssessment:
     hazard: Bits
     safe: Mask
     score: Array
+    probability: Array
+    risk: Array
     explanation: str
     offset_z: float
     offset_variance: float
@@ -152,17 +161,17 @@ class LandingAssessment:
         return self._layer(lambda at, _, points: np.degrees(at.nearest(points.slope)))
 
 
-def with_reasons(sites: Sites, lss: LssConfig) -> Sites:
-    """A sentence for each site: its figures, and the slope limit that decided."""
+def with_reasons(sites: Sites, lss: LssConfig, remainders: Sequence[Remainder]) -> Sites:
+    """A sentence for each site: how safe it is and what is left, then its figures."""
     lines = []
-    touchdown = lss.assessment == "touchdown"
-    limit = lss.touchdown_slope_deg if touchdown else lss.max_slope_deg
+    limit = lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
     for k in range(len(sites.score)):
         clear = sites.hazard_distance[k]
         nearest = f"{clear:.1f} m clear of hazards and unseen ground"
         feature = sites.subscale_height[k]
         lines.append(
-            f"slope {sites.slope_deg[k]:.1f} deg of {limit:g}, {nearest}, "
+            (f"{remainders[k].words()}; " if remainders else "")
+            + f"slope {sites.slope_deg[k]:.1f} deg of {limit:g}, {nearest}, "
             f"roughness {sites.roughness[k]:.3f} m, "
             + (f"features up to {feature:.2f} m" if feature >= 0.005 else "no subscale feature")
         )
@@ -178,7 +187,7 @@ def no_sites() -> Sites:
     """Not one."""
     none = np.zeros(0)
     number = np.zeros(0, dtype=np.uint32)
-    return Sites(np.zeros((0, 3)), np.zeros((0, 3)), none, none, none, none, none, number, ())
+    return Sites(np.zeros((0, 3)), np.zeros((0, 3)), *(none,) * 6, number, ())
 
 
 def nothing_mapped(
@@ -197,6 +206,8 @@ def nothing_mapped(
         hazard=np.full(shape, hazards.UNSEEN, dtype=np.uint8),
         safe=np.zeros(shape, dtype=np.bool_),
         score=np.full(shape, np.nan),
+        probability=np.zeros(shape),
+        risk=np.ones(shape),
         explanation="nothing is mapped yet",
         offset_z=cells.offset_z,
         offset_variance=cells.offset_variance,

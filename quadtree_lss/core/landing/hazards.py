@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
 Index = NDArray[np.intp]
 
-SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNSEEN = 1, 2, 4, 8, 128
+SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN, UNSEEN = 1, 2, 4, 8, 16, 128
 
 
 def slope(normal: Array) -> Array:

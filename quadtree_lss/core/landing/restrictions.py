@@ -107,7 +107,8 @@ class Restrictions:
                 msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
                 raise ValueError(msg)
             away = np.hypot(grid_x - goal[0], grid_y - goal[1])
-            score[row, column] += lss.weight_target * away
+            by_score = lss.ranking == "score"
+            score[row, column] += (lss.weight_target if by_score else lss.target_risk) * away
 
 
 def _zone(lss: LssConfig) -> float:

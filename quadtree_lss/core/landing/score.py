@@ -78,7 +78,7 @@ def assess_points(
         cells, raster: The map.
         features: (M,) of ``hazards.avoided_features``.
         inside: (n + 1, n + 1) of ``seen_about``.
-        fails: (n + 1, n + 1) of the touchdown check.
+        fails: (n + 1, n + 1) of the touchdown check, or where the risk is too great.
         lss: Limits and weights.
     """
     side = cells.domain.finest_size
@@ -92,13 +92,14 @@ def assess_points(
     slope += planes.slope_y * planes.slope_y
     np.arctan(np.sqrt(slope, out=slope), out=slope)
     hazard = touching(bits)
-    if lss.assessment == "touchdown":
+    if lss.assessment != "paper":
         landable = inside >= radius - 1e-9
         excepted = touching(bits & np.uint8(hazards.EXCEPTION)) > 0
         spoiled = fails | (landable & grown(excepted, radius, side))
-        # Rounded outwards: a map that may be off at all is off by a grid point.
-        steps = np.ceil(lss.hazard_growth / side - 1e-9)
-        spoiled |= landable & grown(spoiled, steps * side, side)
+        if lss.assessment == "touchdown":
+            # Rounded outwards: a map that may be off at all is off by a grid point.
+            steps = np.ceil(lss.hazard_growth / side - 1e-9)
+            spoiled |= landable & grown(spoiled, steps * side, side)
         hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
         safe = ~grown(spoiled, lss.margin, side)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.

@@ -20,8 +20,10 @@ from quadtree_lss.core.landing.assessment import (
 )
 from quadtree_lss.core.landing.covariance import ground_covariance
 from quadtree_lss.core.landing.grid import GridSampler, best_points, grid_axis
+from quadtree_lss.core.landing.probability import Dispersion
 from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.core.landing.restrictions import Restrictions
+from quadtree_lss.core.landing.safety import Judgement, SafetyJudge
 from quadtree_lss.core.landing.score import (
     PointAssessment,
     assess_points,
@@ -38,7 +40,6 @@ from quadtree_lss.core.landing.target import (
     WhyNot,
     grid_point,
 )
-from quadtree_lss.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 
@@ -70,7 +71,7 @@ class LandingSiteSelector:
     def configure(self, config: Config) -> None:
         """Go by these limits from now on; what was found by others is forgotten."""
         self.config = config
-        self._touchdown = TouchdownCheck(config.lss)
+        self._judge = SafetyJudge(config.lss)
 
     def release(self) -> None:
         """Give the target up: the next assessment chooses as if none had been held."""
@@ -83,6 +84,7 @@ class LandingSiteSelector:
         area: ArrayLike | None = None,
         keep_out: ArrayLike | None = None,
         target: ArrayLike | None = None,
+        dispersion: ArrayLike | None = None,
         withheld: str = "",
     ) -> LandingAssessment:
         """Rank landing sites on a map.
@@ -92,6 +94,8 @@ class LandingSiteSelector:
             area: (V, 2) polygon that the landing zone must lie in, map frame, m.
             keep_out: (V, 2) polygon that the zone must not touch.
             target: (2,) or (3,) place to be near to.
+            dispersion: Deviations of the touchdown from its aim along x and y, m, and the lander's
+                heading, rad, NaN for any; None for ``lss.dispersion``, and any.
             withheld: Why no site may be given out, however safe the ground, such as a keep-out
                 that cannot be read; empty if nothing speaks against it.
 
@@ -103,6 +107,7 @@ class LandingSiteSelector:
         x, y = (grid_axis(low, domain.size, lss.grid_spacing) for low in (domain.xmin, domain.ymin))
         wanted = Restrictions(area, keep_out, target, withheld)
         self._answers += 1
+        spread = Dispersion.of(dispersion, lss)
         self._look_at(wanted)
         raster = rasterise(cells, lss.max_gap)
         if not raster.seen.any():
@@ -113,16 +118,21 @@ class LandingSiteSelector:
             return nothing_mapped(cells, self._answers, reason, x, y)
         features = hazards.avoided_features(cells, lss)
         inside = seen_about(raster, lss)
-        fails = self._fails_at_touchdown(raster, inside)
-        points = assess_points(cells, raster, features, inside, fails, lss)
+        judged = self._judge.judge(raster, inside, spread)
+        points = assess_points(cells, raster, features, inside, judged.fails, lss)
+        points.hazard[judged.uncertain] |= np.uint8(hazards.UNCERTAIN)
         at = GridSampler(domain, x, y)
         safe = at.everywhere(points.safe)
+        probability = 1.0 - at.linear(judged.aimed)
         score = np.where(safe, at.nearest(points.score), np.nan)
-        unknown = wanted.apply(score, x, y, lss)
+        # What sites are ranked by: the less the better.
+        cost = np.where(safe, 1.0 - probability, np.nan) if judged.ranks else score
+        unknown = wanted.apply(cost, x, y, lss)
+        score[np.isnan(cost)] = np.nan
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
         if not safe.any():
             explanation = _why_none(points, raster, lss)
-        elif not np.isfinite(score).any():
+        elif not np.isfinite(cost).any():
             explanation = "no safe ground within the landing area and outside the keep-out"
         if unknown:
             explanation = f"no site is given out: {unknown}"
@@ -136,22 +146,24 @@ class LandingSiteSelector:
             return Reason.UNSEEN if room < 0.5 * lss.vehicle_diameter - 1e-9 else Reason.HAZARD
 
         none = Reason.WITHHELD if unknown else Reason.NO_SITE
-        choice = self._choose(Ground(x, y, safe, -score), why_not, none)
-        ranked = self._rank(score, x, y)
+        choice = self._choose(Ground(x, y, safe, -cost), why_not, none)
+        ranked = self._rank(cost, x, y)
         places = ranked if choice.place is None else [*ranked, choice.place]
-        found = self._describe(points, domain, at, score, x, y, places)
+        found = self._describe(points, judged, domain, at, (score, probability), x, y, places)
         hazard = at.any(points.hazard)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             answer=self._answers,
             selected=self._selected(choice, found, cells, raster),
-            pending=choice.place is None and bool(np.isfinite(score).any()),
+            pending=choice.place is None and bool(np.isfinite(cost).any()),
             sites=found.of(slice(len(ranked))),
             x=x,
             y=y,
             hazard=hazard,
             safe=safe,
             score=score,
+            probability=probability,
+            risk=at.linear(judged.risk),
             explanation=explanation,
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
@@ -198,22 +210,14 @@ class LandingSiteSelector:
         covariance = ground_covariance(cells, raster, place_x, place_y, radius)
         return Selected(choice.reason, site, covariance)
 
-    def _fails_at_touchdown(self, raster: TerrainRaster, inside: Array) -> Mask:
-        """Where the lander fails, (n + 1, n + 1), of where all ground under it is seen."""
-        lss = self.config.lss
-        candidates = inside >= 0.5 * lss.vehicle_diameter - 1e-9
-        if lss.assessment != "touchdown" or not candidates.any():
-            return np.zeros(inside.shape, dtype=np.bool_)
-        return self._touchdown.unsafe(raster, candidates)
-
-    def _rank(self, score: Array, x: Array, y: Array) -> list[tuple[int, int]]:
+    def _rank(self, cost: Array, x: Array, y: Array) -> list[tuple[int, int]]:
         """The best grid points, one after the other, each ``min_separation`` from those before."""
         lss = self.config.lss
         last = []
         if lss.hysteresis > 0.0:
             last = [grid_point(x, y, *place) for place in self._last_ranked]
-        kept = [place for place in last if place is not None and np.isfinite(score[place])]
-        best = best_points(score, x, y, lss.sites, lss.min_separation, kept, lss.hysteresis)
+        kept = [place for place in last if place is not None and np.isfinite(cost[place])]
+        best = best_points(cost, x, y, lss.sites, lss.min_separation, kept, lss.hysteresis)
         ranked = [(int(row), int(column)) for row, column in zip(*best, strict=True)]
         self._last_ranked = [(float(x[column]), float(y[row])) for row, column in ranked]
         return ranked
@@ -221,9 +225,10 @@ class LandingSiteSelector:
     def _describe(
         self,
         points: PointAssessment,
+        judged: Judgement,
         domain: Domain,
         at: GridSampler,
-        score: Array,
+        layers: tuple[Array, Array],
         x: Array,
         y: Array,
         places: list[tuple[int, int]],
@@ -240,7 +245,8 @@ class LandingSiteSelector:
         sites = Sites(
             position=np.column_stack([place, at.linear(planes.elevation)[where]]),
             normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
-            score=score[where],
+            score=layers[0][where],
+            probability=layers[1][where],
             slope_deg=np.degrees(points.slope[centre]),
             roughness=rough,
             hazard_distance=room_about(points, domain, zone, place[:, 0], place[:, 1]),
@@ -248,7 +254,7 @@ class LandingSiteSelector:
             id=self._target.places.numbers(place, self._reach()),
             reasons=(),
         )
-        return with_reasons(sites, lss)
+        return with_reasons(sites, lss, judged.remainders(*centre))
 
 
 def _why_none(points: PointAssessment, raster: TerrainRaster, lss: LssConfig) -> str:

@@ -86,10 +86,17 @@ class TouchdownCheck:
 
     How it rests in a block of grid points depends on the cells that its landers can meet alone, so
     blocks where none of them changed are as before, bit for bit.
+
+    Args:
+        config: The lander.
+        limits: Between what rests to tell apart; by default the touchdown limits alone.
+        heading: Of the lander, about z from x, rad; None for all of ``touchdown_yaws``.
     """
 
-    def __init__(self, config: LssConfig, limits: Limits | None = None) -> None:
-        self.config = config
+    def __init__(
+        self, config: LssConfig, limits: Limits | None = None, heading: float | None = None
+    ) -> None:
+        self.config, self.heading = config, heading
         rise, slope = config.touchdown_roughness, tan(radians(config.touchdown_slope_deg))
         self.limits = limits or Limits((rise, rise), (slope, slope))
         self._domain: Domain | None = None
@@ -107,7 +114,7 @@ class TouchdownCheck:
         layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
         if raster.domain != self._domain:
             self._domain, self._layers = raster.domain, ()
-            self._lander = Lander(self.config, self.limits, raster.domain)
+            self._lander = Lander(self.config, self.limits, raster.domain, self.heading)
             self._rest = np.full((2, *candidates.shape), np.nan, dtype=np.float32)
         changed = np.zeros(raster.leaf.shape, dtype=np.bool_)
         for layer, before in zip(layers, self._layers, strict=False):
@@ -121,11 +128,13 @@ class TouchdownCheck:
 
     def unsafe(self, raster: TerrainRaster, candidates: Mask) -> Mask:
         """Grid points (n + 1, n + 1) at which some heading is over the touchdown limits."""
-        worst = self.worst(raster, candidates)
-        over = (worst.rise > np.float32(self.limits.rise[0])) | (
-            worst.slope > np.float32(self.limits.slope[0])
-        )
-        return np.asarray(candidates & over)
+        return np.asarray(candidates & self.over(self.worst(raster, candidates)))
+
+    def over(self, worst: WorstRest) -> Mask:
+        """Where a rest is over the touchdown limits."""
+        steepest = tan(radians(self.config.touchdown_slope_deg))
+        high = worst.rise > np.float32(self.config.touchdown_roughness)
+        return np.asarray(high | (worst.slope > np.float32(steepest)))
 
 
 @cython.boundscheck(False)
@@ -151,8 +160,8 @@ class Lander:
         floor: (BLOCK^2,) below every resting plane of a grid point, over the plane, m.
         spread: (BLOCK^2,) of the pads' heights, m.
         roof: (BLOCK^2,) highest ground under the lander, over the plane, m.
-        high, height: Row and column in the window of the cells, ``highs`` of them, that may be in the way
-            of some grid point, and their highest ground over the plane, m.
+        high, height: Row and column in the window of the cells, ``highs`` of them, that may be in
+            the way of some grid point, and their highest ground over the plane, m.
         most: Greatest height of such a cell and those after it, m.
         rest_x, rest_y, rest_z: (2 yaws,) planes that the lander rests on at the grid point at
             hand: slopes and height there, over the block's plane.
@@ -162,14 +171,16 @@ class Lander:
         plane_x, plane_y: Slopes of the block's plane.
     """
 
-    def __init__(self, config: LssConfig, limits: Limits, domain: Domain) -> None:
+    def __init__(
+        self, config: LssConfig, limits: Limits, domain: Domain, heading: float | None
+    ) -> None:
         side = domain.finest_size
         under = disc(0.5 * config.vehicle_diameter, side)
         self.side, self.radius = side, 0.5 * config.vehicle_diameter
         self.pad_radius = config.pad_radius
         self.low_rise, self.high_rise = limits.rise
         self.low_slope, self.high_slope = limits.slope
-        self.yaws = config.touchdown_yaws
+        self.yaws = config.touchdown_yaws if heading is None else 1
         self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
         self.width = BLOCK - 1 + 2 * self.reach
         self.offset = (np.arange(self.width) - 0.5 * (self.width - 1)) * side
@@ -178,7 +189,7 @@ class Lander:
         self.ground = np.full((4, around, around), np.nan)
         # Cells beyond the circle may stand under the floor: then every one is compared.
         self.bounded = float(np.hypot(under.x, under.y).max()) <= self.radius
-        yaw = np.arange(self.yaws) * (0.5 * np.pi / self.yaws)
+        yaw = (heading or 0.0) + np.arange(self.yaws) * (0.5 * np.pi / self.yaws)
         c, s = np.cos(yaw), np.sin(yaw)
         self.cos, self.sin = c / self.radius, s / self.radius
         x = self.radius * np.stack([c, -s, -c, s], axis=1).ravel()
@@ -235,9 +246,7 @@ class Lander:
                     self.ground[k, i, :first] = self.ground[k, i, first]
                     self.ground[k, i, after:] = self.ground[k, i, after - 1]
 
-    def judge(
-        self, due: Marks, changed: Marks, rest: Single, block: cython.Py_ssize_t
-    ) -> None:
+    def judge(self, due: Marks, changed: Marks, rest: Single, block: cython.Py_ssize_t) -> None:
         """Bring the worst rests of a row of blocks up to date after ``stand_on``.
 
         Args:
@@ -479,9 +488,7 @@ class Lander:
                     if self.rise_at(k, (j + 0.5) * self.side, (i - self.reach + 0.5) * self.side):
                         above = floor + self.worst_rise
 
-    def rise_at(
-        self, k: cython.Py_ssize_t, east: cython.float, north: cython.float
-    ) -> cython.bint:
+    def rise_at(self, k: cython.Py_ssize_t, east: cython.float, north: cython.float) -> cython.bint:
         """Whether a cell of the list, at a place from the grid point, rises higher than others."""
         i: cython.Py_ssize_t
         worst: cython.float = self.worst_rise
@@ -492,9 +499,7 @@ class Lander:
         if height - lowest <= worst - ROUNDING:
             return False
         for i in range(2 * self.yaws):
-            self.above[i] = (
-                height - self.rest_x[i] * east - self.rest_y[i] * north - self.rest_z[i]
-            )
+            self.above[i] = height - self.rest_x[i] * east - self.rest_y[i] * north - self.rest_z[i]
         for i in range(2 * self.yaws):
             worst = max(worst, self.above[i])
         if worst <= self.worst_rise:

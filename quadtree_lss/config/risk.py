@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the worst rest of a lander on the map tells of the true one: fitted, and read from a file."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from quadtree_lss.config.parameter import ConfigError
+from quadtree_lss.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
+
+SHIPPED = "flash_lidar.yaml"
+Row = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class RiskModel:
+    """Probability that a lander fails, from its worst rest on the map, in two steps.
+
+    First the rest at the place itself. With a and b straight between their knots, r how far the
+    ground rises over a resting plane beyond ``lss.max_roughness`` and s how much steeper such a
+    plane is than ``lss.max_slope_deg``, it fails with
+
+        p = 1 - 1 / ((1 + exp a(r)) (1 + exp b(s))),    l = log(p / (1 - p)).
+
+    Then what lies about it, for a map misplaces things: with d by how much l is greater at the
+    worst of the four neighbours, the log odds are c(l, d), bilinear between its knots.
+
+    Attributes:
+        rise: (K,) knots of r, m; rise_odds: (K,) a there.
+        slope: (L,) knots of s, rise over run; slope_odds: (L,) b there.
+        own: (I,) knots of l; about: (J,) knots of d; odds: (I, J) c there.
+        provenance: What it was fitted to, and how well it does.
+    """
+
+    rise: Row
+    rise_odds: Row
+    slope: Row
+    slope_odds: Row
+    own: Row
+    about: Row
+    odds: tuple[Row, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, knots, values in (
+            ("rise", self.rise, self.rise_odds),
+            ("slope", self.slope, self.slope_odds),
+            ("own", self.own, self.odds),
+        ):
+            if len(knots) < 2 or len(knots) != len(values):
+                msg = f"{name} has {len(knots)} knots and {len(values)} values"
+                raise ConfigError(msg)
+        if len(self.about) < 2 or any(len(row) != len(self.about) for row in self.odds):
+            msg = f"odds has not {len(self.about)} values in each row"
+            raise ConfigError(msg)
+        for name in ("rise", "slope", "own", "about"):
+            knots = getattr(self, name)
+            if any(not b > a for a, b in zip(knots, knots[1:], strict=False)):
+                msg = f"the knots of {name} do not ascend"
+                raise ConfigError(msg)
+
+
+@functools.lru_cache(maxsize=8)
+def risk_model(name: str) -> RiskModel:
+    """The model in a file, or for an empty name the one that comes with the package.
+
+    Raises:
+        ConfigError: there is no such file, or it holds no model.
+    """
+    try:
+        if name:
+            file = Path(name).expanduser()
+            with file.open("rb") as stream:
+                text = stream.read(MOST_BYTES)
+        else:
+            text = (resources.files("quadtree_lss.config") / SHIPPED).read_bytes()
+        values = parse_yaml(text.decode())
+        return _from_values(values)
+    except (OSError, UnicodeDecodeError, YamlError) as error:
+        msg = f"lss.risk_model: cannot read {name or SHIPPED}: {error}"
+        raise ConfigError(msg) from error
+    except (ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
+        why = f"{error} is missing" if isinstance(error, KeyError) else error
+        msg = f"lss.risk_model: {name or SHIPPED} is no risk model: {why}"
+        raise ConfigError(msg) from error
+
+
+def risk_model_text(model: RiskModel) -> str:
+    """The model as `risk_model` reads it."""
+
+    def line(row: Row) -> str:
+        return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
+
+    names = ("rise", "rise_odds", "slope", "slope_odds", "own", "about")
+    lines = [f"{name}: {line(getattr(model, name))}" for name in names]
+    lines += ["odds:", *(f"  - {line(row)}" for row in model.odds)]
+    origin = yaml.safe_dump({"provenance": dict(model.provenance)}, sort_keys=False, width=96)
+    return "\n".join(lines) + "\n" + origin
+
+
+def _from_values(values: Any) -> RiskModel:
+    def row(given: Any) -> Row:
+        return tuple(float(value) for value in given)
+
+    return RiskModel(
+        rise=row(values["rise"]),
+        rise_odds=row(values["rise_odds"]),
+        slope=row(values["slope"]),
+        slope_odds=row(values["slope_odds"]),
+        own=row(values["own"]),
+        about=row(values["about"]),
+        odds=tuple(row(line) for line in values["odds"]),
+        provenance=dict(values.get("provenance") or {}),
+    )

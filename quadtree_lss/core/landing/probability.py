@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How probable a safe touchdown is: at a place, and where the lander aims at it.
+
+The lander is set down on the map at all headings, or at the one that guidance gives. The true
+ground is not the map: how often a lander fails whose worst rest on the map is this was fitted (see
+``config.risk.RiskModel``). Where the lander comes down about its aim is normally distributed, and
+
+    P(safe | aim) = sum over grid points of N(point - aim; dispersion) P(safe at the point).
+
+On unseen ground and beyond the domain's edge no landing is safe.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, exp, isnan, radians, tan
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadtree_lss.config.risk import RiskModel
+from quadtree_lss.config.settings import LssConfig
+from quadtree_lss.core.landing.touchdown import Limits, WorstRest
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Steps between entries of the tables, in m, rise over run, and of the log odds.
+FINE, FINE_ODDS = 2e-4, 0.02
+#: A normal distribution is cut off at so many deviations.
+TAIL = 4.0
+#: The greatest deviation that is taken, m.
+WIDEST = 100.0
+
+
+@dataclass(frozen=True)
+class Dispersion:
+    """Where the lander comes down about its aim point.
+
+    Attributes:
+        x, y: Standard deviations along the axes of the map, m.
+        heading: Of the lander, about z from x, rad; None for any.
+    """
+
+    x: float
+    y: float
+    heading: float | None = None
+
+    @staticmethod
+    def of(values: ArrayLike | None, lss: LssConfig) -> Dispersion:
+        """From standard deviations along x and y, m, and a heading, rad, NaN for any.
+
+        None stands for that of the configuration.
+
+        Raises:
+            ValueError: not two or three numbers, or no deviations.
+        """
+        if values is None:
+            return Dispersion(lss.dispersion, lss.dispersion)
+        given = np.asarray(values, dtype=np.float64)
+        deviations = given[:2]
+        if (
+            given.shape not in ((2,), (3,))
+            or not ((0.0 <= deviations) & (deviations <= WIDEST)).all()
+        ):
+            msg = f"a dispersion needs two deviations from 0 to {WIDEST:g} m, got {values!r}"
+            raise ValueError(msg)
+        turned = float(given[2]) if len(given) == 3 else float("nan")
+        return Dispersion(float(given[0]), float(given[1]), None if isnan(turned) else turned)
+
+
+def limits(model: RiskModel, lss: LssConfig) -> Limits:
+    """Between what rests the model, and the touchdown check, tell apart."""
+    rise, slope = lss.max_roughness, tan(radians(lss.max_slope_deg))
+    own, steep = lss.touchdown_roughness, tan(radians(lss.touchdown_slope_deg))
+    return Limits(
+        (min(rise + model.rise[0], own), max(rise + model.rise[-1], own)),
+        (min(slope + model.slope[0], steep), max(slope + model.slope[-1], steep)),
+    )
+
+
+class RiskTable:
+    """A model's probabilities for a lander, laid out to be looked up.
+
+    Args:
+        model: The fit.
+        lss: Limits of the lander.
+    """
+
+    def __init__(self, model: RiskModel, lss: LssConfig) -> None:
+        self._rise0 = lss.max_roughness + model.rise[0]
+        self._slope0 = tan(radians(lss.max_slope_deg)) + model.slope[0]
+        rise = np.arange(0.0, model.rise[-1] - model.rise[0] + FINE, FINE) + model.rise[0]
+        slope = np.arange(0.0, model.slope[-1] - model.slope[0] + FINE, FINE) + model.slope[0]
+        # log P(safe) of the one, and of the other.
+        self._stands = -np.logaddexp(0.0, np.interp(rise, model.rise, model.rise_odds))
+        self._level = -np.logaddexp(0.0, np.interp(slope, model.slope, model.slope_odds))
+        self._own0, self._own1 = model.own[0], model.own[-1]
+        own = np.arange(0.0, model.own[-1] - model.own[0] + FINE_ODDS, FINE_ODDS) + model.own[0]
+        about = np.arange(0.0, model.about[-1] + FINE_ODDS, FINE_ODDS)
+        columns = np.array(model.odds).T
+        at_own = np.array([np.interp(own, model.own, column) for column in columns])
+        odds = np.array([np.interp(about, model.about, line) for line in at_own.T])
+        self._risk = 1.0 / (1.0 + np.exp(-odds))
+
+    def risk(self, worst: WorstRest, judged: Mask) -> Array:
+        """P(unsafe) of landing at each grid point, (n + 1, n + 1); 1 where it is not judged.
+
+        Args:
+            worst: The lander's worst rests on the map.
+            judged: (n + 1, n + 1) grid points of which these are known.
+        """
+        safe = self._stands[_entry(worst.rise, self._rise0, FINE, len(self._stands), judged)]
+        safe += self._level[_entry(worst.slope, self._slope0, FINE, len(self._level), judged)]
+        own = np.log(np.expm1(-safe))
+        np.clip(own, self._own0, self._own1, out=own)
+        own[~judged] = self._own0
+        around = own.copy()
+        np.maximum(around[1:], own[:-1], out=around[1:])
+        np.maximum(around[:-1], own[1:], out=around[:-1])
+        np.maximum(around[:, 1:], own[:, :-1], out=around[:, 1:])
+        np.maximum(around[:, :-1], own[:, 1:], out=around[:, :-1])
+        around -= own
+        own -= self._own0
+        row = (own * (1.0 / FINE_ODDS) + 0.5).astype(np.intp)
+        column = (around * (1.0 / FINE_ODDS) + 0.5).astype(np.intp)
+        np.minimum(column, self._risk.shape[1] - 1, out=column)
+        out = self._risk[np.minimum(row, len(self._risk) - 1), column]
+        out[~judged] = 1.0
+        return np.asarray(out)
+
+    def by_slope(self, rise: float, slope: float) -> bool:
+        """Whether it is the slope, and not what rises under the lander, that speaks against it."""
+        known = np.ones(1, dtype=np.bool_)
+        stands = self._stands[_entry(np.array([rise]), self._rise0, FINE, len(self._stands), known)]
+        level = self._level[_entry(np.array([slope]), self._slope0, FINE, len(self._level), known)]
+        return bool(level[0] < stands[0])
+
+
+def _entry(
+    values: NDArray[np.float32] | Array, low: float, step: float, count: int, known: Mask
+) -> NDArray[np.intp]:
+    """Numbers of the entries for values; any where they are not known."""
+    place = np.where(known, values - low, 0.0) * (1.0 / step) + 0.5
+    return np.clip(place, 0.0, count - 1.0).astype(np.intp)
+
+
+def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
+    """P(unsafe | aim) for each grid point as aim.
+
+    Args:
+        risk: (ny, nx) P(unsafe) at the grid points; beyond them it is 1.
+        side: Between grid points, m.
+        dispersion: Of the touchdown about the aim.
+    """
+    safe = 1.0 - risk
+    for axis, sigma in ((0, dispersion.y), (1, dispersion.x)):
+        safe = _blurred(safe, normal_weights(sigma, side), axis)
+    return np.asarray(np.clip(1.0 - safe, 0.0, 1.0))
+
+
+def normal_weights(sigma: float, side: float) -> Array:
+    """Weights (2 K + 1,) of grid points about the aim, along one axis."""
+    reach = ceil(TAIL * sigma / side)
+    if not reach:
+        return np.ones(1)
+    weights = np.array([exp(-0.5 * (k * side / sigma) ** 2) for k in range(-reach, reach + 1)])
+    return np.asarray(weights / weights.sum())
+
+
+def _blurred(values: Array, weights: Array, axis: int) -> Array:
+    """Sums of neighbours along an axis, times their weights; there are none beyond the edges."""
+    reach, count = len(weights) // 2, values.shape[axis]
+    if not reach:
+        return values
+    out = np.zeros_like(values)
+    lines, into = np.moveaxis(values, axis, 0), np.moveaxis(out, axis, 0)
+    for k in range(-min(reach, count - 1), min(reach, count - 1) + 1):
+        weight = weights[reach + k]
+        into[max(-k, 0) : count - max(k, 0)] += weight * lines[max(k, 0) : count - max(-k, 0)]
+    return out
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What most of the risk at an aim point comes from.
+
+    Attributes:
+        probability: P(safe | aim).
+        away, bearing: Where from the aim, m, and rad from x to y.
+        kind: ``obstacle``, ``slope`` or ``unseen``.
+    """
+
+    probability: float
+    away: float
+    bearing: float
+    kind: str
+
+    def words(self) -> str:
+        """As in "99.2 %: what is left is an obstacle 3.1 m east"."""
+        share = f"{shown(self.probability)} safe"
+        what = {
+            "obstacle": "an obstacle",
+            "slope": "too steep a rest",
+            "unseen": "unseen ground",
+        }[self.kind]
+        if self.away < 0.1:
+            return f"{share}: what is left is {what} here"
+        return f"{share}: what is left is {what} {self.away:.1f} m {heading_word(self.bearing)}"
+
+
+def shown(probability: float) -> str:
+    """A probability in per cent, with the digits that tell it from certainty; never 100."""
+    if isnan(probability):
+        return "-"
+    share = 100.0 * min(probability, 0.9999)
+    return f"{share:.2f} %" if share > 99.9 else f"{share:.1f} %"
+
+
+def heading_word(bearing: float) -> str:
+    """East, north-east ... for an angle from x to y, rad."""
+    names = "east north-east north north-west west south-west south south-east".split()
+    return names[round(bearing / (0.25 * np.pi)) % 8]
+
+
+def remainder(
+    risk: Array,
+    judged: Mask,
+    worst: WorstRest,
+    table: RiskTable,
+    side: float,
+    dispersion: Dispersion,
+    place: tuple[int, int],
+) -> Remainder:
+    """What speaks against an aim point, given by row and column of the lattice."""
+    across, along = normal_weights(dispersion.y, side), normal_weights(dispersion.x, side)
+    up, right = len(across) // 2, len(along) // 2
+    share = np.full((len(across), len(along)), 1.0)
+    rows = np.arange(place[0] - up, place[0] + up + 1)
+    columns = np.arange(place[1] - right, place[1] + right + 1)
+    in_y = (rows >= 0) & (rows < risk.shape[0])
+    in_x = (columns >= 0) & (columns < risk.shape[1])
+    share[np.ix_(in_y, in_x)] = risk[np.ix_(rows[in_y], columns[in_x])]
+    share *= across[:, None] * along
+    row, column = divmod(int(np.argmax(share)), len(along))
+    y, x = (row - up) * side, (column - right) * side
+    row, column = row + place[0] - up, column + place[1] - right
+    inside = 0 <= row < risk.shape[0] and 0 <= column < risk.shape[1]
+    kind = "unseen"
+    if inside and judged[row, column]:
+        steep = table.by_slope(float(worst.rise[row, column]), float(worst.slope[row, column]))
+        kind = "slope" if steep else "obstacle"
+    return Remainder(1.0 - float(share.sum()), float(np.hypot(x, y)), float(np.arctan2(y, x)), kind)
