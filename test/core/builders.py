@@ -97,7 +97,11 @@ def scan(
 
 
 def configured(**sections: dict[str, object]) -> Config:
-    """A configuration on a small domain; ``sections`` are laid over it."""
+    """A configuration on a small domain; ``sections`` are laid over it.
+
+    Landing is judged by the touchdown check and ranked by the score: hard limits, which can be
+    worked out by hand.
+    """
     base: dict[str, object] = {
         "domain.xmin": 0.0,
         "domain.ymin": 0.0,
@@ -105,6 +109,8 @@ def configured(**sections: dict[str, object]) -> Config:
         "domain.min_level": 2,
         "domain.max_level": 6,
         "lidar.outlier_gate": 0.0,
+        "lss.assessment": "touchdown",
+        "lss.ranking": "score",
     }
     values = {f"{s}.{key}": value for s, of in sections.items() for key, value in of.items()}
     return config_from_values({**base, **values})

@@ -337,7 +337,7 @@ def test_the_same_map_gives_the_same_sites(cells):
     assert a.sites.reasons == b.sites.reasons
 
 
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_level_ground_is_safe_wherever_the_zone_fits(level_ground, assessment):
     found = assess(level_ground, small(assessment=assessment, margin=0.5))
     inside = np.minimum(found.x, 16.0 - found.x) > RADIUS + 0.5
@@ -352,7 +352,7 @@ def test_level_ground_is_safe_wherever_the_zone_fits(level_ground, assessment):
     assert not found.hazard.any()
 
 
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
     """A block of 1 m, 0.5 m high: its cells reach a finest cell beyond it at most."""
     config = small(assessment=assessment, vehicle_diameter=2.9)
@@ -372,7 +372,7 @@ def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
     assert found.safe.any()
 
 
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_a_slope_of_twelve_degrees_is_no_landing_ground(assessment):
     config = small(assessment=assessment)
 
@@ -396,7 +396,7 @@ def test_a_step_is_no_landing_ground_for_a_lander_across_it():
     assert found.safe[3:-3, (found.x > 2.0) & (found.x < 6.0)].all()
 
 
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_unseen_ground_is_never_landable(assessment):
     """A strip of five cells of 0.25 m leaves its middle unseen, one of four is bridged."""
     config = configured(
@@ -520,7 +520,7 @@ def test_a_map_of_nothing_has_no_site():
 
 
 @pytest.mark.parametrize("level", [0, 1])
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
     config = with_lss(
         configured(domain={"min_level": level, "max_level": level}), assessment=assessment
@@ -531,7 +531,7 @@ def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
     assert np.isfinite(found.slope_deg).all()
 
 
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_nothing_but_hazards_has_no_site(assessment):
     config = small(assessment=assessment)
     found = assess(mapped(config, slope(0.6, 0.0), density=60.0).snapshot(), config)
@@ -575,7 +575,7 @@ TRIANGLE = [(1.0, 1.0), (15.0, 1.0), (8.0, 15.0)]
         ({"withheld": "landing/keep_out cannot be used"}, "landing/keep_out cannot be used"),
     ],
 )
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_what_nobody_can_land_by_gives_no_site_and_says_so(level_ground, assessment, where, said):
     """Ignoring an area or a keep-out that cannot be read could land the vehicle in it."""
     selector = LandingSiteSelector(small(assessment=assessment, hysteresis=1.0))
@@ -607,7 +607,7 @@ def test_a_target_far_outside_is_flown_towards(level_ground, far):
     assert np.isfinite(found.sites.score).all()
 
 
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 @pytest.mark.parametrize("name", ["measured", "observed"])
 def test_planes_without_a_measurement_are_no_ground(level_ground, assessment, name):
     """Inherited planes alone, or planes but no finest cell in which a point fell."""
@@ -619,12 +619,12 @@ def test_planes_without_a_measurement_are_no_ground(level_ground, assessment, na
 
 
 def test_a_vehicle_larger_than_the_domain_has_no_site(level_ground):
-    for assessment in ("paper", "touchdown"):
+    for assessment in ("paper", "touchdown", "probability"):
         config = small(vehicle_diameter=40.0, assessment=assessment)
         assert_empty_but_explained(assess(level_ground, config))
 
 
 def test_a_vehicle_smaller_than_a_cell_is_assessed(level_ground):
-    for assessment in ("paper", "touchdown"):
+    for assessment in ("paper", "touchdown", "probability"):
         config = small(vehicle_diameter=0.1, assessment=assessment)
         assert len(assess(level_ground, config).sites.score) > 0
