@@ -238,10 +238,9 @@ def test_interrupting_a_simulation_keeps_what_was_flown(tmp_path):
     bag = tmp_path / "bag"
     command = [sys.executable, "-m", "quadtree_lss.cli", "simulate", "descent", "--out", str(bag)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not bag.exists():  # until it flies
-        assert process.poll() is None
+    while not bag.exists() or sum(p.stat().st_size for p in bag.iterdir()) < 100_000:
+        assert process.poll() is None  # until scans are in the bag
         time.sleep(0.02)
-    time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     shown, err = process.communicate(timeout=120)
     assert process.returncode == 130 and "Traceback" not in err
