@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from quadtree_lss.commands.text import fold, table, width
-from quadtree_lss.core.landing.probability import shown
 from quadtree_lss.errors import one_line
 
 if TYPE_CHECKING:
@@ -193,6 +192,8 @@ _SITE_HEADER = (
 
 
 def _site_rows(sites: Sites) -> list[list[str]]:
+    from quadtree_lss.replay.result import shown
+
     return [
         [
             str(k + 1),

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from quadtree_lss.core.landing.probability import shown
 from quadtree_lss.core.landing.sites import LandingAssessment
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.replay.passes import TargetChange
 from quadtree_lss.replay.results import ScanTiming, plain
+
+__all__ = ["ReplayResult", "shown"]
 
 
 @dataclass(frozen=True, repr=False)
