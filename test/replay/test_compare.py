@@ -15,7 +15,9 @@ from quadtree_lss.replay.compare import compare_results
 from quadtree_lss.replay.elevation_model import rank_sites
 from quadtree_lss.replay.saved import ResultsError, load_results
 
-CONFIG = load_config((), {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "lss.sites": 3})
+VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "lss.sites": 3}
+VALUES |= {"lss.assessment": "touchdown", "lss.ranking": "score"}
+CONFIG = load_config((), VALUES)
 
 
 def ground(rise=0.0, boulder=None, moved=0.0):
@@ -63,7 +65,7 @@ def test_a_boulder_and_a_rise_are_found(before, tmp_path):
 
 
 def test_another_grid_and_domain(before, tmp_path):
-    finer = load_config((), {"lss.grid_spacing": 0.25, "lidar.range_noise": 0.02, "lss.sites": 3})
+    finer = load_config((), {**VALUES, "lss.grid_spacing": 0.25})
     rank_sites(ground(moved=8.0), tmp_path / "b", finer, report=False)
     found = compare_results(before, tmp_path / "b")
     side = 24.0
