@@ -29,7 +29,8 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: Any, index: Any) -> Any:
         """As in the base class, refusing aliases."""
         if not self.aliases and self.check_event(yaml.AliasEvent):
-            self._refuse("aliases (*name) are not read", self.peek_event().start_mark)
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            self._refuse("aliases (*name) are not read", mark)
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
