@@ -28,6 +28,7 @@ from quadtree_lss.evaluation.metrics import (
     site_verdicts,
 )
 from quadtree_lss.evaluation.provenance import check_truth, recorded_bag, results_config
+from quadtree_lss.evaluation.reliability import Reliability, reliability_of
 from quadtree_lss.evaluation.results import (
     EvaluationError,
     Results,
@@ -49,8 +50,8 @@ class EvaluationResult:
 
     Sites are those of the first five ranks: ``site_verdicts`` has one word for each, in order, and
     ``unknown_in_top_five`` counts those that the truth cannot judge. ``missed`` are the hazardous
-    places called safe. ``consistency`` is None unless the bag was at hand; ``notes`` say what could
-    not be done or checked, and why.
+    places called safe. ``risk`` is None if the results tell none, ``consistency`` unless the bag
+    was at hand; ``notes`` say what could not be done or checked, and why.
     """
 
     elevation: ElevationError
@@ -60,6 +61,7 @@ class EvaluationResult:
     unknown_in_top_five: int
     site_verdicts: tuple[SiteVerdict, ...]
     missed: tuple[MissedPlace, ...]
+    risk: Reliability | None
     leaves: int
     leaves_estimated: int
     leaves_measured: int
@@ -101,6 +103,9 @@ class EvaluationResult:
         ]
         width = max(len(label) for label, _ in rows)
         lines = [f"{label:<{width}}  {value}" for label, value in rows]
+        if self.risk is not None:
+            lines += [f"{'Brier score of the risk':<{width}}  {self.risk.brier:.4f}"]
+            lines += ["", self.risk.table()]
         if self.consistency is not None:
             lines += ["", self.consistency.table()]
         if self.notes:
@@ -210,6 +215,7 @@ def _scores(
         unknown_in_top_five=verdicts.count("unknown"),
         site_verdicts=verdicts,
         missed=missed_places(safety, truth),
+        risk=reliability_of(safety),
         leaves=leaves.level.size,
         leaves_estimated=int(leaves.estimated.sum()),
         leaves_measured=int((leaves.measured & leaves.estimated).sum()),

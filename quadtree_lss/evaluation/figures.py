@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from quadtree_lss.evaluation import figures_map, figures_sites
 from quadtree_lss.evaluation.metrics import ErrorField, SafetyField
+from quadtree_lss.evaluation.reliability import reliability_of
 from quadtree_lss.evaluation.results import FloatArray, Results, Truth
 
 _DPI = 130
@@ -33,6 +34,8 @@ def draw_all(
         else ("fig09_quadtree_and_scans.png", "fig12_quadtree_error.png")
     )
     flights = truth.flights_of(results.stamps_ns)
+    risks = reliability_of(safety)
+    more = {} if risks is None else {"reliability.png": figures_sites.reliability_diagram(risks)}
     scores = "fig23_site_score.png" if flights <= 1 else "fig24_site_score_of_several_flights.png"
     return _save(
         folder,
@@ -49,6 +52,7 @@ def draw_all(
             "fig25_selected_sites.png": figures_sites.selected_sites(
                 heights, truth, {"sites": sites}
             ),
+            **more,
         },
     )
 

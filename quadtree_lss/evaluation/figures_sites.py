@@ -25,6 +25,7 @@ from quadtree_lss.evaluation.plotting import (
     outline,
     relief,
 )
+from quadtree_lss.evaluation.reliability import Reliability
 from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Truth
 
 
@@ -87,4 +88,21 @@ def selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, FloatAr
         mark(axes, sites, colour if several else "black", name if several else None)
     if several:
         figure.legend(loc="outside lower center", ncols=min(len(runs), 3), fontsize="small")
+    return figure
+
+
+def reliability_diagram(found: Reliability) -> Figure:
+    """Truly unsafe share over predicted risk."""
+    figure = Figure(figsize=(5.0, 4.6), layout="constrained")
+    axes = figure.subplots()
+    ends = np.array([1e-4, 1.0])
+    axes.fill_between(ends, ends / 2.0, ends * 2.0, color="0.9", label="within a factor of 2")
+    axes.plot(ends, ends, color="0.4", linewidth=0.8)
+    some = [b for b in found.bins if b.grid_points]
+    shares = np.array([b.unsafe for b in some])
+    axes.plot([b.predicted for b in some], np.maximum(shares, 1e-4), "o-", color="#0072b2")
+    axes.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
+    axes.set(xlabel="predicted risk", ylabel="truly unsafe share")
+    axes.set_title(f"Risk of landing: Brier score {found.brier:.4f}", fontsize="medium")
+    axes.legend(loc="upper left", fontsize="small")
     return figure

@@ -81,6 +81,8 @@ class SafetyField:
     called_safe: BoolArray
     seen: BoolArray
     scored: BoolArray
+    risk: FloatArray | None = None
+    """By the map; None if it tells none."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,7 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
         called_safe=grid.safe[window],
         seen=grid.seen[window],
         scored=fill_holes(grid.seen, grid.spacing)[window],
+        risk=None if grid.risk is None else grid.risk[window],
     )
 
 

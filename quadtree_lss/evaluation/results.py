@@ -33,6 +33,7 @@ UNSEEN = 128
 _CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measured", "domain")
 _CELLS_EXTRA = ("observed",)
 _GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
+_GRID_EXTRA = ("risk",)
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
 _TRUTH_NAMES = ("bag_name", "seed", "lander")
@@ -115,6 +116,8 @@ class Grid:
     hazard: NDArray[np.uint8]
     safe: BoolArray
     score: FloatArray
+    risk: FloatArray | None = None
+    """That landing there fails; None where the file tells none, NaN where nobody asked."""
 
     @property
     def spacing(self) -> float:
@@ -259,11 +262,12 @@ def _leaves(path: Path, a: dict[str, Any]) -> Leaves:
 
 def load_grid(path: Path) -> Grid:
     """Read ``grid.npz``."""
-    return _grid(path, _arrays(path, _GRID))
+    return _grid(path, _arrays(path, _GRID, _GRID_EXTRA))
 
 
 def _grid(path: Path, a: dict[str, Any]) -> Grid:
-    _check_shape(path, a, "x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
+    extra = [name for name in _GRID_EXTRA if name in a]
+    _check_shape(path, a, "x", "y", *_GRID[2:], *extra)
     return Grid(**{**a, "safe": a["safe"].astype(bool), "hazard": a["hazard"].astype(np.uint8)})
 
 
@@ -316,7 +320,7 @@ def results_of(replayed: ReplayResult) -> Results:
     rows = [(row.points, row.points_used, row.leaves) for row in replayed.timings]
     return Results(
         leaves=_leaves(where, {name: cells[name] for name in (*_CELLS, *_CELLS_EXTRA)}),
-        grid=_grid(where, {name: grid[name] for name in _GRID}),
+        grid=_grid(where, {name: grid[name] for name in (*_GRID, *_GRID_EXTRA)}),
         sites=replayed.assessment.sites.position.reshape(-1, 3),
         map_ms=np.array([row.map_ms for row in replayed.timings], float),
         stamps_ns=np.array([row.stamp_ns for row in replayed.timings], np.int64),

@@ -202,6 +202,41 @@ def test_writes_numbers_and_pictures(tmp_path):
         assert path.read_bytes().startswith(b"\x89PNG")
 
 
+def with_risk(folder, risk):
+    """Results that tell a risk; ``risk`` is given x and y."""
+    with np.load(folder / "grid.npz") as file:
+        arrays = dict(file)
+    arrays["risk"] = risk(*np.meshgrid(arrays["x"], arrays["y"]))
+    np.savez(folder / "grid.npz", **arrays)
+
+
+def test_risk_is_held_against_the_truth(tmp_path):
+    folder = write_results(tmp_path / "results")
+    with_risk(folder, lambda x, y: np.where(x < 0.0, 0.02, np.where(y < 0.0, 0.2, 1.0)))
+    truth = write_truth(tmp_path / "truth.npz", safe=lambda x, y: (x < 0.0) | (np.abs(x) > 4.0))
+    result = evaluate(folder, truth)
+    low, high = (b for b in result.risk.bins if b.grid_points)
+    assert (low.predicted, low.unsafe) == (pytest.approx(0.02), 0.0)
+    assert high.predicted == pytest.approx(0.2) and high.unsafe == pytest.approx(17 / 33)
+    assert (low.grid_points, high.grid_points) == (32 * 65, 33 * 32)
+    unsafe, points = 17 * 32, result.risk.grid_points
+    squares = 32 * 65 * 0.02**2 + (33 * 32 - unsafe) * 0.2**2 + unsafe * 0.8**2
+    assert result.risk.brier == pytest.approx(squares / points)
+    numbers = json.loads((result.out / "evaluation.json").read_text())
+    assert numbers["risk"]["brier"] == result.risk.brier and "Brier" in result.table()
+    assert "reliability.png" in [path.name for path in result.figures]
+
+
+@pytest.mark.parametrize("risk", [None, lambda x, y: x * np.nan])
+def test_results_without_a_risk_are_scored_without(tmp_path, risk):
+    folder = write_results(tmp_path / "results")
+    if risk is not None:
+        with_risk(folder, risk)
+    result = evaluate(folder, write_truth(tmp_path / "truth.npz"), figures=False)
+    assert result.risk is None
+    assert json.loads((result.out / "evaluation.json").read_text())["risk"] is None
+
+
 def test_out_goes_where_told(tmp_path):
     folder = write_results(tmp_path / "results")
     truth = write_truth(tmp_path / "truth.npz")
@@ -259,7 +294,7 @@ def test_a_summary_that_is_missing_and_one_that_is_damaged_are_told_apart(tmp_pa
     with pytest.raises(EvaluationError, match="summary.json is not JSON"):
         evaluate(folder, truth)
     (folder / "summary.json").unlink()
-    with pytest.raises(EvaluationError, match="no folder that replay wrote"):
+    with pytest.raises(EvaluationError, match="not a folder that replay wrote"):
         evaluate(folder, truth)
 
 
