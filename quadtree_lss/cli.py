@@ -20,6 +20,7 @@ from quadtree_lss.commands import (
     config,
     evaluate,
     export,
+    fit_risk,
     fly,
     info,
     replay,
@@ -123,6 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add(commands)
     campaign.add(commands)
     fly.add(commands)
+    fit_risk.add(commands)
     completion.add(commands)
     return parser
 

@@ -14,6 +14,7 @@ from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.evaluation.evaluate import EvaluationResult, evaluate, score
 from quadtree_lss.evaluation.results import Results, Truth, results_of, truth_of
+from quadtree_lss.evaluation.risk_flights import lander_of
 from quadtree_lss.replay.bags import Topic
 from quadtree_lss.replay.memory import MessageBag
 from quadtree_lss.replay.replay import replay
@@ -21,7 +22,6 @@ from quadtree_lss.replay.summary import peak_memory_mb
 from quadtree_lss.simulation import SCENARIOS, simulate
 from quadtree_lss.simulation.flight import Simulation
 from quadtree_lss.simulation.recording import POSE_TOPIC, SCAN_TOPIC, TYPES
-from quadtree_lss.simulation.safety import Lander
 
 CONDITIONS = (
     "duration",
@@ -36,16 +36,6 @@ CONDITIONS = (
     "rocks",
     "slope_deg",
 )
-
-
-def lander_of(config: Config) -> Lander:
-    """The vehicle that the parameters describe: whose safety is judged, and is true."""
-    lss = config.lss
-    return Lander(
-        diameter=lss.vehicle_diameter,
-        max_slope_deg=lss.max_slope_deg,
-        max_roughness=lss.max_roughness,
-    )
 
 
 def fly(case: Case) -> Flown:

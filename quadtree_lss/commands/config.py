@@ -17,14 +17,16 @@ from quadtree_lss.commands.common import (
     print_json,
 )
 from quadtree_lss.commands.completion import completed, names_of_action
-from quadtree_lss.commands.console import ProgressBar, show
+from quadtree_lss.commands.console import ProgressBar, show, warn
 from quadtree_lss.config.loading import (
     check_files,
     dump_config,
     explain,
     explain_text,
+    load_config,
     parameter_as_dict,
 )
+from quadtree_lss.config.risk import doubt
 from quadtree_lss.config.settings import values_from_config
 
 ACTIONS = ("print", "check", "explain", "suggest")
@@ -92,6 +94,8 @@ def _check(options: argparse.Namespace) -> int:
     else:
         for name, errors in found.items():
             show("\n".join(f"{name}: {line}" for line in errors or ["good"]))
+            if not errors and (said := doubt(load_config([name]))):
+                warn(f"{name}: {said}")
     return ERROR if any(found.values()) else DONE
 
 

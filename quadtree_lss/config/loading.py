@@ -135,8 +135,7 @@ def shipped_names() -> list[str]:
 
 def _shipped() -> Iterator[Path]:
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    places = [Path(__file__).resolve().parents[1] / "config"]
-    places += [Path(p) / "share" / "quadtree_lss" / "config" for p in (sys.prefix, *prefixes)]
+    places = [Path(p) / "share" / "quadtree_lss" / "config" for p in (sys.prefix, *prefixes)]
     for place in places:
         yield from sorted(place.glob("*.yaml"))
 

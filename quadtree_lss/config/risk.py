@@ -13,10 +13,13 @@ from typing import Any
 import yaml
 
 from quadtree_lss.config.parameter import ConfigError
+from quadtree_lss.config.settings import Config
 from quadtree_lss.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
 
 SHIPPED = "flash_lidar.yaml"
 Row = tuple[float, ...]
+#: What a fit was made with may differ from what it is used with by such a share.
+NEAR = 0.3
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,33 @@ def risk_model(name: str) -> RiskModel:
         raise ConfigError(msg) from error
 
 
+def doubt(config: Config) -> str:
+    """In which way the model of a configuration was fitted to another lander or map; or nothing.
+
+    Raises:
+        ConfigError: as of `risk_model`.
+    """
+    lss, origin = config.lss, risk_model(config.lss.risk_model).provenance
+    if "probability" not in (lss.assessment, lss.ranking):
+        return ""
+    fitted = dict(origin.get("lander") or {}) | {"finest_cell": origin.get("finest_cell")}
+    used = {
+        "diameter": ("a lander of {:g} m", lss.vehicle_diameter),
+        "max_roughness": ("a clearance of {:g} m", lss.max_roughness),
+        "max_slope_deg": ("a slope of {:g} deg", lss.max_slope_deg),
+        "finest_cell": ("cells of {:g} m", config.domain.size / 2**config.domain.max_level),
+    }
+    far = []
+    for name, (text, value) in used.items():
+        given = fitted.get(name)
+        if isinstance(given, (int, float)) and abs(value - given) > NEAR * given:
+            far.append(f"{text.format(given)}, not {value:g}")
+    if not far:
+        return ""
+    name = lss.risk_model or SHIPPED
+    return f"the risk model {name} was fitted for {'; '.join(far)}: fit-risk makes another"
+
+
 def risk_model_text(model: RiskModel) -> str:
     """The model as `risk_model` reads it."""
 
@@ -101,8 +131,9 @@ def risk_model_text(model: RiskModel) -> str:
     names = ("rise", "rise_odds", "slope", "slope_odds", "own", "about")
     lines = [f"{name}: {line(getattr(model, name))}" for name in names]
     lines += ["odds:", *(f"  - {line(row)}" for row in model.odds)]
-    origin = yaml.safe_dump({"provenance": dict(model.provenance)}, sort_keys=False, width=96)
-    return "\n".join(lines) + "\n" + origin
+    origin = {"provenance": dict(model.provenance)}
+    told = yaml.safe_dump(origin, sort_keys=False, width=96, default_flow_style=None)
+    return "\n".join(lines) + "\n" + str(told)
 
 
 def _from_values(values: Any) -> RiskModel:

@@ -10,12 +10,13 @@ from typing import NamedTuple
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.messages.intake import ReadyScan
+from quadtree_lss.replay.bags import Bag
 from quadtree_lss.replay.cloud_files import open_recording
 from quadtree_lss.replay.stream import Stream
 
 
 def scans(
-    bag: str | Path,
+    bag: str | Path | Bag,
     config: Config,
     *,
     scan_topic: str | None = None,
@@ -27,7 +28,7 @@ def scans(
     """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them.
 
     Args:
-        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
+        bag: A bag, or the path of one or of point clouds (`cloud_files.open_recording`).
         config: Of which ``pose``, ``frames`` and ``mount`` matter.
         scan_topic, pose_topic: Topics; by default found by name, then by type.
         poses: File of poses for point clouds.
@@ -38,7 +39,8 @@ def scans(
         ReplayError: the part lies outside the bag.
     """
     stream = Stream(scan_topic, pose_topic, start, duration)
-    with open_recording(bag, poses, config.frames.map) as opened:
+    given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
+    with given as opened:
         stream.resolve(opened, config)
         intake = stream.intake(config)
         for message in stream.messages(opened):
@@ -56,7 +58,7 @@ class Step(NamedTuple):
 
 
 def steps(
-    bag: str | Path,
+    bag: str | Path | Bag,
     config: Config,
     *,
     scan_topic: str | None = None,

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
+from quadtree_lss.config.risk import doubt
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.ros.announce import announce
@@ -100,6 +101,8 @@ class LssNode(Node):
         from quadtree_lss.core.landing.sites import LandingSiteSelector
 
         self._selector = LandingSiteSelector(config)
+        if said := doubt(config):
+            self.get_logger().warning(said)
         announce(self, config)
 
     def _reconfigure(self, config: Config) -> None:

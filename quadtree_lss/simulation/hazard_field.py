@@ -36,6 +36,16 @@ class HazardField:
     texture_length: float = 0.25  # its correlation length
 
 
+#: Fields to try things on, by name.
+FIELDS = {
+    "default": HazardField(),
+    "rocky": HazardField(rock_abundance=0.10, piles=6e-3),
+    "sparse": HazardField(rock_abundance=0.02, piles=1e-3),
+    "steep": HazardField(slope_rms_deg=4.0, craters=12e-3),
+    "rough": HazardField(rock_abundance=0.10, slope_rms_deg=3.0, texture=0.02),
+}
+
+
 def rock_decay(abundance: float) -> float:
     """Exponent q (1/m) of the size-frequency law: 1.79 + 0.152/k."""
     return 1.79 + 0.152 / abundance

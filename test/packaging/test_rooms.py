@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "simulation": "build",
     "flight": f"config {CORE} messages replay simulation",
     "ros": f"build config {CORE} messages replay flight",
-    "evaluation": f"config {CORE} replay report simulation",
+    "evaluation": f"build config {CORE} messages replay report simulation",
     "campaign": "config evaluation flight replay report simulation",
     "commands": "config exchange replay simulation evaluation campaign flight ros",
     "api": f"config {CORE} messages replay",

@@ -110,6 +110,17 @@ class RiskTable:
             worst: The lander's worst rests on the map.
             judged: (n + 1, n + 1) grid points of which these are known.
         """
+        own, around = self.log_odds(worst, judged)
+        own -= self._own0
+        row = (own * (1.0 / FINE_ODDS) + 0.5).astype(np.intp)
+        column = (around * (1.0 / FINE_ODDS) + 0.5).astype(np.intp)
+        np.minimum(column, self._risk.shape[1] - 1, out=column)
+        out = self._risk[np.minimum(row, len(self._risk) - 1), column]
+        out[~judged] = 1.0
+        return np.asarray(out)
+
+    def log_odds(self, worst: WorstRest, judged: Mask) -> tuple[Array, Array]:
+        """What the second step goes by, (n + 1, n + 1) each: l and d of ``RiskModel``."""
         safe = self._stands[_entry(worst.rise, self._rise0, FINE, len(self._stands), judged)]
         safe += self._level[_entry(worst.slope, self._slope0, FINE, len(self._level), judged)]
         own = np.log(np.expm1(-safe))
@@ -121,13 +132,7 @@ class RiskTable:
         np.maximum(around[:, 1:], own[:, :-1], out=around[:, 1:])
         np.maximum(around[:, :-1], own[:, 1:], out=around[:, :-1])
         around -= own
-        own -= self._own0
-        row = (own * (1.0 / FINE_ODDS) + 0.5).astype(np.intp)
-        column = (around * (1.0 / FINE_ODDS) + 0.5).astype(np.intp)
-        np.minimum(column, self._risk.shape[1] - 1, out=column)
-        out = self._risk[np.minimum(row, len(self._risk) - 1), column]
-        out[~judged] = 1.0
-        return np.asarray(out)
+        return own, around
 
     def by_slope(self, rise: float, slope: float) -> bool:
         """Whether it is the slope, and not what rises under the lander, that speaks against it."""

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fits a ``RiskModel`` to counts of landings: how many were tried, how many failed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+
+from quadtree_lss.config.risk import RiskModel, Row
+
+FloatArray = NDArray[np.float64]
+
+#: Knots of r, m; of s, rise over run; of l and d (see ``RiskModel``).
+RISE = (-0.15, -0.12, -0.09, -0.06, -0.04, -0.02, 0.0) + (
+    *(0.02, 0.04, 0.06, 0.09, 0.12, 0.16, 0.22, 0.35),
+)
+SLOPE = (-0.08, -0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06, 0.08, 0.1)
+OWN = (-10.0, -8.0, -6.5, -5.0, -4.0, -3.0, -2.0, -1.0, 0.0, 2.0, 4.0, 6.0)
+ABOUT = (0.0, 0.5, 1.0, 2.0, 3.5, 6.0)
+#: Centres of the bins that landings are counted in.
+RISE_BINS = np.linspace(RISE[0], RISE[-1], 201)
+SLOPE_BINS = np.linspace(SLOPE[0], SLOPE[-1], 73)
+OWN_BINS = np.linspace(OWN[0], OWN[-1], 65)
+ABOUT_BINS = np.linspace(ABOUT[0], ABOUT[-1], 25)
+
+#: Weights against the mean log score: of second differences, and of what does not ascend.
+SMOOTH, ASCENDING = 2e-6, 1e-3
+#: Least and greatest of what a curve may begin with.
+LEAST, MOST = -16.0, -2.0
+
+
+def unfitted() -> RiskModel:
+    """Knots without a fit: curves that fail nowhere, and a second step that changes nothing."""
+    table = tuple((own,) * len(ABOUT) for own in OWN)
+    flat = (LEAST,) * len(RISE), (LEAST,) * len(SLOPE)
+    return RiskModel(RISE, flat[0], SLOPE, flat[1], OWN, ABOUT, table)
+
+
+def counted(
+    first: ArrayLike, second: ArrayLike, failed: ArrayLike, bins: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """Landings tried and failed (2, len(bins[0]), len(bins[1])), in the nearest bins.
+
+    Args:
+        first, second: (K,) what they are counted by.
+        failed: (K,) whether they did.
+        bins: Centres, evenly spaced; what lies beyond the last counts for it.
+    """
+    place = []
+    for values, centres in zip((first, second), bins, strict=True):
+        step = (centres[-1] - centres[0]) / (len(centres) - 1)
+        nearest = np.rint((np.asarray(values, float) - centres[0]) / step)
+        place.append(np.clip(nearest, 0, len(centres) - 1).astype(np.intp))
+    at = place[0] * len(bins[1]) + place[1]
+    of = np.asarray(failed, float)
+    tried = np.bincount(at, minlength=len(bins[0]) * len(bins[1]))
+    return np.stack([tried, np.bincount(at, of, len(tried))]).reshape(2, len(bins[0]), -1)
+
+
+def fit_curves(counts: FloatArray) -> tuple[Row, Row]:
+    """First step: a at the knots of r and b at those of s, which ascend.
+
+    Args:
+        counts: (2, R, S) weights of the landings tried and failed, over the bins of r and s.
+    """
+    tried, failed = counts / counts[0].sum()
+    hats_r, hats_s = _hats(RISE_BINS, RISE), _hats(SLOPE_BINS, SLOPE)
+    # What is sought are steps from knot to knot, none of them down.
+    up_r, up_s = hats_r @ _sums(len(RISE)), hats_s @ _sums(len(SLOPE))
+    bend_r = np.diff(_sums(len(RISE)), 2, axis=0)
+    bend_s = np.diff(_sums(len(SLOPE)), 2, axis=0)
+
+    def cost(steps: FloatArray) -> tuple[float, FloatArray]:
+        one, other = steps[: len(RISE)], steps[len(RISE) :]
+        odds_r, odds_s = up_r @ one, up_s @ other
+        safe = -np.logaddexp(0.0, odds_r)[:, None] - np.logaddexp(0.0, odds_s)
+        safe = np.minimum(safe, -1e-12)
+        risk = -np.expm1(safe)
+        slope = tried - failed - failed * (1.0 - risk) / risk  # of the cost, by -log P(safe)
+        value = -np.sum(failed * np.log(risk) + (tried - failed) * safe)
+        by_r = up_r.T @ (slope.sum(1) / (1.0 + np.exp(-odds_r)))
+        by_s = up_s.T @ (slope.sum(0) / (1.0 + np.exp(-odds_s)))
+        bent_r, bent_s = bend_r @ one, bend_s @ other
+        value += SMOOTH * (bent_r @ bent_r + bent_s @ bent_s)
+        by_r += 2.0 * SMOOTH * bend_r.T @ bent_r
+        by_s += 2.0 * SMOOTH * bend_s.T @ bent_s
+        return float(value), np.concatenate([by_r, by_s])
+
+    begin = np.concatenate([[-7.0], np.full(len(RISE) - 1, 0.7), [-7.0], [0.7] * (len(SLOPE) - 1)])
+    bounds = [(LEAST, MOST), *[(0.0, None)] * (len(RISE) - 1)]
+    bounds += [(LEAST, MOST), *[(0.0, None)] * (len(SLOPE) - 1)]
+    steps = _least(cost, begin, bounds)
+    return _row(np.cumsum(steps[: len(RISE)])), _row(np.cumsum(steps[len(RISE) :]))
+
+
+def fit_table(counts: FloatArray) -> tuple[Row, ...]:
+    """Second step: c at the knots of l (rows) and d (columns), which ascend as good as always.
+
+    Args:
+        counts: (2, L, D) weights of the landings tried and failed, over the bins of l and d.
+    """
+    tried, failed = (counts / counts[0].sum()).reshape(2, -1)
+    hats = np.kron(_hats(OWN_BINS, OWN), _hats(ABOUT_BINS, ABOUT))[tried > 0.0]
+    tried, failed = tried[tried > 0.0], failed[tried > 0.0]
+    rows, columns = np.eye(len(OWN)), np.eye(len(ABOUT))
+    bends = np.kron(np.diff(rows, 2, axis=0), columns), np.kron(rows, np.diff(columns, 2, axis=0))
+    rises = np.kron(np.diff(rows, 1, axis=0), columns), np.kron(rows, np.diff(columns, 1, axis=0))
+
+    def cost(odds: FloatArray) -> tuple[float, FloatArray]:
+        at = hats @ odds
+        value = float(np.sum(tried * np.logaddexp(0.0, at) - failed * at))
+        by = hats.T @ (tried / (1.0 + np.exp(-at)) - failed)
+        for matrix in bends:
+            bent = matrix @ odds
+            value, by = value + SMOOTH * float(bent @ bent), by + 2.0 * SMOOTH * matrix.T @ bent
+        for matrix in rises:
+            down = np.minimum(matrix @ odds, 0.0)
+            value += ASCENDING * float(down @ down)
+            by = by + 2.0 * ASCENDING * matrix.T @ down
+        return value, by
+
+    odds = _least(cost, np.repeat(OWN, len(ABOUT)), None)
+    return tuple(_row(line) for line in odds.reshape(len(OWN), len(ABOUT)))
+
+
+def _least(
+    cost: Callable[[FloatArray], tuple[float, FloatArray]],
+    begin: FloatArray,
+    bounds: list[tuple[float, float | None]] | None,
+) -> FloatArray:
+    options = {"maxiter": 5000, "maxfun": 8000, "ftol": 1e-13, "gtol": 1e-9}
+    found = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return np.asarray(found.x)
+
+
+def _hats(values: FloatArray, knots: Row) -> FloatArray:
+    """(len(values), len(knots)) shares of the knots in what is straight between them."""
+    return np.stack([np.interp(values, knots, unit) for unit in np.eye(len(knots))], axis=1)
+
+
+def _sums(count: int) -> FloatArray:
+    return np.tril(np.ones((count, count)))
+
+
+def _row(values: FloatArray) -> Row:
+    return tuple(round(float(value), 3) for value in values)
