@@ -23,6 +23,10 @@ SMALL = {
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),
     "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),
+    "probability": (
+        ["--seeds", "21000", "--cases", "default", "--draws", "2", "--figure", "p.png"],
+        ["predicted", "Brier", "unsafe first sites", "terrains drawn"],
+    ),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (
         ["--seeds", "201", "--duration", "2"],

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the landing rules say of a map, and what is true, on the map's finest lattice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from quadtree_lss.config.risk import RiskModel
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.geometry.heights import height_by_error
+from quadtree_lss.core.landing.lattice import grown
+from quadtree_lss.core.landing.probability import RiskTable
+from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
+from quadtree_lss.core.landing.sites import LandingSiteSelector
+from quadtree_lss.core.landing.touchdown import Limits, TouchdownCheck
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.evaluation.risk_fit import unfitted
+from quadtree_lss.evaluation.risk_flights import Landings, Mapped, land
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RULES = ("paper", "touchdown", "probability")
+WIDE = unfitted()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A map as it is judged, at the K grid points where all is seen and the truth is known.
+
+    Attributes:
+        failed: (K,) truly unsafe.
+        risk: (K,) by the model.
+        called: (K,) safe, by rule.
+        first: By rule: clearance of the first site as a share of the best to be had; 0 if it is
+            unsafe, NaN if there is none.
+    """
+
+    failed: Mask
+    risk: Array
+    called: dict[str, Mask]
+    first: dict[str, float]
+
+
+def by_rule(config: Config, rule: str, **changes: object) -> Config:
+    """A configuration that judges by a rule at all points of the lattice."""
+    ranking = "probability" if rule == "probability" else "score"
+    side = config.domain.size / 2**config.domain.max_level
+    own: dict[str, object] = {"assessment": rule, "ranking": ranking, "grid_spacing": side}
+    return replace(config, lss=replace(config.lss, **(own | changes)))
+
+
+def judge(mapped: Mapped, model: RiskModel, config: Config, sites: bool) -> Judged:
+    """Risk; with ``sites`` what the rules say as well."""
+    landings = land(mapped, model, config)
+    risk = RiskTable(model, config.lss).risk(landings.worst, landings.judged)[landings.counts]
+    called, first = {}, {}
+    for rule in RULES if sites else ():
+        found = LandingSiteSelector(by_rule(config, rule)).assess(mapped.cells)
+        called[rule] = found.safe[landings.counts]
+        first[rule] = clearance(mapped, landings, found.sites.position)
+    return Judged(landings.failed, risk, called, first)
+
+
+def clearance(mapped: Mapped, landings: Landings, sites: Array) -> float:
+    """How far the first site is from truly unsafe ground, over the best that there is."""
+    if not len(sites):
+        return float("nan")
+    room = distance_transform_edt(np.pad(mapped.safe & mapped.known, 1))[1:-1, 1:-1]
+    domain = mapped.cells.domain
+    at = np.rint((sites[0, :2] - [domain.xmin, domain.ymin]) / domain.finest_size).astype(int)
+    return float(room[at[1], at[0]] / room[landings.counts].max())
+
+
+def stricter(mapped: Mapped, config: Config, rule: str, times: float) -> Mask:
+    """Called safe (K,) by a rule whose limits are so many times as wide."""
+    landings = land(mapped, WIDE, config)
+    if rule == "touchdown":
+        lss, side = config.lss, mapped.cells.domain.finest_size
+        rise, slope = times * lss.touchdown_roughness, times * lss.touchdown_slope_deg
+        high = landings.worst.rise > rise
+        fails = high | (landings.worst.slope > np.tan(np.radians(slope)))
+        return np.asarray(~grown(fails & landings.judged, lss.hazard_growth, side))[landings.counts]
+    changes = {"max_slope_deg": times * config.lss.max_slope_deg}
+    changes["max_roughness"] = times * config.lss.max_roughness
+    selector = LandingSiteSelector(by_rule(config, rule, **changes))
+    return selector.assess(mapped.cells).safe[landings.counts]
+
+
+def drawn(mapped: Mapped, config: Config, draws: int, seed: int) -> Array:
+    """P(unsafe) (K,) by terrains drawn from the map's own errors, on which the lander is set down.
+
+    A draw moves each leaf by its range noise, all leaves by one pose error of a usual leaf's
+    covariance, and each finest cell by the roughness of its leaf.
+    """
+    rng, cells, lss = np.random.default_rng(seed), mapped.cells, config.lss
+    raster = rasterise(cells, lss.max_gap)
+    landings = land(mapped, WIDE, config)
+    steep = float(np.tan(np.radians(lss.max_slope_deg)))
+    check_at = Limits((lss.max_roughness,) * 2, (steep,) * 2)
+    failed = np.zeros(landings.judged.shape)
+    for _ in range(draws):
+        drawn_raster = _one_draw(rng, cells, raster)
+        worst = TouchdownCheck(lss, check_at).worst(drawn_raster, landings.judged)
+        failed += (worst.rise > np.float32(lss.max_roughness)) | (worst.slope > np.float32(steep))
+    return np.asarray((failed[landings.counts] + 0.5) / (draws + 1.0))
+
+
+def _one_draw(rng: np.random.Generator, cells: CellMap, raster: TerrainRaster) -> TerrainRaster:
+    measured, zero = cells.measured, np.zeros(len(cells.z))
+    common = np.median(cells.covariance_pose[measured], axis=0)
+    errors = _normal(rng, np.where(measured[:, None, None], cells.covariance_range, 0.0))
+    errors += _normal(rng, common[None])
+    up = np.where(measured[:, None], cells.normal, [0.0, 0.0, 1.0])
+
+    def rise(x: Array, y: Array) -> Array:
+        return np.asarray(np.einsum("ij,ij->i", height_by_error(up, x, y), errors))
+
+    shift, one = rise(zero, zero), zero + 1.0
+    east, north = rise(one, zero) - shift, rise(zero, one) - shift
+    rows, columns = np.indices(raster.leaf.shape)
+    domain, leaf = raster.domain, raster.leaf
+    x = domain.xmin + (columns + 0.5) * domain.finest_size - cells.x[leaf]
+    y = domain.ymin + (rows + 0.5) * domain.finest_size - cells.y[leaf]
+    rough = np.where(measured, np.nan_to_num(cells.roughness) / cells.size**2, 0.0)
+    z = raster.elevation + shift[leaf] + east[leaf] * x + north[leaf] * y
+    z += rough[leaf] * rng.standard_normal(z.shape)
+    return replace(
+        raster,
+        elevation=z,
+        slope_x=raster.slope_x + east[leaf],
+        slope_y=raster.slope_y + north[leaf],
+    )
+
+
+def _normal(rng: np.random.Generator, covariance: Array) -> Array:
+    """(M, 3) draws of (M, 3, 3) covariances."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.transpose(0, 2, 1)))
+    scaled = np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.shape)
+    return np.asarray(np.einsum("mij,mj->mi", vectors, scaled))

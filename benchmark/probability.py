@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far the probability of a safe touchdown can be trusted, beside the rules with thresholds."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import configuration, machine, table
+from common.risk import flights
+from common.rules import RULES, Judged, drawn, judge, stricter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from quadtree_lss.campaign.study import parse_seeds
+from quadtree_lss.config.risk import risk_model
+from quadtree_lss.config.settings import Config
+from quadtree_lss.evaluation.reliability import scores
+from quadtree_lss.evaluation.risk_flights import CASES, Conditions, Mapped
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Flown = dict[str, list[list[Mapped]]]
+All = dict[str, list[list[Judged]]]
+
+BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+FOUND = 0.996
+THRESHOLDS = np.geomspace(1e-4, 0.5, 120)
+TIMES = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)
+
+
+def main() -> None:
+    """Print the tables, draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add("--seeds", default="21000-21002", help="each flown in each case")
+    add("--cases", default=",".join(CASES), help="of fields and noise")
+    add("--terrain", type=Path, action="append", default=[], help=".npz; flown with rocks, without")
+    add("--keep", type=Path, help="folder of the flights: taken from there if they are in it")
+    add("--model", default="", help="file of fit-risk, by default the one of the package")
+    add("--draws", type=int, default=40, help="terrains drawn from a map; 0 for none")
+    add("--figure", type=Path, help="PNG to draw")
+    options = parser.parse_args()
+    print(machine())
+    config, model = configuration("morpheus"), risk_model(options.model)
+    cases = options.cases.split(",")
+    flown = flights(cases, parse_seeds(options.seeds), config, options.terrain, options.keep)
+    judged: All = {}
+    for name, of_case in flown.items():
+        own = CASES.get(name, Conditions()).mapping(config)
+        judged[name] = [
+            [judge(one, model, own, one is maps[-1]) for one in maps] for maps in of_case
+        ]
+    of_all = {
+        name: joined([one for maps in of_case for one in maps]) for name, of_case in judged.items()
+    }
+    reliability_table("Truly unsafe over predicted, by predicted risk in %", of_all)
+    score_table(judged)
+    rules_table(judged, config.lss.max_risk)
+    sites_table(judged)
+    if options.draws:
+        two_ways(flown, judged, config, options.draws)
+    if options.figure:
+        draw(options.figure, of_all, flown, judged, config)
+
+
+def joined(found: list[Judged]) -> tuple[Array, Mask]:
+    """Risks and failures of several maps (K,)."""
+    return np.concatenate([j.risk for j in found]), np.concatenate([j.failed for j in found])
+
+
+def ratios(risk: Array, failed: Mask) -> list[float]:
+    """Observed over predicted share in each of ``BINS``; NaN where fewer than 100 points are."""
+    out = []
+    for low, high in zip(BINS, BINS[1:], strict=False):
+        here = (risk >= low) & (risk < high)
+        enough = here.sum() >= 100
+        out.append(float(failed[here].mean() / risk[here].mean()) if enough else float("nan"))
+    return out
+
+
+def dashed(value: float, digits: str) -> str:
+    """A number; a dash where there is none."""
+    return "-" if np.isnan(value) else format(value, digits)
+
+
+def reliability_table(title: str, rows: dict[str, tuple[Array, Mask]]) -> None:
+    """A line for each case or way."""
+    bins = [f"{100 * a:g}-{100 * b:g}" for a, b in zip(BINS, BINS[1:], strict=False)]
+    lines = []
+    for name, (risk, failed) in rows.items():
+        numbers = [dashed(ratio, ".2f") for ratio in ratios(risk, failed)]
+        lines.append([name, *numbers, f"{risk.mean():.4f}", f"{failed.mean():.4f}"])
+    table(title, ["case", *bins, "predicted", "unsafe"], lines)
+
+
+def constant(called: Mask, failed: Mask) -> Array:
+    """The best probabilities for a rule that knows but safe and unsafe: found afterwards."""
+    out = np.empty(called.shape)
+    for which in (called, ~called):
+        out[which] = failed[which].mean() if which.any() else 0.5
+    return out
+
+
+def score_table(judged: All) -> None:
+    """Brier and log scores of the last maps; the less the better."""
+    lines = []
+    for name, of_case in judged.items():
+        last = [maps[-1] for maps in of_case]
+        risk, failed = joined(last)
+        found = {"probability": scores(risk, failed)}
+        for rule in RULES[:2]:
+            called = np.concatenate([one.called[rule] for one in last])
+            found[rule] = scores(constant(called, failed), failed)
+        numbers = [f"{found[rule][k]:.4f}" for k in (0, 1) for rule in RULES]
+        lines.append([name, *numbers])
+    header = [f"{score}, {rule}" for score in ("Brier", "log") for rule in RULES]
+    title = "Scores after the flight; rules with the best constant for safe and unsafe afterwards"
+    table(title, ["case", *header], lines)
+
+
+def found_kept(called: Mask, failed: Mask) -> tuple[float, float]:
+    """Share of hazards found, and of safe ground kept."""
+    return float((~called)[failed].mean()), float(called[~failed].mean())
+
+
+def at_least(last: list[Judged]) -> tuple[float, list[float]]:
+    """The greatest threshold at which the worst flight finds ``FOUND``, and what each keeps."""
+    best = 0.0
+    for threshold in THRESHOLDS:
+        if min(found_kept(j.risk <= threshold, j.failed)[0] for j in last) >= FOUND:
+            best = float(threshold)
+    return best, [found_kept(j.risk <= best, j.failed)[1] for j in last]
+
+
+def rules_table(judged: All, max_risk: float) -> None:
+    """Operating points."""
+    lines = []
+    for name, of_case in judged.items():
+        last = [maps[-1] for maps in of_case]
+        row, kept = [name], {}
+        for rule in RULES:
+            found, kept[rule] = np.transpose([found_kept(j.called[rule], j.failed) for j in last])
+            row += [f"{100 * found.mean():.2f} / {100 * found.min():.2f}"]
+            row += [f"{100 * kept[rule].mean():.1f}"]
+        threshold, own = at_least(last)
+        more = 100.0 * (np.array(own) - kept["touchdown"])
+        row += [f"{100 * threshold:.2f}", f"{100 * np.mean(own):.1f}", f"{more.mean():+.1f}"]
+        lines.append(row)
+    header = [text for rule in RULES for text in (f"{rule}: found", "kept")]
+    title = f"Hazards found, mean / worst flight, and safe ground kept, % (max_risk {max_risk:g})"
+    at = f"risk for {100 * FOUND:g} % in the worst"
+    table(title, ["case", *header, at, "kept", "more than touchdown"], lines)
+
+
+def sites_table(judged: All) -> None:
+    """First sites."""
+    lines = []
+    for name, of_case in [*judged.items(), ("all", [m for c in judged.values() for m in c])]:
+        row = [name]
+        for rule in RULES:
+            share = np.array([maps[-1].first[rule] for maps in of_case])
+            some = share[~np.isnan(share)]
+            middle = float(np.median(some)) if some.size else float("nan")
+            row += [dashed(middle, ".2f"), f"{(some == 0.0).sum()} of {some.size}"]
+        lines.append(row)
+    header = [text for rule in RULES for text in (rule, "unsafe")]
+    title = "First site's true clearance over the best to be had, median; unsafe first sites"
+    table(title, ["case", *header], lines)
+
+
+def two_ways(flown: Flown, judged: All, config: Config, draws: int) -> None:
+    """The fit against terrains drawn from the map, after the first flight of each case."""
+    rows, lines = {}, []
+    for name, of_case in flown.items():
+        own, one = CASES.get(name, Conditions()).mapping(config), judged[name][0][-1]
+        by_draws = drawn(of_case[0][-1], own, draws, 1)
+        rows[f"{name}, draws"] = by_draws, one.failed
+        rows[f"{name}, fit"] = one.risk, one.failed
+        pairs = [scores(by_draws, one.failed), scores(one.risk, one.failed)]
+        lines.append([name, *[f"{pair[k]:.4f}" for k in (0, 1) for pair in pairs]])
+    reliability_table(f"{draws} terrains drawn from the map against the fit, one flight", rows)
+    table("Their scores", ["case", "Brier, draws", "fit", "log, draws", "fit"], lines)
+
+
+def draw(file: Path, of_all: dict[str, tuple[Array, Mask]], flown: Flown, judged: All, c: Config):
+    """Reliability of all cases, and what rules find and keep on the default field."""
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    edges = np.geomspace(3e-4, 0.9, 12)
+    for name, (risk, failed) in of_all.items():
+        at = [(risk >= a) & (risk < b) for a, b in zip(edges, edges[1:], strict=False)]
+        at = [here for here in at if here.sum() >= 300]
+        x, y = [risk[here].mean() for here in at], [failed[here].mean() for here in at]
+        left.plot(x, y, "-" if name in CASES else "--", marker=".", label=name, linewidth=1.0)
+    left.plot(edges, edges, "k", linewidth=0.8)
+    left.fill_between(edges, edges / 2.0, edges * 2.0, color="0.9", label="within a factor of 2")
+    left.set(xscale="log", yscale="log", xlabel="predicted risk", ylabel="truly unsafe share")
+    left.set(ylim=(1e-4, 1.0))
+    left.legend(fontsize=7)
+    shown = next(iter(judged))
+    last = [maps[-1] for maps in judged[shown]]
+    points = [[found_kept(j.risk <= t, j.failed) for j in last] for t in THRESHOLDS]
+    curves = {"probability": np.array(points)}
+    for rule in RULES[:2]:
+        points = [
+            [
+                found_kept(stricter(maps[-1], c, rule, times), j.failed)
+                for maps, j in zip(flown[shown], last, strict=True)
+            ]
+            for times in TIMES
+        ]
+        curves[rule] = np.array(points)
+    for rule, values in curves.items():
+        found, kept = values.mean(axis=1).T
+        marker = "" if rule == "probability" else "."
+        right.plot(100 * kept, 100 * np.maximum(1.0 - found, 1e-5), marker=marker, label=rule)
+    right.set(yscale="log", xlabel="safe ground kept, %", ylabel="hazards missed, %")
+    right.set(title=f"{shown}: limits swept", ylim=(5e-3, 20.0))
+    right.legend()
+    figure.savefig(file, dpi=100)
+
+
+if __name__ == "__main__":
+    main()
