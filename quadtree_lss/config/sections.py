@@ -422,8 +422,9 @@ class LssConfig:
         live=True,
     )
     switch_margin: float = _p(
-        0.08,
-        "the target gives way to a site whose score is lower by more than this: 0.08 buys 4 m more "
+        0.01,
+        "the target gives way to a site that is better by more than this, in the unit of the "
+        "ranking: 0.01 is one per cent more probably safe; with ranking score 0.08 buys 4 m more "
         "room to the nearest hazard, or 4.6 degrees less slope",
         low=0.0,
         high=1e6,
