@@ -72,7 +72,7 @@ def target_from_message(msg: Any, map_frame: str) -> Array | None:
 
 
 def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Deviations along x and y, m, and heading, rad, NaN for any; None if there are none.
+    """Deviations along x and y, m, and heading, rad, if it is known; None if there are none.
 
     Of the covariance the variances in x and y count, and that of the rotation about z: a heading
     that is not known to 15 degrees is any. The position means nothing.
@@ -88,9 +88,9 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
     if not ((variance >= 0.0) & (variance <= WIDEST**2)).all():
         text = f"variances {variance.tolist()} m^2 are not those of at most {WIDEST:g} m"
         raise MessageError("dispersion", text)
-    q, known = msg.pose.orientation, 0.0 <= covariance[35] <= KNOWN_HEADING**2
+    q, known = msg.pose.pose.orientation, 0.0 <= covariance[35] <= KNOWN_HEADING**2
     turned = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return np.array([*np.sqrt(variance), turned if known and np.isfinite(turned) else np.nan])
+    return np.append(np.sqrt(variance), turned if known and np.isfinite(turned) else [])
 
 
 DECODE = {

@@ -116,7 +116,7 @@ def test_cases_win_over_what_holds_for_all(study_of):
     usual, rules = study.case(2), study.case(3)
     assert usual.seed == rules.seed == 102
     assert usual.labels == {"case": "usual", "lss.margin": 1.0}
-    assert usual.parameters["lss.assessment"] == "touchdown"
+    assert usual.parameters["lss.assessment"] == "probability"
     assert rules.parameters["lss.assessment"] == "paper"
     assert (usual.parameters["lss.margin"], rules.parameters["lss.margin"]) == (1.0, 0.0)
 

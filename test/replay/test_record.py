@@ -35,6 +35,7 @@ LANDING = {
     "/landing/site_table",
     "/landing/hazards",
     "/landing/score",
+    "/landing/probability",
     "/landing/selected",
     "/landing/status",
 }

@@ -138,11 +138,12 @@ def test_grid_holds_the_contract(result):
 
 def test_tables_hold_the_contract(result):
     header, rows = columns(result.out / "sites.csv")
-    names = "rank,x,y,z,nx,ny,nz,score,slope_deg,roughness,hazard_distance,subscale_height,id"
+    names = "rank,x,y,z,nx,ny,nz,score,slope_deg,roughness,hazard_distance,subscale_height,id,"
+    names += "probability"
     assert ",".join(header) == names
     assert [int(row[0]) for row in rows] == list(range(1, len(rows) + 1))
-    scores = [float(row[7]) for row in rows]
-    assert scores == sorted(scores) and len(rows) >= 1
+    safe = [float(row[13]) for row in rows]
+    assert safe == sorted(safe, reverse=True) and 0.5 < safe[-1] <= safe[0] <= 1.0
     header, rows = columns(result.out / "selected.csv")
     assert ",".join(header) == "stamp_ns,id,x,y,z,reason"
     assert [row[-1] for row in rows] == ["first"] and rows[0][1] != "0"

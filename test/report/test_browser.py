@@ -41,7 +41,8 @@ def test_the_first_screen_holds_map_table_and_answer(text, tmp_path):
     wide, high = told["size"]
     assert 0 < left < right <= wide and 0 <= top < bottom <= high
     assert right - left > 0.85 * (wide - 46) or bottom - top > 0.85 * (high - 30)
-    assert told["layers"][0] == "allowed" and "elevation" in told["layers"]
+    assert told["layers"][0] == "probability"
+    assert {"allowed", "elevation"} < set(told["layers"])
 
 
 def test_the_pointer_tells_values_and_layers_differ(result, text, best, tmp_path):

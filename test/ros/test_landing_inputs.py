@@ -9,17 +9,27 @@ import functools
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
+from geometry_msgs.msg import (
+    Point32,
+    PointStamped,
+    PolygonStamped,
+    PoseWithCovarianceStamped,
+)
 from ros_vehicle import Vehicle, flat_map
+from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.landing_inputs import (
     MAX_VERTICES,
+    dispersion_from_message,
     polygon_from_message,
     target_from_message,
 )
+from quadtree_lss.messages.maps import SITE_FIELDS
+from quadtree_lss.messages.outputs import cloud_records
 from quadtree_lss.ros.landing_inputs import JOIN_S, UNHEARD_S
 from quadtree_lss.ros.messages import header_message, map_messages
+from quadtree_lss.ros.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 
@@ -36,6 +46,16 @@ def polygon(corners, frame="map"):
 def target(x, y):
     message = PointStamped(header=header_message(1, "map"))
     message.point.x, message.point.y = x, y
+    return message
+
+
+def dispersion(var_x, var_y, heading=0.0, heading_variance=0.0, frame="map"):
+    message = PoseWithCovarianceStamped(header=header_message(1, frame))
+    message.pose.pose.orientation.z = float(np.sin(0.5 * heading))
+    message.pose.pose.orientation.w = float(np.cos(0.5 * heading))
+    covariance = np.zeros(36)
+    covariance[[0, 7, 35]] = var_x, var_y, heading_variance
+    message.pose.covariance = covariance
     return message
 
 
@@ -192,3 +212,40 @@ def test_polygons_and_targets():
         with pytest.raises(MessageError) as caught:
             target_from_message(target(x, y), "map")
         assert caught.value.reason == "point"
+
+
+def test_a_dispersion_has_deviations_and_a_heading_that_is_known_or_any():
+    found = dispersion_from_message(dispersion(4.0, 0.25, 0.7, 0.01), "map")
+    np.testing.assert_allclose(found, (2.0, 0.5, 0.7))
+    found = dispersion_from_message(dispersion(0.0, 1.0, 0.7, 1.0), "map")
+    np.testing.assert_array_equal(found, (0.0, 1.0))
+    assert dispersion_from_message(dispersion(np.nan, np.nan), "map") is None
+
+
+@pytest.mark.parametrize("variances", [(-1.0, 1.0), (1.0, np.nan), (1.0, 1e5), (np.inf, 1.0)])
+def test_what_is_no_dispersion_is_refused(variances):
+    with pytest.raises(MessageError) as caught:
+        dispersion_from_message(dispersion(*variances), "map")
+    assert caught.value.reason == "dispersion"
+
+
+def test_guidance_says_how_precisely_it_lands(ros, cells):
+    table = {}
+
+    def take(message):
+        table["least"] = cloud_records(message, SITE_FIELDS)["probability"].min()
+
+    with ros.listen({}) as listener:
+        vehicle = Vehicle(listener, cells)
+        listener.node.create_subscription(PointCloud2, "landing/site_table", take, latched())
+        says = listener.node.create_publisher(
+            PoseWithCovarianceStamped, "landing/dispersion", latched()
+        )
+        lss = ros.start("lss_node")
+        vehicle.send_map(0)
+        assert listener.wait_for(lambda: table), lss.output()
+        by_default = table["least"]
+        says.publish(dispersion(36.0, 36.0))
+        assert listener.wait_for(lambda: table["least"] < by_default - 0.02), lss.output()
+        says.publish(dispersion(np.nan, np.nan))
+        assert listener.wait_for(lambda: table["least"] == by_default), lss.output()
