@@ -270,7 +270,7 @@ class LssConfig:
         choices=("probability", "score"),
     )
     max_risk: float = _p(
-        0.005,
+        0.003,
         "greatest probability that landing at a place fails there; with assessment probability",
         low=0.0,
         high=1.0,
