@@ -109,7 +109,8 @@ def headline(content: Content) -> tuple[str, str]:
     best = f"{number} landing sites" if number > 1 else "One landing site"
     text = f"Best at x {x}, y {y}, z {z} m"
     probability = sites.get("probability")
-    if probability is not None and np.isfinite(probability[0]):
+    told = " safe: what is left" in content.reasons[0]
+    if probability is not None and np.isfinite(probability[0]) and not told:
         text += f", safe with {percent(probability[0])}"
     return f"{best}.", f"{text}: {content.reasons[0]}. {ground}."
 

@@ -111,6 +111,7 @@ def configured(**sections: dict[str, object]) -> Config:
         "lidar.outlier_gate": 0.0,
         "lss.assessment": "touchdown",
         "lss.ranking": "score",
+        "lss.switch_margin": 0.08,
     }
     values = {f"{s}.{key}": value for s, of in sections.items() for key, value in of.items()}
     return config_from_values({**base, **values})
