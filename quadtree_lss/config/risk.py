@@ -87,7 +87,8 @@ def risk_model(name: str) -> RiskModel:
         values = parse_yaml(text.decode())
         return _from_values(values)
     except (OSError, UnicodeDecodeError, YamlError) as error:
-        msg = f"lss.risk_model: cannot read {name or SHIPPED}: {error}"
+        why = getattr(error, "strerror", None) or error
+        msg = f"lss.risk_model: cannot read {name or SHIPPED}: {why}"
         raise ConfigError(msg) from error
     except (ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
