@@ -128,12 +128,12 @@ test-vehicle:
 	    $(VEHICLE)/bin/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS) $(VEHICLE_TESTS); \
 	fi
 
-$(VEHICLE)/.dependencies: constraints.txt
+$(VEHICLE)/.dependencies: constraints.txt Makefile
 	@$(VEHICLE_PYTHON) toolchain.py
 	@rm -rf $(VEHICLE)
 	@$(VEHICLE_PYTHON) -m venv $(VEHICLE)
-	@sed -E '/^(cython|numpy|scipy|scipy-stubs|optype|numpy-typing-compat)==/d' constraints.txt > $@.part
-	@printf 'cython==3.0.8\nnumpy==1.26.4\nscipy==1.11.4\n' >> $@.part
+	@sed -E '/^(cython|cvxpy|numpy|scipy|scipy-stubs|optype|numpy-typing-compat)==/d' constraints.txt > $@.part
+	@printf 'cython==3.0.8\ncvxpy==1.6.7\nnumpy==1.26.4\nscipy==1.11.4\n' >> $@.part
 	@$(VEHICLE_PIP) -c $@.part setuptools wheel cython
 	@mv $@.part $@
 

@@ -92,7 +92,7 @@ class Study:
             seed, entropy = self.seeds[turn], self.seeds[turn]
         else:
             sequence = np.random.SeedSequence(self.seed, spawn_key=(turn,))
-            seed, entropy = int(sequence.generate_state(1, np.uint64)[0] >> 11), self.seed
+            seed, entropy = int(sequence.generate_state(1, np.uint64)[0]) >> 11, self.seed
         values = {}
         for key, value in combination.items():
             if isinstance(value, Drawn):

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from quadtree_lss.flight.lander import FloatArray, Vehicle
 
@@ -100,7 +101,7 @@ def paths(
     place = position + velocity * s + 0.5 * weight * s**2 + 0.5 * first * s**2
     place = place + change * s**2 * at / 6.0
     size = np.linalg.norm(acceleration, axis=-1)
-    speed_change = np.trapezoid(size, _AT, axis=0) * times
+    speed_change = trapezoid(size, _AT, axis=0) * times
     left = mass * np.exp(-speed_change / vehicle.exhaust_speed)
     middle = 0.5 * (mass + left)
     low = vehicle.thrust_min / limits.thrust_share / mass
