@@ -138,14 +138,14 @@ def judge(
     if count <= 3.0:
         return
     if not rules.mahalanobis:
-        distance = mean_distance(points, begin, end, run.normal, run.mean)
+        distance = mean_distance(points, begin, end, run.normal, run.centroid)
         run.statistic = distance * sqrt(count / ((count - 3.0) * run.variance))
         return
     along = run.variance / (run.cosine * run.cosine)
     if leaf.known != MEASURED:
-        distance = mean_distance(points, begin, end, run.normal, run.mean)
+        distance = mean_distance(points, begin, end, run.normal, run.centroid)
         run.statistic = distance * mahalanobis_factor(
-            run.normal, run.mean, run.cosine, sigma, along, 0.0
+            run.normal, run.centroid, run.cosine, sigma, along, 0.0
         )
         return
     through[0], through[1] = leaf.x - origin[0], leaf.y - origin[1]
@@ -153,7 +153,7 @@ def judge(
     distance = mean_distance(points, begin, end, leaf.normal, through)
     basis_at(leaf.normal, basis)
     for i in range(3):
-        through[i] = run.mean[i] - through[i]
+        through[i] = run.centroid[i] - through[i]
     row[0] = -(basis[0] * through[0] + basis[1] * through[1] + basis[2] * through[2])
     row[1] = -(basis[3] * through[0] + basis[4] * through[1] + basis[5] * through[2])
     row[2] = 1.0
@@ -163,7 +163,7 @@ def judge(
             total = leaf.range_part[3 * i + j] + leaf.pose_part[3 * i + j]
             plane += row[i] * total * row[j]
     run.statistic = distance * mahalanobis_factor(
-        leaf.normal, run.mean, run.cosine, sigma, along, plane
+        leaf.normal, run.centroid, run.cosine, sigma, along, plane
     )
 
 

@@ -10,7 +10,7 @@ from quadtree_lss.core.geometry.morton cimport encode, squeeze
 
 cdef struct Run:
     double points
-    double mean[3]
+    double centroid[3]
     double scatter[6]
     double normal[3]
     double z

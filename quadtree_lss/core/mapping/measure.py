@@ -50,14 +50,14 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 
 #: The points of a scan in a cell, about the lidar:
 #:
-#: - points: how many; mean, m, and scatter, m^2: `geometry.plane.moments`;
+#: - points: how many; centroid, m, and scatter, m^2: `geometry.plane.moments`;
 #: - normal, z: the fitted plane's upward unit normal and height at the cell's centre, m;
-#: - cosine: |n.u|, u the ray to the mean; variance: of a residual from range noise, m^2;
+#: - cosine: |n.u|, u the ray to the centroid; variance: of a residual from range noise, m^2;
 #: - square: mean square residual about the fit, m^2; statistic: of division;
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z).
 RUN = np.dtype(
-    [("points", "f8"), ("mean", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
+    [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
     + [("range_part", "f8", 9), ("pose_part", "f8", 9)]
 )
@@ -174,14 +174,14 @@ def measure(
     slope = cython.declare(cython.double[4])
     arm = cython.declare(cython.double[3])
     i: cython.int
-    moments(points, begin, end, run.mean, run.scatter)
+    moments(points, begin, end, run.centroid, run.scatter)
     count: cython.double = end - begin
     run.points = count
     xx = run.scatter[0]
     yy = run.scatter[3]
     xy = run.scatter[1]
-    off_x = run.mean[0] - x
-    off_y = run.mean[1] - y
+    off_x = run.centroid[0] - x
+    off_y = run.centroid[1] - y
     correlation = xy * xy / max(xx * yy, 1e-300)
     wide = max(
         _unseen(xx / count, correlation, side, count),
@@ -190,11 +190,13 @@ def measure(
     run.unseen = min(max(wide / side, 0.0), 1.0)
     seen = max(1.0 - run.unseen, 0.1)
     distance = sqrt(
-        run.mean[0] * run.mean[0] + run.mean[1] * run.mean[1] + run.mean[2] * run.mean[2]
+        run.centroid[0] * run.centroid[0]
+        + run.centroid[1] * run.centroid[1]
+        + run.centroid[2] * run.centroid[2]
     )
-    ray_x = run.mean[0] / distance
-    ray_y = run.mean[1] / distance
-    ray_z = run.mean[2] / distance
+    ray_x = run.centroid[0] / distance
+    ray_y = run.centroid[1] / distance
+    ray_z = run.centroid[2] / distance
     if run.unseen >= 0.5 or count < rules.min_points:
         tilt = UNKNOWN_TILT
         for i in range(3):
@@ -221,9 +223,9 @@ def measure(
     run.cosine = cosine
     run.variance = variance = along * cosine * cosine
     if rules.independent:
-        variance += pose_variance(run.normal, run.mean, sigma)
+        variance += pose_variance(run.normal, run.centroid, sigma)
     rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
-    run.z = run.mean[2] + rise
+    run.z = run.centroid[2] + rise
     quadratic = (
         run.normal[0] * (run.normal[0] * xx + 2.0 * run.normal[1] * xy)
         + run.normal[1] * run.normal[1] * yy

@@ -51,7 +51,7 @@ def rest(
     count = run.points
     variance = run.variance
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
-    d = n_x * run.mean[0] + n_y * run.mean[1] + n_z * run.mean[2]
+    d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
     usual = variance
     if leaf.division_weight > 0.0:
         usual = leaf.square_sum / leaf.division_weight
