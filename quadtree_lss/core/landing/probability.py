@@ -18,8 +18,9 @@ from math import ceil, exp, isnan, radians, tan
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadtree_lss.config.risk import RiskModel
+from quadtree_lss.config.risk import RiskModel, Row
 from quadtree_lss.config.settings import LssConfig
+from quadtree_lss.core.landing.risks import blur, look_up, set_odds
 from quadtree_lss.core.landing.touchdown import Limits, WorstRest
 
 Array = NDArray[np.float64]
@@ -88,19 +89,16 @@ class RiskTable:
     """
 
     def __init__(self, model: RiskModel, lss: LssConfig) -> None:
-        self._rise0 = lss.max_roughness + model.rise[0]
-        self._slope0 = tan(radians(lss.max_slope_deg)) + model.slope[0]
-        rise = np.arange(0.0, model.rise[-1] - model.rise[0] + FINE, FINE) + model.rise[0]
-        slope = np.arange(0.0, model.slope[-1] - model.slope[0] + FINE, FINE) + model.slope[0]
+        self._low = np.array(
+            [lss.max_roughness + model.rise[0], tan(radians(lss.max_slope_deg)) + model.slope[0]]
+        )
+        rise, slope = _steps(model.rise, FINE), _steps(model.slope, FINE)
         # log P(safe) of the one, and of the other.
         self._stands = -np.logaddexp(0.0, np.interp(rise, model.rise, model.rise_odds))
         self._level = -np.logaddexp(0.0, np.interp(slope, model.slope, model.slope_odds))
-        self._own0, self._own1 = model.own[0], model.own[-1]
-        own = np.arange(0.0, model.own[-1] - model.own[0] + FINE_ODDS, FINE_ODDS) + model.own[0]
-        about = np.arange(0.0, model.about[-1] + FINE_ODDS, FINE_ODDS)
-        columns = np.array(model.odds).T
-        at_own = np.array([np.interp(own, model.own, column) for column in columns])
-        odds = np.array([np.interp(about, model.about, line) for line in at_own.T])
+        self._within = np.array([model.own[0], model.own[-1]])
+        own, about = _steps(model.own, FINE_ODDS), _steps((0.0, *model.about[1:]), FINE_ODDS)
+        odds = _shares(own, model.own) @ np.array(model.odds) @ _shares(about, model.about).T
         self._risk = 1.0 / (1.0 + np.exp(-odds))
 
     def risk(self, worst: WorstRest, judged: Mask) -> Array:
@@ -110,44 +108,48 @@ class RiskTable:
             worst: The lander's worst rests on the map.
             judged: (n + 1, n + 1) grid points of which these are known.
         """
-        own, around = self.log_odds(worst, judged)
-        own -= self._own0
-        row = (own * (1.0 / FINE_ODDS) + 0.5).astype(np.intp)
-        column = (around * (1.0 / FINE_ODDS) + 0.5).astype(np.intp)
-        np.minimum(column, self._risk.shape[1] - 1, out=column)
-        out = self._risk[np.minimum(row, len(self._risk) - 1), column]
-        out[~judged] = 1.0
-        return np.asarray(out)
+        own, about = self.log_odds(worst, judged)
+        out, least = np.empty(own.shape), float(self._within[0])
+        look_up(own, about, judged.view(np.uint8), self._risk, least, FINE_ODDS, out)
+        return out
 
     def log_odds(self, worst: WorstRest, judged: Mask) -> tuple[Array, Array]:
         """What the second step goes by, (n + 1, n + 1) each: l and d of ``RiskModel``."""
-        safe = self._stands[_entry(worst.rise, self._rise0, FINE, len(self._stands), judged)]
-        safe += self._level[_entry(worst.slope, self._slope0, FINE, len(self._level), judged)]
-        own = np.log(np.expm1(-safe))
-        np.clip(own, self._own0, self._own1, out=own)
-        own[~judged] = self._own0
-        around = own.copy()
-        np.maximum(around[1:], own[:-1], out=around[1:])
-        np.maximum(around[:-1], own[1:], out=around[:-1])
-        np.maximum(around[:, 1:], own[:, :-1], out=around[:, 1:])
-        np.maximum(around[:, :-1], own[:, 1:], out=around[:, :-1])
-        around -= own
-        return own, around
+        own, about = np.empty((2, *judged.shape))
+        set_odds(
+            worst.rise,
+            worst.slope,
+            judged.view(np.uint8),
+            self._stands,
+            self._level,
+            self._low,
+            FINE,
+            self._within,
+            own,
+            about,
+        )
+        return own, about
 
     def by_slope(self, rise: float, slope: float) -> bool:
         """Whether it is the slope, and not what rises under the lander, that speaks against it."""
-        known = np.ones(1, dtype=np.bool_)
-        stands = self._stands[_entry(np.array([rise]), self._rise0, FINE, len(self._stands), known)]
-        level = self._level[_entry(np.array([slope]), self._slope0, FINE, len(self._level), known)]
-        return bool(level[0] < stands[0])
+        place = (np.array([rise, slope]) - self._low) / FINE + 0.5
+        tables = self._stands, self._level
+        stands, level = (
+            table[int(min(max(at, 0.0), len(table) - 1.0))]
+            for table, at in zip(tables, place.tolist(), strict=True)
+        )
+        return bool(level < stands)
 
 
-def _entry(
-    values: NDArray[np.float32] | Array, low: float, step: float, count: int, known: Mask
-) -> NDArray[np.intp]:
-    """Numbers of the entries for values; any where they are not known."""
-    place = np.where(known, values - low, 0.0) * (1.0 / step) + 0.5
-    return np.clip(place, 0.0, count - 1.0).astype(np.intp)
+def _steps(knots: Row, step: float) -> Array:
+    """From the first knot to the last."""
+    return np.arange(0.0, knots[-1] - knots[0] + step, step) + knots[0]
+
+
+def _shares(values: Array, knots: Row) -> Array:
+    """(N, K) what the values at knots weigh in the straight lines between them."""
+    ones = np.eye(len(knots))
+    return np.column_stack([np.interp(values, knots, one) for one in ones])
 
 
 def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
@@ -158,10 +160,16 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
         side: Between grid points, m.
         dispersion: Of the touchdown about the aim.
     """
-    safe = 1.0 - risk
-    for axis, sigma in ((0, dispersion.y), (1, dispersion.x)):
-        safe = _blurred(safe, normal_weights(sigma, side), axis)
-    return np.asarray(np.clip(1.0 - safe, 0.0, 1.0))
+    out = np.empty(risk.shape)
+    up, right = (
+        weights[len(weights) // 2 :][:count]
+        for weights, count in (
+            (normal_weights(dispersion.y, side), risk.shape[0]),
+            (normal_weights(dispersion.x, side), risk.shape[1]),
+        )
+    )
+    blur(risk, up, right, out)
+    return out
 
 
 def normal_weights(sigma: float, side: float) -> Array:
@@ -171,19 +179,6 @@ def normal_weights(sigma: float, side: float) -> Array:
         return np.ones(1)
     weights = np.array([exp(-0.5 * (k * side / sigma) ** 2) for k in range(-reach, reach + 1)])
     return np.asarray(weights / weights.sum())
-
-
-def _blurred(values: Array, weights: Array, axis: int) -> Array:
-    """Sums of neighbours along an axis, times their weights; there are none beyond the edges."""
-    reach, count = len(weights) // 2, values.shape[axis]
-    if not reach:
-        return values
-    out = np.zeros_like(values)
-    lines, into = np.moveaxis(values, axis, 0), np.moveaxis(out, axis, 0)
-    for k in range(-min(reach, count - 1), min(reach, count - 1) + 1):
-        weight = weights[reach + k]
-        into[max(-k, 0) : count - max(k, 0)] += weight * lines[max(k, 0) : count - max(-k, 0)]
-    return out
 
 
 @dataclass(frozen=True)

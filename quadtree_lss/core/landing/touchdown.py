@@ -111,6 +111,8 @@ class TouchdownCheck:
             raster: The map on its finest cells.
             candidates: (n + 1, n + 1) points to check; their lander circle lies inside the domain.
         """
+        if not candidates.any():  # of a lander wider than the domain the window would be wider, too
+            return WorstRest(*np.full((2, *candidates.shape), np.nan, dtype=np.float32))
         layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
         if raster.domain != self._domain:
             self._domain, self._layers = raster.domain, ()

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sweeps over the lattice, compiled: the odds that a lander fails, their table, and means of it."""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from numpy.typing import NDArray
+
+if not cython.compiled:
+    from math import expm1, log
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+Marks = NDArray[np.uint8]
+
+
+@cython.boundscheck(False)
+def set_odds(
+    rise: Single,
+    slope: Single,
+    judged: Marks,
+    stands: Array,
+    level: Array,
+    low: Array,
+    step: float,
+    within: Array,
+    own: Array,
+    about: Array,
+) -> None:
+    """Log odds that the lander fails at grid points, and how much greater they are beside them.
+
+    Args:
+        rise, slope: (ny, nx) of the worst rest, m and rise over run.
+        judged: (ny, nx) where they are known; elsewhere the odds are the least.
+        stands, level: log P(safe) of the one and of the other, from ``low`` (2,) in steps of
+            ``step``.
+        within: (2,) least and greatest log odds.
+        own: (ny, nx), set.
+        about: (ny, nx), set: how much greater those of the worst of the four neighbours are.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    m: cython.Py_ssize_t
+    k_last: cython.Py_ssize_t = -1
+    m_last: cython.Py_ssize_t = -1
+    rows: cython.Py_ssize_t = own.shape[0]
+    columns: cython.Py_ssize_t = own.shape[1]
+    rise_last: cython.double = stands.shape[0] - 1.0
+    slope_last: cython.double = level.shape[0] - 1.0
+    odds, least, greatest = 0.0, within[0], within[1]
+    per = 1.0 / step
+    with cython.nogil:
+        for i in range(rows):
+            for j in range(columns):
+                if not judged[i, j]:
+                    own[i, j] = least
+                    continue
+                place = min(max((rise[i, j] - low[0]) * per + 0.5, 0.0), rise_last)
+                k = cython.cast(cython.Py_ssize_t, place)
+                place = min(max((slope[i, j] - low[1]) * per + 0.5, 0.0), slope_last)
+                m = cython.cast(cython.Py_ssize_t, place)
+                if k != k_last or m != m_last:  # level ground is all alike
+                    odds = log(expm1(-stands[k] - level[m]))
+                    odds = min(max(odds, least), greatest)
+                    k_last, m_last = k, m
+                own[i, j] = odds
+        for i in range(rows):
+            for j in range(columns):
+                worst = own[i, j]
+                if i > 0:
+                    worst = max(worst, own[i - 1, j])
+                if i < rows - 1:
+                    worst = max(worst, own[i + 1, j])
+                if j > 0:
+                    worst = max(worst, own[i, j - 1])
+                if j < columns - 1:
+                    worst = max(worst, own[i, j + 1])
+                about[i, j] = worst - own[i, j]
+
+
+@cython.boundscheck(False)
+def look_up(
+    own: Array, about: Array, judged: Marks, table: Array, least: float, step: float, out: Array
+) -> None:
+    """Set P(unsafe) at grid points (ny, nx): by a table of the log odds ``set_odds`` gives.
+
+    Args:
+        own, about: (ny, nx).
+        judged: (ny, nx) where they are known; elsewhere the lander fails.
+        table: (K, M), of ``own`` from ``least`` and of ``about`` from 0, in steps of ``step``.
+        least: Log odds.
+        step: Of log odds.
+        out: (ny, nx), set.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    m: cython.Py_ssize_t
+    k_last: cython.Py_ssize_t = table.shape[0] - 1
+    m_last: cython.Py_ssize_t = table.shape[1] - 1
+    per = 1.0 / step
+    with cython.nogil:
+        for i in range(out.shape[0]):
+            for j in range(out.shape[1]):
+                if judged[i, j]:
+                    k = cython.cast(cython.Py_ssize_t, (own[i, j] - least) * per + 0.5)
+                    m = cython.cast(cython.Py_ssize_t, about[i, j] * per + 0.5)
+                    out[i, j] = table[min(k, k_last), min(m, m_last)]
+                else:
+                    out[i, j] = 1.0
+
+
+@cython.boundscheck(False)
+def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
+    """Weighted means of P(unsafe) about each grid point; beyond the lattice it is 1.
+
+    Args:
+        risk: (ny, nx).
+        across, along: (K + 1,), (L + 1,) weights of rows and columns so far from the grid point;
+            on both sides they are alike.
+        out: (ny, nx), set.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    rows: cython.Py_ssize_t = risk.shape[0]
+    columns: cython.Py_ssize_t = risk.shape[1]
+    up: cython.Py_ssize_t = across.shape[0] - 1
+    right: cython.Py_ssize_t = along.shape[0] - 1
+    # Of P(safe): beyond the lattice there is none.
+    safe = cython.declare(cython.double[:, ::1], np.zeros((rows + 2 * up, columns)))
+    line = cython.declare(cython.double[::1], np.zeros(columns + 2 * right))
+    with cython.nogil:
+        for i in range(rows):
+            for j in range(columns):
+                line[right + j] = 1.0 - risk[i, j]
+            for j in range(columns):
+                safe[up + i, j] = along[0] * line[right + j]
+            for k in range(1, right + 1):
+                weight = along[k]
+                for j in range(columns):
+                    both = line[right + j - k] + line[right + j + k]
+                    safe[up + i, j] += weight * both
+        for i in range(rows):
+            for j in range(columns):
+                out[i, j] = 1.0 - across[0] * safe[up + i, j]
+            for k in range(1, up + 1):
+                weight = across[k]
+                for j in range(columns):
+                    both = safe[up + i - k, j] + safe[up + i + k, j]
+                    out[i, j] -= weight * both
+            for j in range(columns):
+                out[i, j] = min(max(out[i, j], 0.0), 1.0)
