@@ -11,16 +11,12 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from tqdm import tqdm
-
 from quadtree_lss.commands.text import fold, table, width
 from quadtree_lss.errors import one_line
 
 if TYPE_CHECKING:
     from quadtree_lss.core.landing.sites import Sites
     from quadtree_lss.replay.result import ReplayResult
-
-_BAR = "{desc} {percentage:3.0f} % |{bar}| {n:.0f} of {total:.0f} {unit}, {speed}, {remaining} left"
 
 
 class _Quiet:
@@ -42,21 +38,6 @@ def quiet(on: bool, json: bool = False) -> Iterator[None]:
         _Quiet.on = before
 
 
-class _Bar(tqdm):  # type: ignore[type-arg]
-    """Tells its speed in words."""
-
-    @property
-    def format_dict(self) -> dict[str, Any]:
-        """As in the base class, with ``speed``."""
-        told = super().format_dict
-        rate, unit = told["rate"], told["unit"]
-        if rate is None and told["elapsed"] > 0.0:
-            rate = told["n"] / told["elapsed"]
-        number = "?" if not rate else f"{rate:.{0 if rate >= 100.0 else 1}f}"
-        told["speed"] = f"{number} x real time" if unit == "s" else f"{number} {unit}/s"
-        return told
-
-
 class ProgressBar:
     """A progress bar on stderr that is told what is done of how much; silent without terminal.
 
@@ -67,27 +48,25 @@ class ProgressBar:
     """
 
     def __init__(self, what: str, unit: str, verbose: bool) -> None:
-        self._bar = _Bar(
-            desc=what,
-            unit=unit,
-            total=1,  # until `update` tells; None cannot be formatted
-            file=sys.stderr,
-            leave=False,
-            disable=not wants_progress(verbose),
-            bar_format=_BAR,
-        )
+        self._bar: Any = None
+        if wants_progress(verbose):
+            from quadtree_lss.commands.bar import Bar  # tqdm takes long to import
+
+            self._bar = Bar.of(what, unit)
 
     def __enter__(self) -> ProgressBar:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.close()
+        if self._bar is not None:
+            self._bar.close()
 
     def update(self, done: float, total: float) -> None:
         """Sets the bar."""
-        self._bar.total = total
-        self._bar.n = done
-        self._bar.refresh()
+        if self._bar is not None:
+            self._bar.total = total
+            self._bar.n = done
+            self._bar.refresh()
 
 
 class Interruption:

@@ -7,6 +7,7 @@ killed loses what it held in memory; what is latched comes back to it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,8 +38,9 @@ class _Answers:
     at_ns: int = 0
     waiting: list[tuple[int, LandingAssessment]] | None = None
 
-    def map(self, now_ns: int, cells: CellMap) -> None:
-        """Of no interest to guidance."""
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+        """It stays latched, should there be no other."""
+        take()
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """An answer is on its way."""

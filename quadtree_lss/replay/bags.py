@@ -157,9 +157,10 @@ class Bag:
         try:
             if raw[:4] == ZSTD_MAGIC:  # bags compressed message by message
                 raw = unpack("zstd", raw, MOST_BYTES)
+            content = memoryview(raw)  # of which slices are no copies
             if self._ros1:
-                return self._store.deserialize_ros1(raw, msgtype)
-            return self._store.deserialize_cdr(raw, msgtype)
+                return self._store.deserialize_ros1(content, msgtype)
+            return self._store.deserialize_cdr(content, msgtype)
         except Exception as error:  # any content must do: SerdeError, struct.error, ValueError, …
             text = f"{msgtype} cannot be decoded: {_line(error)}"
             raise MessageError("encoding", text) from None
@@ -184,7 +185,7 @@ class Bag:
         self._losses += [loss for p in self._parts if p not in used for loss in p.losses]
         self._parts = used
         self._ros1 = used[0].ros1
-        self._store = typestore(self._ros1)
+        self._store = typestore(self._ros1, {topic.type for topic in self.topics})
 
     def _files(self) -> list[Path]:
         if self.path.is_file():

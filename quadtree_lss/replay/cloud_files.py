@@ -83,7 +83,7 @@ class CloudFiles:
         self.losses: list[str] = []
         self.notes: list[str] = []
         self._poses_path = poses
-        self._store = typestore(ros1=False)
+        self._store = typestore(ros1=False, wanted=(SCAN_TYPE, POSE_TYPE))
         self._read = lru_cache(maxsize=1)(read_clouds)
 
     def __enter__(self) -> CloudFiles:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -54,7 +55,7 @@ class History:
         self._answers: Thinned[dict[str, Any]] = Thinned(ANSWERS)
         self._scans: Thinned[tuple[int, NDArray[Any], NDArray[Any]]] = Thinned(SCANS)
 
-    def map(self, now_ns: int, cells: CellMap) -> None:
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
         """Maps are not kept: what they show, answers do."""
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
@@ -75,7 +76,7 @@ class History:
         """A scan that was mapped."""
         points = scan.points_lidar.reshape(-1, 3)[::_EVERY]
         ground = points @ scan.pose.rotation_map_lidar[:2].T + scan.pose.position[:2]
-        ground = ground[np.isfinite(ground).all(axis=1)]
+        ground = ground[np.isfinite(ground[:, 0]) & np.isfinite(ground[:, 1])]
         outline = np.full((len(_DIRECTIONS), 2), np.nan)
         if len(ground):
             outline = ground[(ground @ _DIRECTIONS.T).argmax(axis=0)]

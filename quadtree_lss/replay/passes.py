@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple, Protocol
 
 from quadtree_lss.config.settings import Config
@@ -27,8 +28,8 @@ class TargetChange(NamedTuple):
 class Sink(Protocol):
     """Gets what is made, with the bag's time."""
 
-    def map(self, now_ns: int, cells: CellMap) -> None:
-        """A map, as it is published."""
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+        """A map is published, which ``take`` gives; only in this call it surely can."""
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """An answer."""
@@ -56,7 +57,7 @@ class Passes:
         self._restrictions, self._sinks = restrictions, sinks
         self._selector = LandingSiteSelector(config)
         self._map, self._landing = _Clock(config.publish.rate), _Clock(config.publish.lss_rate)
-        self._snapshot: CellMap | None = None
+        self._snapshot: Callable[[], CellMap] | None = None
         self.cells: CellMap | None = None
         self.last: LandingAssessment | None = None
         self.lss_ms = float("nan")
@@ -73,30 +74,36 @@ class Passes:
     def tick(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
         """Makes what is due at a time of the bag."""
         if self._map.due(now_ns):
-            self._make_map(now_ns, snapshot())
+            self._make_map(now_ns, snapshot)
         if self._landing.due(now_ns):
             self._assess(now_ns)
 
     def finish(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
         """Makes the last state, however soon it comes after the one before."""
         if self._map.changed or self._snapshot is None:
-            self._make_map(now_ns, snapshot())
+            self._make_map(now_ns, snapshot)
         while self._landing.changed:
             self._assess(now_ns)
 
-    def _make_map(self, now_ns: int, cells: CellMap) -> None:
+    def _make_map(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
+        """A map that nobody looks at need not be taken.
+
+        Where the next one is due before an answer is, it either comes first or is the same.
+        """
         self._map.sent(now_ns)
-        self._snapshot, self.cells = cells, None
+        self._snapshot, self.cells = cache(snapshot), None
         self._landing.changed = True
+        if self._landing.due_ns < self._map.due_ns:
+            self._snapshot()
         for sink in self._sinks:
-            sink.map(now_ns, cells)
+            sink.map(now_ns, self._snapshot)
 
     def _assess(self, now_ns: int) -> None:
         self._landing.sent(now_ns)
         if self._snapshot is None:
             return
         if self.cells is None:
-            self.cells = round_trip(self._snapshot)
+            self.cells = round_trip(self._snapshot())
         began = time.perf_counter()
         found = self._selector.assess(self.cells, **self._restrictions())
         self.lss_ms = 1e3 * (time.perf_counter() - began)
@@ -121,13 +128,13 @@ class _Clock:
 
     def __init__(self, rate: float) -> None:
         self._period_ns = round(1e9 / rate)
-        self._due_ns = 0
+        self.due_ns = 0
         self.changed = False
 
     def due(self, now_ns: int) -> bool:
         # What is due long after now was set before a recorder's clock stepped back.
-        return self.changed and not self._due_ns - self._period_ns <= now_ns < self._due_ns
+        return self.changed and not self.due_ns - self._period_ns <= now_ns < self.due_ns
 
     def sent(self, now_ns: int) -> None:
         self.changed = False
-        self._due_ns = now_ns + self._period_ns
+        self.due_ns = now_ns + self._period_ns

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -76,10 +77,10 @@ class Recorder:
         if not self._connections:  # an empty bag is of no use
             shutil.rmtree(self._path, ignore_errors=True)
 
-    def map(self, now_ns: int, cells: CellMap) -> None:
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
         """Writes a map."""
         if self._maps:
-            for topic, message in self._messages.of_map(cells):
+            for topic, message in self._messages.of_map(take()):
                 self._write(topic, message, now_ns)
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:

@@ -24,7 +24,6 @@ from quadtree_lss.replay.landing import LandingTopics
 from quadtree_lss.replay.map_messages import MapPairs
 from quadtree_lss.replay.passes import Passes, Sink
 from quadtree_lss.replay.points import points_line
-from quadtree_lss.replay.record import Recorder
 from quadtree_lss.replay.result import ReplayResult
 from quadtree_lss.replay.run import Progress, Run
 from quadtree_lss.replay.stream import ReplayError, Stream
@@ -96,6 +95,8 @@ def replay(
             history = run.history = History()
             sinks: list[Sink] = [history]
             if record is not None:
+                from quadtree_lss.replay.record import Recorder  # rosbags' writer takes long
+
                 options = {"maps": pairs is None, "viewer_rate": config.publish.marker_rate}
                 recorder = Recorder(Path(record), config.frames.map, **options)
                 sinks.append(stack.enter_context(recorder))

@@ -14,6 +14,8 @@ import json
 import os
 import tempfile
 import time
+import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,6 +48,9 @@ SITE_COLUMNS = (
 REPORT = "report.html"
 FIGURES = ("elevation", "slope", "hazards", "score", "timing")
 """Names of the figures, ``figures/<name>.png``, in the order of the page."""
+
+SAMPLE, WORTH_PACKING = 1 << 14, 0.85
+"""An array is packed if so many bytes from its middle come down to less than this share."""
 
 
 class ScanTiming(NamedTuple):
@@ -243,6 +248,18 @@ def _write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]])
 
 
 def _write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """As `numpy.savez_compressed` does, in a quarter of the time.
+
+    What hardly packs, such as the last digits of an elevation, is stored as it is.
+    """
     content = io.BytesIO()
-    np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
+    with zipfile.ZipFile(content, "w") as file:
+        for name, values in arrays.items():
+            array = io.BytesIO()
+            np.lib.format.write_array(array, np.asanyarray(values), allow_pickle=False)
+            data = array.getvalue()
+            sample = data[len(data) // 2 :][:SAMPLE]
+            packs = len(zlib.compress(sample, 1)) < WORTH_PACKING * len(sample)
+            kind = zipfile.ZIP_DEFLATED if packs else zipfile.ZIP_STORED
+            file.writestr(zipfile.ZipInfo(f"{name}.npy"), data, kind, 1)
     write_bytes(path, content.getvalue())

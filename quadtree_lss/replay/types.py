@@ -7,6 +7,8 @@ longer to import than a short bag takes to map; and ROS 1 and 2 differ in the he
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -173,14 +175,19 @@ _GRID_MAP = (
 )
 
 
-def typestore(ros1: bool) -> Typestore:
-    """Decoder of the types above as ROS 1 or ROS 2 serialises them."""
+def typestore(ros1: bool, wanted: Collection[str] | None = None) -> Typestore:
+    """Decoder of the types above as ROS 1 or ROS 2 serialises them.
+
+    Args:
+        ros1: Which of them.
+        wanted: Types that matter, None for all: each takes milliseconds to declare.
+    """
     header = _HEADER.format(sequence="uint32 seq\n" if ros1 else "")
     store = get_typestore(Stores.EMPTY)
     # That of ROS 2: in ROS 1 the header is elsewhere.
     definitions = _DEFINITIONS if ros1 else _DEFINITIONS | {GRID_MAP_TYPE: _GRID_MAP}
     for name, parts in definitions.items():
-        separator = "=" * 80
-        text = separator.join((*parts, header, _TIME))
-        store.register(get_types_from_msg(text, name))
+        if wanted is None or name in wanted:
+            text = ("=" * 80).join((*parts, header, _TIME))
+            store.register(get_types_from_msg(text, name))
     return store

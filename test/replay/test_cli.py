@@ -46,6 +46,16 @@ def test_a_replay_prints_its_sites_and_is_quiet_otherwise(bag, tmp_path, capsys)
     assert all(line.startswith("quadtree-lss: warning:") for line in err.splitlines())
 
 
+def test_a_replay_imports_nothing_that_it_does_not_use(bag, tmp_path):
+    """A short bag takes no longer to map than these take to import."""
+    slow = ["tqdm", "scipy", "matplotlib", "cvxpy", "jsonschema", "rosbags.rosbag2", "rclpy"]
+    arguments = ["replay", str(bag), "--out", str(tmp_path), *FAST]
+    code = f"import sys; from quadtree_lss.cli import main; main({arguments})\n"
+    code += f"print('there:', [name for name in {slow} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-1] == "there: []"
+
+
 def test_verbose_shows_a_progress_bar(bag, tmp_path, capsys):
     _, _, err = run(capsys, "replay", bag, "--out", tmp_path, *FAST, "-v")
     assert "replay" in err and "%" in err

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``history.npz``: bounded, in order, and what the scans and answers said."""
 
+import zipfile
+
 import numpy as np
 from replay.recordings import GROUND, write_ros2
 
@@ -8,6 +10,7 @@ from quadtree_lss.config.settings import config_from_values
 from quadtree_lss.core.landing.hazards import UNSEEN
 from quadtree_lss.replay.history import Thinned
 from quadtree_lss.replay.replay import replay
+from quadtree_lss.replay.results import write_history
 
 
 def test_of_many_some_stay_evenly_and_the_last():
@@ -40,3 +43,23 @@ def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
         last = history["site_answer"] == len(history["answer_stamp_ns"]) - 1
         np.testing.assert_allclose(history["site_position"][last], result.assessment.sites.position)
         assert history["target"][-1, 0] == result.assessment.selected.id
+
+
+def test_what_does_not_pack_is_stored(tmp_path):
+    rng = np.random.default_rng(1)
+    arrays = {
+        "noise": rng.standard_normal((100, 300)),
+        "zeros": np.zeros(9000, dtype=np.uint8),
+        "number": np.array(7),
+        "empty": np.zeros((0, 3)),
+    }
+    write_history(tmp_path / "file.npz", arrays)
+    with np.load(tmp_path / "file.npz", allow_pickle=False) as found:
+        assert list(found) == list(arrays)
+        for name, values in arrays.items():
+            assert found[name].dtype == values.dtype
+            np.testing.assert_array_equal(found[name], values)
+    with zipfile.ZipFile(tmp_path / "file.npz") as file:
+        kinds = {entry.filename: entry.compress_type for entry in file.infolist()}
+    assert kinds["noise.npy"] == zipfile.ZIP_STORED
+    assert kinds["zeros.npy"] == zipfile.ZIP_DEFLATED
