@@ -61,7 +61,7 @@ def _page(
     commands = replay_command(result, 17)
     failed = [(_link(result, index), why) for index, why in result.failed.items()]
     images = "".join(
-        f'<p><img style="max-width:100%" alt="{escape(name)}"'
+        f'<p><img class="picture" alt="{escape(name)}"'
         f' src="data:image/png;base64,{base64.b64encode(content).decode()}"></p>'
         for name, content in pictures.items()
     )

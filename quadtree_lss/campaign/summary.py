@@ -40,17 +40,17 @@ class Line:
         """For a table."""
         q = self.quantity
         digits = f".{q.digits}f"
-        flight = "-" if self.worst_flight is None else str(self.worst_flight)
+        flight = "–" if self.worst_flight is None else str(self.worst_flight)
         if self.events is not None:
-            bounds = f"{100.0 * self.low:.2f} … {100.0 * self.high:.2f} %"
-            return q.label, f"{self.events} of {self.count}", bounds, "-", flight
-        interval = "-" if self.low != self.low else f"{self.low:{digits}} … {self.high:{digits}}"
+            bounds = f"{100.0 * self.low:.2f} … {100.0 * self.high:.2f} %" if self.count else "–"
+            return q.label, f"{self.events} of {self.count}", bounds, "–", flight
+        interval = "–" if self.low != self.low else f"{self.low:{digits}} … {self.high:{digits}}"
         label = f"{q.label} [{q.unit}]" if q.unit else q.label
         return label, _show(self.mean, digits), interval, _show(self.worst, digits), flight
 
 
 def _show(value: float, digits: str) -> str:
-    return "-" if value != value else f"{value:{digits}}"
+    return "–" if value != value else f"{value:{digits}}"
 
 
 def number(record: Record, name: str) -> float:

@@ -11,26 +11,22 @@ import json
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from quadtree_lss.flight.fly import Flown
 from quadtree_lss.flight.ground import Ground
 from quadtree_lss.flight.pilot import Decision
+from quadtree_lss.report.palette import MAPS, colour_limits, shaded
+from quadtree_lss.report.template import document, plain_table, table
 from quadtree_lss.simulation.safety import Lander
 
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
-PAGE = """<!doctype html><meta charset="utf-8"><title>Flight, seed {seed}</title>
-<style>body{{font:15px/1.5 system-ui,sans-serif;max-width:72em;margin:2em auto;padding:0 1em}}
-table{{border-collapse:collapse}}
-td,th{{padding:.2em .8em;border-bottom:1px solid #ccc;text-align:left}}
-img{{max-width:100%}}</style>
-<h1>{title}</h1><p>{summary}</p><img alt="path and touchdown" src="data:image/png;base64,{image}">
-<h2>Decisions</h2><table><tr><th>time, s</th><th>height over the aim, m</th><th></th><th>x, m</th>
-<th>y, m</th></tr>{decisions}</table><h2>Figures</h2><table>{figures}</table>
-"""
 
 
 def write_flight(out: Path, flown: Flown, *, page: bool = True) -> None:
@@ -141,7 +137,14 @@ def _terrain(axes: Axes, ground: Ground, middle: np.ndarray, half: float) -> Any
         return None
     x, y = terrain.x[columns], terrain.y[rows]
     z = terrain.elevation[np.ix_(rows, columns)]
-    return axes.pcolormesh(x, y, z, cmap="cividis", shading="gouraud")
+    spacing = float(x[1] - x[0])
+    half = 0.5 * spacing
+    norm = Normalize(*colour_limits(z))
+    colours = matplotlib.colormaps[MAPS["elevation"]]
+    image = shaded(colours(norm(z))[..., :3], z, spacing)
+    extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
+    axes.imshow(image, origin="lower", extent=extent)
+    return ScalarMappable(norm, colours)
 
 
 def _unsafe(axes: Axes, ground: Ground) -> None:
@@ -182,23 +185,27 @@ def headline(flown: Flown) -> str:
 
 
 def _page(flown: Flown, picture: bytes) -> str:
-    def row(cells: Any) -> str:
-        return "<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in cells) + "</tr>"
-
-    decisions = "".join(
-        row((f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}"))
+    """One page with the look of all others."""
+    figures = flown.figures
+    title = "A flight that lands by landing/selected"
+    image = base64.b64encode(picture).decode()
+    decisions = [
+        (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
         for d in flown.flight.pilot.decisions
+    ]
+    values = (
+        (name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else value)
+        for name, value in sorted(figures.items())
     )
-    values = {
-        k: f"{v:.4g}" if isinstance(v, float) else v for k, v in sorted(flown.figures.items())
-    }
-    return PAGE.format(
-        seed=flown.figures["seed"],
-        title="A flight that lands by landing/selected",
-        summary=html.escape(headline(flown)),
-        image=base64.b64encode(picture).decode(),
-        decisions=decisions,
-        figures="".join(row(item) for item in values.items()),
+    good = figures["outcome"] == "touchdown" and figures["safe"]
+    header = ("time, s", "height over the aim, m", "decision", "x, m", "y, m")
+    return document(
+        f"Flight, seed {figures['seed']}",
+        f'<header><h1>{title}</h1></header>\n<p class="verdict{"" if good else " none"}">'
+        f"{html.escape(headline(flown))}.</p>\n"
+        f'<p><img class="picture" alt="path and touchdown" src="data:image/png;base64,{image}"></p>'
+        f"\n<h2>Decisions</h2>\n{table(header, decisions)}\n"
+        f"<h2>Figures</h2>\n{plain_table(values)}",
     )
 
 

@@ -313,9 +313,14 @@ def encode_score(assessment: LandingAssessment) -> NDArray[np.int8]:
 
 def encode_probability(assessment: LandingAssessment) -> NDArray[np.int8]:
     """OccupancyGrid values of ``landing/probability``: per cent, rounded down; -1 if unknown."""
-    share = np.nan_to_num(assessment.probability, nan=-1.0)
+    share = np.nan_to_num(known_probability(assessment), nan=-1.0)
     values = np.where(share < 0.0, -1.0, np.floor(100.0 * np.minimum(share, 1.0) + 1e-9))
-    return np.where(assessment.hazard & 0x80 > 0, -1, values).astype(np.int8)
+    return values.astype(np.int8)
+
+
+def known_probability(assessment: LandingAssessment) -> Array:
+    """(ny, nx) of a safe touchdown if the lander aims at the grid point; NaN where it is unseen."""
+    return np.where(assessment.hazard & 0x80 > 0, np.nan, assessment.probability)
 
 
 def site_orientations(normals: Array) -> Array:

@@ -30,6 +30,7 @@ from quadtree_lss.messages.maps import (
     encode_score,
     encode_sites,
     encode_status,
+    known_probability,
     record_dtype,
     site_orientations,
 )
@@ -174,6 +175,7 @@ class MessageMaker:
         x, y = assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
         found = {name: getattr(assessment, name, None) for name in GRID_MAP_LAYERS}
+        found["probability"] = known_probability(assessment)
         layers = {name: values for name, values in found.items() if values is not None}
         middle = (0.5 * float(x[0] + x[-1]), 0.5 * float(y[0] + y[-1]), 0.0)
         info = self._make(

@@ -13,6 +13,7 @@ from quadtree_lss.core.landing.hazards import UNSEEN
 from quadtree_lss.core.landing.sites import LandingAssessment
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.intake import ReadyScan
+from quadtree_lss.messages.maps import known_probability
 
 ANSWERS, SCANS = 240, 4000
 """At most so many are kept of a flight however long, evenly spread, and the last."""
@@ -59,7 +60,7 @@ class History:
         """Maps are not kept: what they show, answers do."""
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
-        """An answer: what is seen, where landing is allowed, sites and target."""
+        """An answer: what is seen, where landing is allowed, how likely, sites and target."""
         sites = found.sites
         ranked = sites.id, sites.position, sites.score, sites.probability
         self._answers.add(
@@ -67,6 +68,7 @@ class History:
                 "stamp_ns": found.stamp_ns,
                 "seen": np.packbits(found.hazard & UNSEEN == 0),
                 "allowed": np.packbits(found.safe),
+                "probability": _percent(known_probability(found)),
                 "sites": np.column_stack(ranked),
                 "target": np.array([found.selected.id, *found.selected.position]),
             }
@@ -82,8 +84,12 @@ class History:
             outline = ground[(ground @ _DIRECTIONS.T).argmax(axis=0)]
         self._scans.add((scan.stamp_ns, scan.pose.position.copy(), outline))
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """The content of the file: S scans, A answers, K sites of all answers; map frame, m."""
+    def arrays(self, *, probability: bool = True) -> dict[str, NDArray[Any]]:
+        """The content of the file: S scans, A answers, K sites of all answers; map frame, m.
+
+        Args:
+            probability: Also of each grid point, which is most of the file.
+        """
         scans, answers = self._scans.all(), self._answers.all()
         sites = np.concatenate([a["sites"] for a in answers]) if answers else np.zeros((0, 6))
         return {
@@ -95,6 +101,11 @@ class History:
             "answer_stamp_ns": np.array([a["stamp_ns"] for a in answers], dtype=np.int64),
             "seen": np.array([a["seen"] for a in answers], dtype=np.uint8),
             "allowed": np.array([a["allowed"] for a in answers], dtype=np.uint8),
+            **(
+                {"probability": np.array([a["probability"] for a in answers])}
+                if probability
+                else {}
+            ),
             "target": np.array([a["target"] for a in answers]).reshape(-1, 4),
             "site_answer": np.repeat(np.arange(len(answers)), [len(a["sites"]) for a in answers]),
             "site_id": sites[:, 0].astype(np.int64),
@@ -102,3 +113,8 @@ class History:
             "site_score": sites[:, 4],
             "site_probability": sites[:, 5],
         }
+
+
+def _percent(share: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Probabilities (ny, nx) as whole per cent, row by row; 255 where there is none."""
+    return np.nan_to_num(np.rint(100.0 * share), nan=255.0).astype(np.uint8).ravel()

@@ -217,7 +217,7 @@ def _write(out: Path, result: ReplayResult, config: Config, history: History, re
     results.write_cells(out / "cells.npz", result.cells)
     results.write_grid(out / "grid.npz", result.assessment)
     results.write_timing(out / "timing.csv", result.timings)
-    results.write_history(out / "history.npz", history.arrays())
+    results.write_history(out / "history.npz", history.arrays(probability=report))
     results.write_bytes(out / "config.yaml", dump_config(config).encode())
     results.write_summary(out / "summary.json", result.summary)
     results.remove_report(out)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.core.landing.sites import LandingAssessment
 from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.messages.maps import known_probability
 from quadtree_lss.replay.passes import TargetChange
 
 SITE_COLUMNS = (
@@ -210,7 +211,7 @@ def grid_arrays(assessment: LandingAssessment) -> dict[str, NDArray[Any]]:
         "hazard": assessment.hazard,
         "safe": assessment.safe,
         "score": assessment.score,
-        "probability": assessment.probability,
+        "probability": known_probability(assessment),
         "risk": assessment.risk,
     }
 

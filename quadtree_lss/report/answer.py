@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from quadtree_lss.core.landing.probability import shown
 from quadtree_lss.report.content import Content
 from quadtree_lss.report.palette import excluding
 
@@ -78,7 +79,7 @@ def nearest_miss(content: Content) -> NearestMiss | None:
     """The likeliest place, else the most level one of those with room; None if there is none."""
     grid, lss = content.grid, content.config.lss
     room = _room(content.seen, content.spacing) >= content.zone
-    values, word = content.probability, "safe with {:.0%}"
+    values, word = content.probability, "{:.0%} safe"
     best = np.nanargmax if values is not None else np.nanargmin
     if values is None:
         values, word = grid["slope_deg"], "slope {:.1f} deg, but a hazard within the zone"
@@ -109,9 +110,9 @@ def headline(content: Content) -> tuple[str, str]:
     best = f"{number} landing sites" if number > 1 else "One landing site"
     text = f"Best at x {x}, y {y}, z {z} m"
     probability = sites.get("probability")
-    told = " safe: what is left" in content.reasons[0]
+    told = " % safe" in content.reasons[0]
     if probability is not None and np.isfinite(probability[0]) and not told:
-        text += f", safe with {percent(probability[0])}"
+        text += f", {shown(probability[0])} safe"
     return f"{best}.", f"{text}: {content.reasons[0]}. {ground}."
 
 
@@ -128,13 +129,6 @@ def _without(content: Content, ground: str) -> str:
             f" y {circle.y:.2f} m, up to {circle.limit}; {content.zone:.2f} m are needed"
         )
     return ". ".join(lines) + "."
-
-
-def percent(share: float) -> str:
-    """A probability in words that never says 100 % of what is not."""
-    if share > 0.999:
-        return "> 99.9 %"
-    return f"{100.0 * share:.1f} %"
 
 
 def when(content: Content) -> str:

@@ -21,10 +21,11 @@ function makeLayers() {
   }
   if (grid.probability) {
     onGrid("probability", "Probability of a safe touchdown", "%", grid.probability, "probability",
-           "not judged", { note: "If the lander is aimed here." });
+           "unseen", { ofTime: true, note: "If the lander is aimed here, with its dispersion. A site's " +
+             "circle is the ground it needs; aiming elsewhere in it may be less safe." });
   }
   LAYERS.allowed = {
-    title: "Where landing is allowed", of: "grid", values: grid.safe, note: centred,
+    title: "Where landing is allowed", of: "grid", values: grid.safe, note: centred, ofTime: true,
     value: i => (grid.hazard[i] & UNSEEN.bit ? 2 : grid.safe[i] ? 0 : 1),
     classes: [
       { name: "allowed", colour: data.colours.safe },
@@ -38,7 +39,7 @@ function makeLayers() {
     title: "Hazards by kind", of: "grid", outlines: lines,
     classes: [{ name: "none", colour: data.colours.clear }, ...filled],
     value: i => filled.findIndex(h => grid.hazard[i] & h.bit) + 1,
-    note: (data.touchdown ? centred : "") + (lines.length ? "Outlines do not exclude landing. " : ""),
+    note: (data.centred ? centred : "") + (lines.length ? "Outlines do not exclude landing. " : ""),
   };
   onGrid("slope", "Slope at the lander's scale", "deg", grid.slope, "slope", "unseen",
          { mark: grid.slope.mark });
@@ -83,6 +84,7 @@ function picture(name, k = -1) { // canvas of a layer, of the last answer or the
     let c;
     if (gone(from)) c = colours ? unseen : UNKNOWN;
     else if (name === "allowed" && k >= 0) c = colours[allowedAt(from, k) ? 0 : 1];
+    else if (name === "probability" && k >= 0) c = colour(layer, probabilityAt(from, k));
     else if (colours) c = colours[layer.value ? layer.value(from) : layer.values[from]];
     else c = colour(layer, ofFine ? layer.at(from) : layer.values[from]);
     image.data[to] = c[0]; image.data[to + 1] = c[1]; image.data[to + 2] = c[2];
@@ -116,13 +118,16 @@ function reliefPicture(k = -1) { // of what was seen by the k-th answer, or at l
 // ---- legend ------------------------------------------------------------------------------------
 function legend() {
   const layer = LAYERS[view.layer], box = byId("legend");
+  const note = (layer.note || "") + (view.answer < 0 || layer.ofTime ? "" :
+    " Ground seen by the shown time, with its values at the end.");
   const swatch = (style, name, value) =>
     `<span class="key"><i style="${style}"></i>${name}<b>${value}</b></span>`;
   if (layer.classes) {
     const counts = new Array(layer.classes.length).fill(0), { nx, ny } = grid;
     for (let j = 0; j < ny; j++) for (let i = 0; i < nx; i++) { // at the edge, half a cell
       const weight = (i % (nx - 1) ? 1 : 0.5) * (j % (ny - 1) ? 1 : 0.5), k = j * nx + i;
-      counts[layer.value ? layer.value(k) : layer.values[k]] += weight;
+      counts[layer.ofTime && view.answer >= 0 ? allowedClass(k, view.answer) :
+        layer.value ? layer.value(k) : layer.values[k]] += weight;
     }
     const seen = counts.reduce((sum, c, i) =>
       sum + (layer.classes[i].name === UNSEEN.name ? 0 : c), 0);
@@ -133,11 +138,11 @@ function legend() {
       (counts[i] ? swatch(`background:${k.colour}`, k.name, share(k, i)) : "")).join("") +
       (layer.outlines || []).map(k =>
         swatch(`border:2px solid ${k.colour}`, k.name, "outline")).join("") +
-      `<p class="note">${layer.note || ""}Shares are of the seen ground.</p>`;
+      `<p class="note">${note} Shares are of the seen ground.</p>`;
     return;
   }
   box.innerHTML = "<canvas></canvas>" + swatch(`background:rgb(${UNKNOWN})`, layer.none, "") +
-    (layer.note ? `<p class="note">${layer.note}</p>` : "");
+    (note ? `<p class="note">${note}</p>` : "");
   const canvas = box.firstChild, c = fitCanvas(canvas), w = canvas.clientWidth - 24;
   const [low, high] = layer.limits;
   for (let p = 0; p < w; p++) {

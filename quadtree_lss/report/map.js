@@ -67,8 +67,7 @@ function drawPane(canvas, name) {
   c.imageSmoothingEnabled = false;
   place(c, picture(name, view.answer));
   if (view.relief) {
-    c.globalCompositeOperation = "hard-light";
-    c.globalAlpha = reliefOf(layer);
+    [c.globalCompositeOperation, c.globalAlpha] = reliefOf(layer);
     c.imageSmoothingEnabled = true;
     place(c, reliefPicture(view.answer));
     c.globalAlpha = 1; c.globalCompositeOperation = "source-over";
@@ -85,7 +84,8 @@ function drawPane(canvas, name) {
   c.restore();
   drawAxes(c);
 }
-const reliefOf = layer => (layer.map === "elevation" ? 0.85 : 0.55);
+// How the relief is laid on a layer; colours that mean a value keep their hue.
+const reliefOf = layer => (layer.map === "elevation" ? ["hard-light", 0.85] : ["soft-light", 0.9]);
 function place(c, { canvas, box: [x, y, w, h] }) {
   c.drawImage(canvas, px(x), py(y + h), w * view.scale, h * view.scale);
 }

@@ -69,7 +69,7 @@ def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "timing": _timing(content),
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
         "excluding": palette.excluding(config.lss.assessment),
-        "touchdown": config.lss.assessment == "touchdown",
+        "centred": config.lss.assessment != "paper",
         "colours": {
             "clear": palette.CLEAR_COLOUR,
             "excluded": palette.EXCLUDED_COLOUR,
@@ -197,6 +197,11 @@ def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] 
     # The first answer in which ground is seen: with a map that forgets nothing it stays so.
     since = np.where(seen.any(axis=0), seen.argmax(axis=0), 255)
     place = {answer: k for k, answer in enumerate(shown.tolist())}
+    likely = {}
+    if "probability" in history:
+        found = history["probability"][shown].reshape(-1, *shape)[:, ::stride, ::stride]
+        # Changes from one answer to the next, modulo 256, are nearly all zero.
+        likely["probability"] = columns.whole(np.diff(found, axis=0, prepend=np.uint8(0)), "u1")
     sites: list[list[list[float | None]]] = [[] for _ in shown]
     for row, answer in enumerate(history["site_answer"].tolist()):
         if answer in place:
@@ -214,6 +219,7 @@ def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] 
         "allowed": columns.whole(
             np.packbits(bits("allowed").reshape(len(shown), -1), axis=1), "u1"
         ),
+        **likely,
         "sites": sites,
         "targets": [[_json(value) for value in row] for row in history["target"][shown]],
         "scan_seconds": _seconds(scans, first),

@@ -35,8 +35,7 @@ function setMode(mode) {
   else resized();
   remember();
 }
-function choose(k, going = true) { // a site: its row, its reasons, its place
-  view.site = k;
+function tellSite(k) { // its row, its reasons
   for (const row of document.querySelectorAll("tr[data-site]")) {
     const chosen = Number(row.dataset.site) === k;
     row.classList.toggle("chosen", chosen);
@@ -48,6 +47,11 @@ function choose(k, going = true) { // a site: its row, its reasons, its place
     byId("why").innerHTML = `<b>Site ${site.rank}</b>: `;
     byId("why").append(site.reason);
   }
+}
+function choose(k, going = true) { // a site: its row, its reasons, its place
+  view.site = k;
+  if (view.answer < 0) tellSite(k);
+  const site = sites[k];
   if (site && going) goTo(site);
   if (space) space.update(going);
   if (view.mode === "section") { view.line = usualLine(); drawSection(); }

@@ -4,17 +4,20 @@
 function values(x, y) {
   const i = gridPointAt(x, y), r = leafAt(x, y);
   const rows = [["place", `${x.toFixed(2)}, ${y.toFixed(2)} m`]];
-  const seen = i >= 0 && !(grid.hazard[i] & UNSEEN.bit);
+  const k = view.answer, seen = i >= 0 && (k < 0 ? !(grid.hazard[i] & UNSEEN.bit) : !laterThan(i, k));
   if (!seen) rows.push(["ground", "unseen"]);
   else {
     const h = heightAt(x, y), s = r >= 0 && leaves.deviation ? leaves.deviation[r] : NaN;
     rows.push(["height", Number.isNaN(s) ? withUnit(h, 2, "m") :
       `${h.toFixed(3)} ± ${s.toFixed(3)} m`]);
     rows.push(["slope", `${withUnit(grid.slope[i], 1, "°")}, lander's scale`]);
-    if (grid.probability) rows.push(["safe with", withUnit(grid.probability[i], 1, "%")]);
-    rows.push(["landing", grid.safe[i] ? "allowed" : "not allowed"]);
-    rows.push(["hazard", hazardNames(grid.hazard[i])]);
-    rows.push(["score", Number.isNaN(grid.score[i]) ? "excluded" : grid.score[i].toFixed(4)]);
+    const share = grid.probability && (k < 0 ? grid.probability[i] : probabilityAt(i, k));
+    if (grid.probability) rows.push(["safe", shareText(share) + " %"]);
+    rows.push(["landing", (k < 0 ? grid.safe[i] : allowedAt(i, k)) ? "allowed" : "not allowed"]);
+    if (k < 0) {
+      rows.push(["hazard", hazardNames(grid.hazard[i])]);
+      rows.push(["score", Number.isNaN(grid.score[i]) ? "excluded" : grid.score[i].toFixed(4)]);
+    }
     for (const layer of data.layers) {
       rows.push([layer.title, layer.classes ? layer.classes[layer.values[i]].name :
         withUnit(layer.values[i], 3, layer.unit)]);

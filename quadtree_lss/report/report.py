@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadtree_lss.config.settings import Config, parameters, values_from_config
+from quadtree_lss.core.landing.probability import shown
 from quadtree_lss.report import figures
 from quadtree_lss.report.answer import headline, largest_circle, nearest_miss, when
 from quadtree_lss.report.content import Content, read
@@ -131,14 +132,14 @@ def _sites(content: Content) -> str:
             "? the nearest miss" if nearest_miss(content) else "",
             "the dashed circle the largest one of clear ground" if largest_circle(content) else "",
         ]
-        shown = " and ".join(filter(None, marks))
-        on_map = f" On the map, {shown}." if shown else ""
+        drawn = " and ".join(filter(None, marks))
+        on_map = f" On the map, {drawn}." if drawn else ""
         return f'<p class="note">No site: the answer above says what limits.{on_map}</p>'
     chosen = [
         ("x", "m", "x", "{:.2f}"),
         ("y", "m", "y", "{:.2f}"),
         ("z", "m", "z", "{:.2f}"),
-        ("safe", "%", "probability", "{:.1f}"),
+        ("safe", "%", "probability", ""),
         ("score", "", "score", "{:.3f}"),
         ("slope", "°", "slope_deg", "{:.1f}"),
         ("clear", "m", "hazard_distance", "{:.1f}"),
@@ -167,7 +168,7 @@ def _shown(name: str, value: float, form: str) -> str:
     if not np.isfinite(value):
         return "–"
     if name == "probability":
-        return "&gt; 99.9" if value > 0.999 else form.format(100.0 * value)
+        return shown(value).removesuffix(" %")
     return form.format(value)
 
 

@@ -107,7 +107,7 @@ class Space {
       size - (b + v - leaves.ymin) * scale, u * scale, v * scale);
     c.imageSmoothingEnabled = false;
     put(found.canvas, [x, y, w, h]);
-    c.globalCompositeOperation = "hard-light"; c.globalAlpha = reliefOf(LAYERS[view.layer]);
+    [c.globalCompositeOperation, c.globalAlpha] = reliefOf(LAYERS[view.layer]);
     c.imageSmoothingEnabled = true;
     const lit = reliefPicture(view.answer);
     put(lit.canvas, lit.box);

@@ -8,6 +8,8 @@ function again() { // after a change of size or of what it is shown on
 async function start() {
   unpackAll(await inflate(byId("columns").textContent), data);
   layOut();
+  const likely = data.history && data.history.probability, all = grid.nx * grid.ny;
+  if (likely) for (let i = all; i < likely.length; i++) likely[i] += likely[i - all]; // they are changes
   extent = seenBox();
   makeLayers();
   view.layer = Object.keys(LAYERS)[0];

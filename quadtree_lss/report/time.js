@@ -5,18 +5,51 @@ const allowedAt = (i, k) => {
   const row = Math.ceil(grid.nx * grid.ny / 8);
   return data.history.allowed[k * row + (i >> 3)] >> (7 - (i & 7)) & 1;
 };
+const allowedClass = (i, k) => (laterThan(i, k) ? 2 : allowedAt(i, k) ? 0 : 1);
+const probabilityAt = (i, k) => { // per cent
+  const found = data.history.probability;
+  if (!found) return grid.probability[i];
+  const v = found[k * grid.nx * grid.ny + i];
+  return v === 255 ? NaN : v;
+};
 const laterThan = (i, k) => i < 0 || data.history.since[i] > k;
-let playing = 0;
+let playing = 0, lastRows = "";
 function setInstant(k) { // of the answers; the last one is the map as it lies
   const h = data.history, last = h.seconds.length - 1;
   view.answer = k >= last ? -1 : k;
-  byId("instant").value = Math.min(k, last);
-  const found = h.sites[Math.min(k, last)].length;
-  byId("clock").textContent = `${h.seconds[Math.min(k, last)].toFixed(1)} s · ${found || "no"} site` +
+  const at = Math.min(k, last), found = h.sites[at].length;
+  byId("instant").value = at;
+  byId("clock").textContent = `${h.seconds[at].toFixed(1)} s · ${found || "no"} site` +
     (found === 1 ? "" : "s");
-  for (const chart of charts_sites) chart.redraw(false);
+  tableOfTheTime(); legend();
+  for (const chart of charts_sites) { chart.redraw(false); tellThen(chart); }
   if (space) space.update();
   draw();
+}
+const tellThen = chart => setTimeout(() => // when the chart has forgotten the pointer
+  chart.setLegend({ idx: view.answer < 0 ? data.history.seconds.length - 1 : view.answer }));
+function tableOfTheTime() { // what is kept of the sites of the shown answer; at the end, all
+  const table = byId("sites"), k = view.answer;
+  if (!table) return;
+  const body = table.tBodies[0], h = data.history;
+  lastRows = lastRows || body.innerHTML;
+  if (k < 0) {
+    if (body.dataset.at) { body.innerHTML = lastRows; delete body.dataset.at; rows(); tellSite(view.site); }
+    return;
+  }
+  body.dataset.at = k;
+  const [target] = h.targets[k], place = h.sites[k].findIndex(([id]) => id === target) + 1;
+  const wide = table.tHead.rows[0].cells.length;
+  body.innerHTML = h.sites[k].map(([id, x, y, z, score, share], row) => {
+    const cells = [x, y, z].map(v => v.toFixed(2));
+    if (grid.probability) cells.push(share === null ? "–" : shareText(100 * share));
+    cells.push(score === null ? "–" : score.toFixed(3));
+    while (cells.length < wide - 1) cells.push("");
+    return `<tr${id === target ? ' class="chosen"' : ""}><th>${row + 1}</th>` +
+      cells.map(c => `<td>${c}</td>`).join("") + "</tr>";
+  }).join("");
+  byId("why").innerHTML = `<b>At ${h.seconds[k].toFixed(1)} s</b>: ` + (!target ? "no target" :
+    `the target, dashed on the map, is ${place ? `site ${place}` : "none of the ranked sites"}`);
 }
 const charts_sites = [];
 function timeline() {
@@ -39,18 +72,24 @@ function timeline() {
   };
   const counts = new Map();
   for (const all of h.sites) for (const [id] of all) counts.set(id, (counts.get(id) || 0) + 1);
-  const final = new Set(sites.map(s => s.id));
-  const ids = [...counts.keys()].sort((a, b) => final.has(b) - final.has(a) ||
-    counts.get(b) - counts.get(a)).slice(0, 7);
   const rank = id => (sites.find(s => s.id === id) || {}).rank;
-  const name = id => (rank(id) ? `site ${rank(id)}` : `place ${id}`);
+  const ids = [...counts.keys()].sort((a, b) => (rank(a) || 99) - (rank(b) || 99) ||
+    counts.get(b) - counts.get(a)).slice(0, 7);
+  const name = id => (rank(id) ? `site ${rank(id)}` : `former ${id}`);
   const mark = u => { // the shown instant
     const t = h.seconds[view.answer < 0 ? last : view.answer], c = u.ctx;
     const p = u.valToPos(t, "x", true);
     c.save(); c.strokeStyle = ink("--ink"); c.lineWidth = devicePixelRatio; c.beginPath();
     c.moveTo(p, u.bbox.top); c.lineTo(p, u.bbox.top + u.bbox.height); c.stroke(); c.restore();
   };
-  const chart = (column, scale, label, unit) => {
+  // Not less than `least` from bottom to top, so that a steady value looks steady.
+  const range = (least, most) => (u, low, high) => {
+    if (low === null) return [0, 1];
+    const middle = (low + high) / 2, half = Math.max(0.55 * (high - low), least / 2);
+    const top = Math.min(middle + half, most);
+    return [Math.min(middle - half, top - least), top];
+  };
+  const chart = (column, scale, label, told, least, most) => {
     if (!h.sites.some(all => all.some(s => s[column] !== null))) return;
     const lines = ids.map(id => h.sites.map(all => {
       const row = all.find(s => s[0] === id);
@@ -58,15 +97,19 @@ function timeline() {
     }));
     charts_sites.push(plot(byId("chart-sites"), 130, {
       series: [{ label: "time", value: second_s }, ...ids.map((id, k) =>
-        curve(name(id), CURVES[k], unit, { width: rank(id) ? 2 : 1, spanGaps: false,
+        curve(name(id), CURVES[k], "", { value: (u, v) => told(v), width: rank(id) ? 2 : 1, spanGaps: false,
           points: { show: true, size: 3 } }))],
-      scales: { x: { time: false } }, axes: [{ label: "time, s" }, { label }],
+      scales: { x: { time: false }, y: { range: range(least, most) } },
+      axes: [{ label: "time, s" }, { label }],
       hooks: { draw: [mark] }, legend: { show: !charts_sites.length },
       cursor: { sync: { key: "sites" },
         bind: { mousedown: u => () => { setInstant(u.cursor.idx); return null; } } },
     }, [h.seconds, ...lines]));
   };
-  chart(5, 100, "safe with, %", " %");
-  chart(4, 1, "score", "");
+  chart(5, 100, "safe, %", v => (v === null ? "–" : shareText(v) + " %"), 1, 100);
+  chart(4, 1, "score", short, 0.02, Infinity);
+  for (const chart of charts_sites) { // away from the curves, the values of the shown time
+    chart.over.addEventListener("mouseleave", () => tellThen(chart));
+  }
   setInstant(last);
 }

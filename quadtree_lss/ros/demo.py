@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.config.loading import find_config
+from quadtree_lss.core.landing.probability import shown
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.flight.page import headline, write_flight
@@ -152,14 +153,14 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 def print_sites(rows: Sequence[dict[str, str]]) -> None:
     """The ranked sites as a table."""
-    print("\n rank       x       y       z   score  slope  roughness  hazard  subscale")
-    print("            m       m       m             deg          m       m         m")
+    print("\n rank       x       y       z    safe   slope  roughness  hazard  subscale")
+    print("            m       m       m               deg          m       m         m")
     for row in rows:
         v = {name: float(value) for name, value in row.items()}
         print(
-            f" {v['rank']:4.0f} {v['x']:7.2f} {v['y']:7.2f} {v['z']:7.2f} {v['score']:7.3f}"
-            f" {v['slope_deg']:6.2f} {v['roughness']:10.3f} {v['hazard_distance']:7.2f}"
-            f" {v['subscale_height']:9.2f}"
+            f" {v['rank']:4.0f} {v['x']:7.2f} {v['y']:7.2f} {v['z']:7.2f}"
+            f" {shown(v['probability']):>7} {v['slope_deg']:7.2f} {v['roughness']:10.3f}"
+            f" {v['hazard_distance']:7.2f} {v['subscale_height']:9.2f}"
         )
     print()
 
@@ -210,8 +211,12 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     print("   The same map and the same sites." if agree else "   THEY DIFFER.")
     print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
     print(f"   {_fly(out / 'lander', seed)}")
-    print(f"\nPictures: {offline / 'report.html'} and {offline / 'figures'}/*.png,")
-    print(f"   {out / 'lander' / 'flight.html'}")
+    print("7. The same for GIS, 3D programs and navigation", flush=True)
+    exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
+    print(f"\nOpen {offline / 'report.html'}: the answer, the map, the ground in 3D")
+    print(f"Open {out / 'lander' / 'flight.html'}: the landing")
+    if exported.returncode == 0:
+        print(f"GeoTIFFs of every layer: {offline / 'exchange'}/*.tif")
     return agree
 
 

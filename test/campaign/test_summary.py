@@ -27,6 +27,12 @@ def test_counted_events_name_the_flight_that_had_most():
     assert line.cells()[1] == "3 of 14"
 
 
+def test_what_was_never_tried_has_no_rate():
+    quantity = Quantity("unsafe", "Unsafe", of="judged")
+    cells = line_of(quantity, _records(unsafe=[0], judged=[0])).cells()
+    assert cells == ("Unsafe", "0 of 0", "–", "–", "–")
+
+
 def test_of_what_should_happen_the_flight_that_lacks_it_is_named():
     quantity = Quantity("safe", "Safe", worst="smallest", of="one")
     assert line_of(quantity, _records(safe=[1, 1, 0, 1], one=[1] * 4)).worst_flight == 2

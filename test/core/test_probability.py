@@ -15,6 +15,7 @@ from quadtree_lss.config.settings import ConfigError, LssConfig
 from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.probability import (
     Dispersion,
+    Remainder,
     RiskTable,
     aimed,
     heading_word,
@@ -183,7 +184,7 @@ def test_what_is_no_dispersion_is_refused(beside_a_rock, given):
 def test_reasons_say_what_is_left(beside_a_rock):
     found = probable(dispersion=1.5).assess(beside_a_rock, target=[20.0, 16.0])
     place = np.hypot(*(found.sites.position[:, :2] - 16.0).T)
-    assert all(" safe: what is left is " in reason for reason in found.sites.reasons)
+    assert all(" safe: the remaining risk is " in reason for reason in found.sites.reasons)
     nearest = found.sites.reasons[int(np.argmin(place))]
     assert "an obstacle" in nearest or "too steep" in nearest
 
@@ -192,6 +193,10 @@ def test_words():
     assert shown(0.9917) == "99.2 %"
     assert shown(0.99997) == "99.99 %"
     assert shown(float("nan")) == "-"
+    risk = "99.2 % safe: the remaining risk is"
+    assert Remainder(0.9917, 3.14, 0.0, "obstacle").words() == f"{risk} an obstacle 3.1 m east"
+    assert Remainder(0.9917, 0.0, 0.0, "slope").words() == f"{risk} too steep a slope here"
+    assert Remainder(0.99997, 0.0, 0.0, "slope").words() == "99.99 % safe"  # not worth a word
     assert [heading_word(np.radians(a)) for a in (0, 44, 91, 180, -91)] == [
         "east",
         "north-east",

@@ -87,4 +87,5 @@ def test_the_command_writes_figures_and_page(tmp_path, capsys):
     assert {"safe", "x", "y", "error", "propellant", "diverts"} <= figures.keys()
     page = (out / "flight.html").read_text()
     assert "seed 3" in page and "data:image/png;base64" in page
+    assert "Content-Security-Policy" in page and 'class="verdict' in page  # as all pages are
     assert main(["fly", "--lockstep", "--fault", "x@1", "--out", str(out)]) == 1

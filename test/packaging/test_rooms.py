@@ -26,7 +26,7 @@ MAY_IMPORT = {
     "exchange": f"config {CORE}",
     "replay": f"config {CORE} messages report exchange plot build",
     "simulation": "build",
-    "flight": f"config {CORE} messages replay simulation",
+    "flight": f"config {CORE} messages replay report simulation",
     "ros": f"build config {CORE} messages replay flight",
     "evaluation": f"build config {CORE} messages replay report simulation",
     "campaign": "config evaluation flight replay report simulation",

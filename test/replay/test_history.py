@@ -24,7 +24,7 @@ def test_of_many_some_stay_evenly_and_the_last():
 
 def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
     config = config_from_values(GROUND)
-    result = replay(write_ros2(tmp_path / "bag"), tmp_path / "out", config, report=False)
+    result = replay(write_ros2(tmp_path / "bag"), tmp_path / "out", config)
     with np.load(tmp_path / "out" / "history.npz") as history:
         stamps = [row.stamp_ns for row in result.timings]
         np.testing.assert_array_equal(history["scan_stamp_ns"], stamps)
@@ -40,6 +40,9 @@ def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
         np.testing.assert_array_equal(bits[-1].reshape(shape), seen)
         allowed = np.unpackbits(history["allowed"][-1], count=shape[0] * shape[1]) > 0
         np.testing.assert_array_equal(allowed.reshape(shape), result.assessment.safe)
+        likely = np.where(seen, np.rint(100.0 * result.assessment.probability), 255)
+        np.testing.assert_array_equal(history["probability"][-1].reshape(shape), likely)
+        assert np.all((history["probability"] < 255) == bits)
         last = history["site_answer"] == len(history["answer_stamp_ns"]) - 1
         np.testing.assert_allclose(history["site_position"][last], result.assessment.sites.position)
         assert history["target"][-1, 0] == result.assessment.selected.id
@@ -63,3 +66,14 @@ def test_what_does_not_pack_is_stored(tmp_path):
         kinds = {entry.filename: entry.compress_type for entry in file.infolist()}
     assert kinds["noise.npy"] == zipfile.ZIP_STORED
     assert kinds["zeros.npy"] == zipfile.ZIP_DEFLATED
+
+
+def test_unseen_ground_has_no_probability(tmp_path):
+    config = config_from_values(GROUND | {"domain.size": 64.0, "domain.max_level": 7})
+    result = replay(write_ros2(tmp_path / "bag", scans=3), tmp_path / "out", config, report=False)
+    seen = result.assessment.hazard & UNSEEN == 0
+    assert 0 < seen.sum() < seen.size
+    with np.load(tmp_path / "out" / "grid.npz") as grid:
+        np.testing.assert_array_equal(np.isfinite(grid["probability"]), seen)
+    with np.load(tmp_path / "out" / "history.npz") as history:
+        assert "probability" not in history  # most of the file, for the page alone

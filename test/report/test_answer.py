@@ -67,12 +67,15 @@ def test_the_nearest_miss_is_the_most_level_or_the_likeliest(content):
     found = dataclasses.replace(found, grid={**found.grid, "probability": likely})
     miss = answer.nearest_miss(found)
     assert (miss.x, miss.y) == (content.grid["x"][35], content.grid["y"][25])
-    assert miss.why == "safe with 40%"
+    assert miss.why == "40% safe"
 
 
 def test_where_there_are_sites_nothing_is_missed(content):
     assert answer.nearest_miss(content) is None and answer.largest_circle(content) is None
 
 
-def test_no_probability_is_rounded_to_certainty():
-    assert answer.percent(0.9999) == "> 99.9 %" and answer.percent(0.998) == "99.8 %"
+def test_no_probability_is_rounded_to_certainty(content):
+    sure = {**content.sites, "probability": np.full_like(content.sites["x"], 1.0 - 1e-9)}
+    reasons = {**content.summary, "reasons": ["level"] * len(sure["x"])}
+    found = dataclasses.replace(content, sites=sure, summary=reasons)
+    assert ", 99.99 % safe: level." in answer.headline(found)[1]

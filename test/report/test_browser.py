@@ -222,10 +222,48 @@ def test_the_slider_shows_the_map_growing(text, tmp_path):
         byId("instant").value = 0; byId("instant").dispatchEvent(new Event("input"));
         tellTest("at", [view.answer, byId("clock").textContent]);
         tellTest("unseen", [grey(0), grey(last)]);
+        // Of each grid point: unseen, or how probable and allowed or not, as the history has it.
+        const times = [0, last >> 1].map(k => { setInstant(k); const likely = LAYERS.probability;
+          const drawn = picture("probability", k).canvas.getContext("2d");
+          return [...Array(grid.nx * grid.ny).keys()].filter(i => i % 7 === 0).every(i => {
+            const p = probabilityAt(i, k), want = colour(likely, p);
+            const row = grid.ny - 1 - Math.floor(i / grid.nx);
+            const got = drawn.getImageData(i % grid.nx, row, 1, 1).data;
+            return Number.isNaN(p) === laterThan(i, k) &&
+              want.every((v, c) => v === got[c]); }); });
+        tellTest("drawn", times);
+        const end = grid.probability.reduce((sum, v, i) => sum + (Number.isNaN(v) ? 0 :
+          Math.abs(v - probabilityAt(i, last)) > 0.51), 0);
+        tellTest("differing", end);
+        setInstant(last);
+        const whole = byId("sites").textContent;
+        setInstant(last >> 1);
+        const body = byId("sites").tBodies[0], then = h.sites[last >> 1];
+        tellTest("rows", [body.rows.length, then.length]);
+        tellTest("first", [...body.rows[0].cells].map(c => c.textContent));
+        tellTest("then", then[0]);
+        tellTest("why", byId("why").textContent);
+        setLayer("elevation"); tellTest("note", byId("legend").textContent);
+        setLayer("allowed"); tellTest("share", byId("legend").textContent);
+        await until(() => charts_sites[0].legend.idx === last >> 1);
         setInstant(last); tellTest("end", view.answer);
+        tellTest("same", byId("sites").textContent === whole);
+        tellTest("again", byId("why").textContent);
         tellTest("curves", charts_sites[0].data.length);
+        const y = charts_sites[0].scales.y;
+        tellTest("range", [y.min, y.max]);
         """,
     )
+    assert told["drawn"] == [True, True] and told["differing"] == 0
+    assert told["rows"][0] == told["rows"][1] > 0
+    _, x, y, z, score, share = told["then"]
+    assert told["first"][:4] == ["1", *(f"{value:.2f}" for value in (x, y, z))]
+    assert float(told["first"][4]) == pytest.approx(100 * share, abs=0.06)
+    assert float(told["first"][5]) == pytest.approx(score, abs=6e-4)
+    assert told["why"].startswith("At ") and told["again"].startswith("Site 1")
+    assert "values at the end" in told["note"] and "allowed" in told["share"]
+    assert told["same"] and told["range"][1] <= 100.0
+    assert told["range"][1] - told["range"][0] >= 0.999
     assert told["at"][0] == 0 and "site" in told["at"][1] and told["end"] == -1
     assert told["unseen"][0] >= told["unseen"][1] and told["curves"] > 1
 

@@ -197,16 +197,20 @@ class Remainder:
     kind: str
 
     def words(self) -> str:
-        """As in "99.2 %: what is left is an obstacle 3.1 m east"."""
+        """As in "99.2 % safe: the remaining risk is an obstacle 3.1 m east"; where none is
+        worth a word, the share alone."""
         share = f"{shown(self.probability)} safe"
         what = {
             "obstacle": "an obstacle",
-            "slope": "too steep a rest",
+            "slope": "too steep a slope",
             "unseen": "unseen ground",
         }[self.kind]
+        if self.probability >= 0.9999:
+            return share
         if self.away < 0.1:
-            return f"{share}: what is left is {what} here"
-        return f"{share}: what is left is {what} {self.away:.1f} m {heading_word(self.bearing)}"
+            return f"{share}: the remaining risk is {what} here"
+        away = f"{self.away:.1f} m {heading_word(self.bearing)}"
+        return f"{share}: the remaining risk is {what} {away}"
 
 
 def shown(probability: float) -> str:
