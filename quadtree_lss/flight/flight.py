@@ -228,6 +228,9 @@ class Flight:
             area = pilot.area()
             if area is not None:
                 yield from self._ask("landing/area", area)
+            # Where navigation believes to be off, and what guidance adds to it.
+            variances = np.diag(self._covariance)[:2] + self.settings.rules.miss**2
+            yield from self._ask("landing/dispersion", variances)
             if pilot.surveyed:
                 yield from self._ask("landing/target", pilot.aim)
         if self.active.get("keep_out", 0.0) and "landing/keep_out" not in self._asked:

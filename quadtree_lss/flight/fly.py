@@ -23,6 +23,14 @@ from quadtree_lss.flight.settings import FlightSettings, flight_settings
 OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 """Faults that hit a node."""
 
+PAPER = {
+    "lss.assessment": "paper",
+    "lss.ranking": "score",
+    "lss.switch_margin": 0.08,
+    "lss.weight_target": 0.004,  # a metre of way against 0.2 m of room
+}
+"""The paper's rules and score."""
+
 
 @dataclass(frozen=True)
 class Flown:
@@ -119,7 +127,7 @@ def flight_config(settings: FlightSettings, ground: Ground) -> Config:
         f"domain.{axis}min": float(ground.planned[k]) - half for k, axis in enumerate("xy")
     }
     if settings.avoidance == "paper":
-        over["lss.assessment"] = "paper"
+        over |= PAPER
     return config_from_values(over, config)
 
 

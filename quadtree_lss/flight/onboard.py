@@ -113,6 +113,9 @@ class Onboard:
         if said is None:
             return None
         self.last = said
+        self._chosen = self._chosen or not said.undecided
+        if not self._chosen:  # as lss_node, of which the one before may have named a target
+            return None
         return Target(said.selected.position.copy() if said.selected.id else None)
 
     def kill(self, node: str) -> None:
@@ -144,5 +147,5 @@ class Onboard:
         self._intake, self._mapper = Intake(self._config), Mapper(self._config)
 
     def _start_lss(self) -> None:
-        self._answers = _Answers(self._delay_ns)
+        self._answers, self._chosen = _Answers(self._delay_ns), False
         self._passes = Passes(self._config, self._wishes.arguments, (self._answers,))

@@ -34,6 +34,9 @@ class Rules:
         trim: No more than so far from the aim, another target is followed down to the gate.
         hover: Height over the aim at which to wait for a target.
         patience: How long.
+        miss: 1 sigma, along x and along y, that ``landing/dispersion`` tells besides navigation's:
+            more than a touchdown misses by (0.1 m), since a target on the edge of safe ground is
+            soon withdrawn.
         zone: Radius of the landing zone, which the area of ``landing/area`` holds whole.
         headings, reach: Of that area: how many vertices, and how far they may be.
         reserve: Propellant that no divert may touch, kg.
@@ -48,6 +51,7 @@ class Rules:
     trim: float = 2.0
     hover: float = 32.0
     patience: float = 20.0
+    miss: float = 0.5
     zone: float = 2.4
     headings: int = 12
     reach: float = 45.0

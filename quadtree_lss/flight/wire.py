@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.flight.flight import Sent
+from quadtree_lss.flight.lander import FloatArray
 
 KINDS = {
     "nav/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "lidar/points": "sensor_msgs/msg/PointCloud2",
+    "landing/dispersion": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "landing/area": "geometry_msgs/msg/PolygonStamped",
     "landing/keep_out": "geometry_msgs/msg/PolygonStamped",
     "landing/target": "geometry_msgs/msg/PointStamped",
@@ -44,6 +46,7 @@ class Wire:
             "nav/pose": self._pose,
             "lidar/points": self._cloud,
             "landing/target": self._point,
+            "landing/dispersion": self._dispersion,
         }.get(sent.topic, self._polygon)
         return make(sent)
 
@@ -64,7 +67,15 @@ class Wire:
         return self._make(kind, x=x, y=y, z=z)
 
     def _pose(self, sent: Sent) -> Any:
-        position, xyzw, covariance = sent.value
+        return self._with_covariance(sent, *sent.value)
+
+    def _dispersion(self, sent: Sent) -> Any:
+        covariance = np.diag([*sent.value, 0.0, 0.0, 0.0, np.inf])  # at any heading
+        return self._with_covariance(sent, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), covariance)
+
+    def _with_covariance(
+        self, sent: Sent, position: FloatArray, xyzw: FloatArray, covariance: FloatArray
+    ) -> Any:
         x, y, z, w = (float(value) for value in xyzw)
         pose = self._make(
             "geometry_msgs/msg/Pose",

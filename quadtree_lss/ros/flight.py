@@ -33,6 +33,7 @@ from quadtree_lss.ros.qos import latched, stream
 KINDS = {
     "nav/pose": PoseWithCovarianceStamped,
     "lidar/points": PointCloud2,
+    "landing/dispersion": PoseWithCovarianceStamped,
     "landing/area": PolygonStamped,
     "landing/keep_out": PolygonStamped,
     "landing/target": PointStamped,

@@ -38,15 +38,21 @@ class TargetOutput:
             STATUS: advertise(node, PointCloud2, STATUS, latched()),
         }
         self._answer: LandingAssessment | None = None
+        self._chosen = False
         self._frame = ""
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._again = node.create_timer(0.4 * TARGET_S, self._say, clock=clock)
         node.create_service(Trigger, "~/release", self._on_release)
 
     def send(self, answer: LandingAssessment, frame: str) -> None:
-        """Publishes the target of an answer."""
+        """Publishes the target of an answer.
+
+        A node that has not decided yet says nothing of the target: "none" would withdraw the one
+        of the node before it, if that was killed.
+        """
         self._tell(answer)
         self._answer, self._frame = answer, frame
+        self._chosen = self._chosen or not answer.undecided
         self._again.reset()
         self._say()
 
@@ -56,7 +62,8 @@ class TargetOutput:
             return
         messages = target_messages(answer, self._frame, self._age(answer.stamp_ns))
         for topic, message in messages.items():
-            self._publishers[topic].publish(message)
+            if topic == STATUS or self._chosen:
+                self._publishers[topic].publish(message)
 
     def _tell(self, answer: LandingAssessment) -> None:
         """A line of the log where the target is another one than before."""

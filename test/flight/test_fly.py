@@ -49,6 +49,12 @@ def test_perfect_knowledge_lands_safely():
     assert figures["safe"]
 
 
+def test_a_target_outlives_the_node_that_chose_it():
+    flight = flown(SEED, flight_settings({**SHORT, "faults": ("kill_lss@60+2",)})).flight
+    done = [decision.what for decision in flight.pilot.decisions]
+    assert "target" in done and "lost" not in done, done
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "fault", ["kill_lss@60", "kill_mapping@60", "forget_mapping@40", "keep_out@22", "keep_out@12"]

@@ -135,6 +135,11 @@ class LandingAssessment:
     offset_variance: float
     ground: tuple[GridSampler, TerrainRaster, PointAssessment] | None = None
 
+    @property
+    def undecided(self) -> bool:
+        """Only a second look at safe ground makes a target of it: this was the first."""
+        return self.selected.reason == Reason.UNCONFIRMED
+
     def __repr__(self) -> str:
         ny, nx = self.score.shape
         return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
