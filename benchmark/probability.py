@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import configuration, machine, table
 from common.risk import flights
-from common.rules import RULES, Judged, drawn, judge, stricter
+from common.rules import RULES, Judged, drawn, judge, looks, stricter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -63,6 +63,7 @@ def main() -> None:
     score_table(judged)
     rules_table(judged, config.lss.max_risk)
     sites_table(judged)
+    looks_table(flown, config)
     if options.draws:
         two_ways(flown, judged, config, options.draws)
     if options.figure:
@@ -172,6 +173,23 @@ def sites_table(judged: All) -> None:
     header = [text for rule in RULES for text in (rule, "unsafe")]
     title = "First site's true clearance over the best to be had, median; unsafe first sites"
     table(title, ["case", *header], lines)
+
+
+def looks_table(flown: Flown, config: Config) -> None:
+    """Uncertain and bad ground after 65 % of the flights, and at their ends."""
+    lines = []
+    for name, of_case in flown.items():
+        own = CASES.get(name, Conditions()).mapping(config)
+        found = [looks(maps[-2], maps[-1], own) for maps in of_case if len(maps) > 1]
+        row = [name]
+        for kind in ("uncertain", "bad"):
+            counts = np.sum([one[kind] for one in found], axis=0)
+            total = max(int(counts[:3].sum()), 1)
+            row += [f"{counts[:3].sum():,}", *(f"{100 * count / total:.0f}" for count in counts)]
+        lines.append(row)
+    then = ("then allowed", "uncertain", "bad", "truly unsafe")
+    header = [text for kind in ("uncertain", "bad") for text in (kind, *then)]
+    table("Grid points after 65 % of the flight, and what became of them, %", ["case", *header], lines)
 
 
 def two_ways(flown: Flown, judged: All, config: Config, draws: int) -> None:

@@ -13,6 +13,7 @@ from quadtree_lss.config.risk import RiskModel
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.heights import height_by_error
 from quadtree_lss.core.landing.lattice import grown
+from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.probability import RiskTable
 from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.core.landing.sites import LandingSiteSelector
@@ -64,6 +65,27 @@ def judge(mapped: Mapped, model: RiskModel, config: Config, sites: bool) -> Judg
         called[rule] = found.safe[landings.counts]
         first[rule] = clearance(mapped, landings, found.sites.position)
     return Judged(landings.failed, risk, called, first)
+
+
+def looks(before: Mapped, after: Mapped, config: Config) -> dict[str, tuple[int, int, int, int]]:
+    """What a map calls ``uncertain`` or ``bad`` ground, and what the next one does: counts.
+
+    Of grid points that both judge: allowed, uncertain and bad in the next, and truly unsafe.
+    """
+    bits = [
+        LandingSiteSelector(by_rule(config, "probability", margin=0.0)).assess(one.cells).hazard
+        for one in (before, after)
+    ]
+    known = after.known & (bits[0] & hazards.UNSEEN == 0) & (bits[1] & hazards.UNSEEN == 0)
+    out = {}
+    uncertain, failing = (
+        [b & bit > 0 for b in bits] for bit in (hazards.UNCERTAIN, hazards.TOUCHDOWN)
+    )
+    for name, here in (("uncertain", uncertain[0]), ("bad", failing[0] & ~uncertain[0])):
+        here = here & known
+        then = (~failing[1], uncertain[1], failing[1] & ~uncertain[1], ~after.safe)
+        out[name] = tuple(int((here & of).sum()) for of in then)
+    return out
 
 
 def clearance(mapped: Mapped, landings: Landings, sites: Array) -> float:
