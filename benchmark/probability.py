@@ -189,7 +189,9 @@ def looks_table(flown: Flown, config: Config) -> None:
         lines.append(row)
     then = ("then allowed", "uncertain", "bad", "truly unsafe")
     header = [text for kind in ("uncertain", "bad") for text in (kind, *then)]
-    table("Grid points after 65 % of the flight, and what became of them, %", ["case", *header], lines)
+    table(
+        "Grid points after 65 % of the flight, and what became of them, %", ["case", *header], lines
+    )
 
 
 def two_ways(flown: Flown, judged: All, config: Config, draws: int) -> None:

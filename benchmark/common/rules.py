@@ -12,8 +12,8 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.config.risk import RiskModel
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.heights import height_by_error
-from quadtree_lss.core.landing.lattice import grown
 from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.lattice import grown
 from quadtree_lss.core.landing.probability import RiskTable
 from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.core.landing.sites import LandingSiteSelector
