@@ -19,7 +19,7 @@ from quadtree_lss.exchange.clouds import READERS, read_clouds
 from quadtree_lss.exchange.libraries import ExchangeError
 from quadtree_lss.exchange.poses import PoseTable, read_poses
 from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError, Topic
+from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError, Topic, likely_bag
 from quadtree_lss.replay.records import RawMessage
 from quadtree_lss.replay.types import POSE_TYPE, SCAN_TYPE, typestore
 
@@ -60,7 +60,8 @@ def is_clouds(path: Path) -> bool:
     if path.is_dir():
         names = [p.suffix.lower() for p in path.iterdir()]
         bag = {".mcap", ".db3", ".bag", ".zst", ".zstd"} & set(names)
-        return not bag and any(name in READERS for name in names)
+        # A folder with a bag in it and the truth beside that, as `simulate` leaves it, is none.
+        return not bag and any(name in READERS for name in names) and not likely_bag(path)
     return path.is_file() and path.suffix.lower() in READERS
 
 

@@ -47,7 +47,7 @@ SITE_COLUMNS = (
 
 
 REPORT = "report.html"
-FIGURES = ("elevation", "slope", "hazards", "score", "timing")
+FIGURES = ("elevation", "slope", "hazards", "probability", "score", "timing")
 """Names of the figures, ``figures/<name>.png``, in the order of the page."""
 
 SAMPLE, WORTH_PACKING = 1 << 14, 0.85

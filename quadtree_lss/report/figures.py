@@ -26,6 +26,7 @@ from quadtree_lss.report.palette import (
     colour_limits,
     excluding,
     shaded,
+    slope_limit,
     top_limit,
 )
 
@@ -44,9 +45,7 @@ def elevation_figure(content: Content) -> Figure:
 def slope_figure(content: Content) -> Figure:
     """Slope at the lander's scale; the tolerance is marked in the colour bar and as a contour."""
     figure, axes = _map_axes("Slope at the lander's scale", content)
-    grid, lss = content.grid, content.config.lss
-    touchdown = lss.assessment != "paper"
-    limit = lss.touchdown_slope_deg if touchdown else lss.max_slope_deg
+    grid, limit = content.grid, slope_limit(content.config.lss)
     top = max(top_limit(grid["slope_deg"])[1], limit)
     label = f"slope, deg (limit {limit:g} in white; grey: unseen)"
     bar = _draw(figure, axes, content, grid["slope_deg"], "slope", label, (0.0, top))
@@ -88,6 +87,15 @@ def hazard_figure(content: Content) -> Figure:
     figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
     figure.legend(handles=decisions, loc="lower right", ncols=3, frameon=False)
     _draw_sites(right, content, radius=content.zone)
+    return figure
+
+
+def probability_figure(content: Content) -> Figure:
+    """Probability of a safe touchdown for each aim, with the ranked sites and their zones."""
+    figure, axes = _map_axes("Probability of a safe touchdown if aimed here", content)
+    share = content.grid["probability"]
+    _draw(figure, axes, content, 100.0 * share, "probability", "probability, %", (0.0, 100.0))
+    _draw_sites(axes, content, content.zone)
     return figure
 
 

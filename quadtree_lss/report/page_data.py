@@ -84,14 +84,13 @@ def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str,
 
 
 def _grid(content: Content, columns: Columns) -> dict[str, Any]:
-    grid, config = content.grid, content.config
+    grid = content.grid
     stride = int(np.ceil(np.sqrt(max(grid["hazard"].size / MAX_GRID_POINTS, 1.0))))
 
     def part(name: str) -> NDArray[Any]:
         return grid[name][::stride, ::stride]
 
-    touchdown = config.lss.assessment != "paper"
-    limit = config.lss.touchdown_slope_deg if touchdown else config.lss.max_slope_deg
+    limit = palette.slope_limit(content.config.lss)
     found: dict[str, Any] = {
         "nx": len(grid["x"][::stride]),
         "ny": len(grid["y"][::stride]),

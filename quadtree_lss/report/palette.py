@@ -7,6 +7,8 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.config.sections import LssConfig
+
 Array = NDArray[np.float64]
 
 UNSEEN, UNSEEN_COLOUR = 128, "#bbbbbb"
@@ -36,6 +38,11 @@ MAPS = {
 def excluding(assessment: str) -> int:
     """Bits of the hazards that exclude landing with ``lss.assessment``."""
     return 8 | 4 | 2 | 1 if assessment == "paper" else 8 | 4
+
+
+def slope_limit(lss: LssConfig) -> float:
+    """The slope that a reader is told to compare with, deg."""
+    return lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
 
 
 def colour_table(name: str) -> NDArray[np.uint8]:

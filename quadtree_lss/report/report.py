@@ -53,6 +53,8 @@ def report_files(folder: str | Path) -> dict[str, bytes]:
         "hazards": figures.hazard_figure(content),
         "score": figures.score_figure(content),
     }
+    if content.probability is not None:
+        drawn["probability"] = figures.probability_figure(content)
     if len(content.timing["map_ms"]):
         drawn["timing"] = figures.timing_figure(content)
     pictures = {f"figures/{name}.png": _png(figure) for name, figure in drawn.items()}

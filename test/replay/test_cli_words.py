@@ -14,6 +14,7 @@ import subprocess
 import sys
 import termios
 
+import numpy as np
 import pytest
 from replay.recordings import write_ros2
 from replay.test_cli import FAST, run
@@ -61,6 +62,11 @@ def test_the_folder_of_a_bag_and_a_misspelt_bag(bag, capsys):
         for command in ("replay", "info"):
             code, _, err = run(capsys, command, wrong)
             assert code == 1 and f"did you mean {bag}?" in err and err.count("\n") == 1
+    truth = bag.parent / "truth.npz"  # beside the bag, as simulate leaves it: no cloud of points
+    np.savez(truth, elevation=np.zeros((2, 2)))
+    code, _, err = run(capsys, "replay", bag.parent)
+    truth.unlink()
+    assert code == 1 and f"did you mean {bag}?" in err
 
 
 def test_truth_and_results_by_their_folder(bag, tmp_path, capsys):

@@ -89,16 +89,31 @@ def column(content, about):
     return np.where(raw == none, np.nan, about["low"] + about["step"] * raw)
 
 
+PHONE = """<!DOCTYPE html><html><body style="margin:0">
+<iframe style="border:0;width:%dpx;height:%dpx"></iframe><script>
+const frame = document.querySelector("iframe"), own = document.documentElement.dataset;
+frame.src = "page.html";
+window.addEventListener("message", e => { Object.assign(own, e.data); });
+</script></body></html>"""
+
+
 def in_browser(text, folder, steps="", size=(1400, 900), address="", flags=()):
-    """What ``steps`` told by `tellTest` after acting on the page as a person would."""
+    """What ``steps`` told by `tellTest` after acting on the page as a person would.
+
+    Narrower than 500 px the page is in a frame: no window of a Chromium without a screen is.
+    """
     program = f"""{HELPERS}
     (async () => {{
       await until(() => root.dataset.ready || root.dataset.error);
       {steps}
       root.dataset.told = JSON.stringify(answers);
+      if (parent !== window) parent.postMessage({{ ...root.dataset }}, "*");
     }})();"""
     path = folder / "page.html"
     path.write_text(text.replace("</body>", f"<script>{program}</script></body>"))
+    if size[0] < 500:
+        path = folder / "phone.html"
+        path.write_text(PHONE % size)
     command = [BROWSER, *FLAGS, *flags, f"--window-size={size[0]},{size[1]}"]
     command += [f"--user-data-dir={folder / 'profile'}", "--dump-dom"]
     done = subprocess.run(

@@ -297,9 +297,10 @@ def test_a_narrow_screen_needs_no_sideways_scroll(text, tmp_path):
           .filter(out).map(e => e.id || e.tagName)]);
         tellTest("map", [width(), height(), painted[`${view.layer} -1`] !== undefined]);
         """,
-        flags=("--force-device-scale-factor=1",),
         size=(390, 844),
     )
+    inner, content, beyond = told["wide"]
+    assert inner == 390 and content <= inner and not beyond
     assert told["map"][2] and told["map"][1] > 150
 
 

@@ -171,4 +171,16 @@ def test_a_page_can_be_made_again_from_the_folder(content, text):
 
 def test_figures_lie_beside_it(result):
     names = {path.name for path in Path(result.out / "figures").iterdir()}
-    assert names == {"elevation.png", "slope.png", "hazards.png", "score.png", "timing.png"}
+    assert names == {
+        f"{name}.png"
+        for name in ("elevation", "slope", "hazards", "probability", "score", "timing")
+    }
+
+
+@pytest.mark.parametrize(("assessment", "limit"), [("touchdown", 8.0), ("probability", 12.0)])
+def test_the_slope_is_marked_where_the_reasons_say_it_ends(content, assessment, limit):
+    lss = {"assessment": assessment, "touchdown_slope_deg": 8.0, "max_slope_deg": 12.0}
+    config = {**content.summary["config"]}
+    config.update({f"lss.{name}": value for name, value in lss.items()})
+    found = dataclasses.replace(content, summary={**content.summary, "config": config})
+    assert unpacked(found)[0]["grid"]["slope"]["mark"] == limit
