@@ -23,6 +23,7 @@ function fit() { // all seen ground
 }
 const isWhole = () => view.scale <= whole * 1.001;
 function resized() { // the whole map stays whole; another view stays where it is
+  if (!width()) return; // hidden: it has no size to fit into
   if (isWhole()) fit();
   else { whole = wholeScale(); draw(); }
 }
@@ -34,7 +35,8 @@ function zoom(factor, p = px(view.x), q = py(view.y)) {
 }
 function goTo(site) {
   Object.assign(view, { x: site.x, y: site.y });
-  view.scale = Math.max(whole, 0.16 * Math.min(width(), height()) / data.zone);
+  const frame = byId("frame"); // the map may be hidden
+  view.scale = Math.max(whole, 0.16 * Math.min(frame.clientWidth, frame.clientHeight) / data.zone);
   draw();
 }
 function fitCanvas(canvas) {

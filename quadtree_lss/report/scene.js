@@ -238,7 +238,7 @@ class Space {
     this.controls.update();
   }
   approach(site) {
-    const d = 5 * data.zone;
+    const d = 8 * data.zone; // its label is in sight too
     this.controls.target.copy(this.on(site.x, site.y, 0.4));
     this.eye.position.copy(this.controls.target);
     this.eye.position.x -= 0.35 * d; this.eye.position.y -= 0.8 * d; this.eye.position.z += 0.45 * d;

@@ -324,6 +324,12 @@ def test_space_shows_the_ground_and_the_lander(text, tmp_path):
             colours.add(pixels[i] >> 4 | pixels[i + 1] & 240);
           }
           tellTest("colours", colours.size);
+          again(); choose(0); // the map is hidden, and must be there when it is shown again
+          setMode("map"); drawNow(); await until(() => width());
+          tellTest("map", [view.scale / whole, view.x, view.y, address().includes("scale=0.00")]);
+          const there = colourAt(px(view.x) + 20, py(view.y) + 20);
+          tellTest("painted", there !== ink("--void").replace(/[^0-9,]/g, ""));
+          setMode("scene"); space.update();
           const radius = data.lander.radius, pads = [];
           space.marks.traverse(o => {
             const about = o.geometry && o.geometry.parameters;
@@ -338,7 +344,8 @@ def test_space_shows_the_ground_and_the_lander(text, tmp_path):
     )
     if told["warning"]:
         pytest.skip(told["warning"])
-    assert told["colours"] > 10
+    assert told["colours"] > 10 and told["painted"]
+    assert told["map"][0] >= 1.0 and told["map"][3] is False
     assert told["pads"] == pytest.approx([1.0] * 4)  # at true scale ...
     assert all(-1e-6 < gap < 0.3 for gap in told["gaps"])  # ... and on the ground
 
