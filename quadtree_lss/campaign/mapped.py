@@ -13,6 +13,7 @@ from quadtree_lss.campaign.kinds import Case, Flown, Kind, Quantity, Value
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.evaluation.evaluate import EvaluationResult, evaluate, score
+from quadtree_lss.evaluation.reliability import EDGES, Reliability
 from quadtree_lss.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.evaluation.risk_flights import lander_of
 from quadtree_lss.replay.bags import Topic
@@ -36,6 +37,8 @@ CONDITIONS = (
     "rocks",
     "slope_deg",
 )
+TOLD = ("0.1", "0.3", "1", "3", "10")
+"""Where the bins of `EDGES` begin whose counts are kept, %."""
 
 
 def fly(case: Case) -> Flown:
@@ -107,10 +110,30 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> dict[st
         "truly_safe": 100.0 * float(truth.safe.mean()),
         "true_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(rise_x, rise_y))))),
     }
+    found |= risks(scores.risk)
     return {
         name: None if value is None or not np.isfinite(value) else value
         for name, value in found.items()
     }
+
+
+def risks(of: Reliability | None) -> dict[str, float | int | None]:
+    """Scores of the predicted risks, and how many grid points failed of those told such a risk.
+
+    By bin of ``TOLD``, beside how many were expected to. Of a map without risks there are none.
+    """
+    bins = {} if of is None else {one.low: one for one in of.bins}
+    found: dict[str, float | int | None] = {
+        "brier": None if of is None else of.brier,
+        "log_score": None if of is None else of.log_score,
+    }
+    for name, low in zip(TOLD, EDGES[1:], strict=False):
+        one = bins.get(low)
+        some = one is not None and one.grid_points > 0
+        found[f"risk_{name}_points"] = one.grid_points if some else 0
+        found[f"risk_{name}_unsafe"] = round(one.unsafe * one.grid_points) if some else 0
+        found[f"risk_{name}_expected"] = one.predicted * one.grid_points if some else 0.0
+    return found
 
 
 def keep(case: Case, folder: Path) -> None:
@@ -142,6 +165,15 @@ MAP = Kind(
         Quantity("unsafe_in_top_five", "Unsafe sites in the top five", of="judged_in_top_five"),
         Quantity("unsafe_first", "Unsafe first site", of="judged_first"),
         Quantity("without_site", "Flights without a site", of="one"),
+        Quantity("brier", "Brier score of the risk", "", 4),
+        *(
+            Quantity(
+                f"risk_{name}_unsafe",
+                f"Unsafe grid points of those told {100 * low:g} to {100 * high:g} %",
+                of=f"risk_{name}_points",
+            )
+            for name, low, high in zip(TOLD, EDGES[1:], EDGES[2:], strict=False)
+        ),
         Quantity("rms_mean_removed", "Elevation RMS, mean removed", "m", 4),
         Quantity("mean_absolute", "Elevation error, mean absolute", "m", 4),
         Quantity("maximum", "Elevation error, largest", "m", 2),
