@@ -3,12 +3,27 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 from quadtree_lss.campaign.kinds import CampaignError, kind_of
 from quadtree_lss.campaign.store import Store
 from quadtree_lss.campaign.study import Study
+
+
+def flagged(out: str | Path) -> list[int]:
+    """The flights that the campaign's page names as the worst.
+
+    Raises:
+        CampaignError: there is no campaign.
+    """
+    try:
+        worst = json.loads((Path(out) / "campaign.json").read_text("utf-8"))["worst"]
+        return sorted({int(index) for pairs in worst.values() for index, _ in pairs})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        msg = f"{out} is no folder of a campaign that was summed up"
+        raise CampaignError(msg) from None
 
 
 def keep(study: Study, out: str | Path, index: int) -> Path:

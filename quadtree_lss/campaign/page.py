@@ -36,9 +36,9 @@ def page_files(result: CampaignResult, times: Sequence[Mapping[str, str]]) -> di
     return {**pictures, "campaign.html": _page(result, times, pictures).encode()}
 
 
-def replay_command(result: CampaignResult, index: int) -> str:
-    """What flies one flight again and leaves everything there is to see."""
-    return f"quadtree-lss campaign STUDY.yaml --out {result.out} --keep {index}"
+def replay_command(result: CampaignResult, which: str) -> str:
+    """What flies flights again and leaves everything there is to see."""
+    return f"quadtree-lss campaign STUDY.yaml --out {result.out} --keep {which}"
 
 
 def _page(
@@ -58,7 +58,6 @@ def _page(
         for quantity, pairs in result.worst()
         for index, value in pairs
     ]
-    commands = replay_command(result, 17)
     failed = [(_link(result, index), why) for index, why in result.failed.items()]
     images = "".join(
         f'<p><img class="picture" alt="{escape(name)}"'
@@ -74,7 +73,8 @@ def _page(
     body = (
         f'<h1>{escape(title)}</h1>\n<p class="verdict">{escape(note)}.</p>\n{"".join(parts)}\n'
         '<h2>Worst flights</h2>\n<p class="note">A flight\'s number leads to its page once it is'
-        f" kept: flight 17 for instance by <code>{escape(commands)}</code></p>\n"
+        f" kept: all of these by <code>{escape(replay_command(result, 'worst'))}</code>, flight 17"
+        f" for instance by <code>{escape(replay_command(result, '17'))}</code></p>\n"
         f"{table(('by', 'flight', 'value'), worst)}\n<h2>What explains it</h2>\n{images}\n"
         + (f"<h2>Failed</h2>{table(('flight', 'why'), failed)}\n" if failed else "")
         + f"<h2>Time</h2>\n{_times(times)}"

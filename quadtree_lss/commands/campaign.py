@@ -24,6 +24,7 @@ EXAMPLES = """examples:
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --add 500
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --rerun 17
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep 17  (bag, page, …)
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep worst
   quadtree-lss campaign studies/morpheus.yaml --out many --scheduler-address tcp://host:8786
   quadtree-lss campaign compare campaigns/before campaigns/after
 
@@ -45,7 +46,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     where.add_argument("--scheduler-file", metavar="F", help="that a Dask scheduler wrote")
     add("--add", type=whole(1), default=0, metavar="N", help="fly N flights more")
     add("--rerun", metavar="LIST", help="fly these again, 17 or 3,8-12, or: failed")
-    add("--keep", type=whole(0), metavar="N", help="fly one again into DIR/kept, all of it kept")
+    text = "fly these again into DIR/kept, all of it kept: 17 or 3,8-12, or: worst"
+    add("--keep", metavar="LIST", help=text)
     add_json(parser)
 
 
@@ -59,9 +61,11 @@ def _run(options: argparse.Namespace) -> int:
 
     study = read_study(options.what[0])
     if options.keep is not None:
-        from quadtree_lss.campaign.kept import keep
+        from quadtree_lss.campaign.kept import flagged, keep
 
-        print(f"flight {options.keep} is in {keep(study, options.out, options.keep)}")
+        worst = options.keep == "worst"
+        for index in flagged(options.out) if worst else parse_seeds(options.keep):
+            print(f"flight {index} is in {keep(study, options.out, index)}", flush=True)
         return DONE
     failed = options.rerun == "failed"
     where = Where(options.workers, options.scheduler_address, options.scheduler_file)

@@ -7,6 +7,7 @@ import contextlib
 import csv
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -18,6 +19,7 @@ import psutil
 import pytest
 
 from quadtree_lss.campaign import Where, campaign, compare_campaigns, read_study
+from quadtree_lss.campaign.kept import flagged
 from quadtree_lss.campaign.kinds import CampaignError
 from quadtree_lss.commands.common import INTERRUPTED
 
@@ -106,6 +108,10 @@ def test_each_flight_is_a_file_and_told(first):
     ]
     page = (result.out / "campaign.html").read_text()
     assert 'href="kept/00000' in page and "/evaluation/report.html" in page
+    linked = {int(index) for index in re.findall(r"kept/(\d{6})/", page)}
+    assert flagged(result.out) == sorted(linked) and "--keep worst" in page
+    with pytest.raises(CampaignError, match="no folder of a campaign"):
+        flagged(result.out / "flights")
     assert "--keep 17" in page and "data:image/png" in page and "Safe terrain found" in page
 
 
