@@ -178,7 +178,8 @@ class ChunkedFile(ABC):
         """Chunks are opened when their time has come; of equal times the first in the file."""
         held: list[tuple[int, int, int, Record]] = []
         for chunk in sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.place)):
-            while held and held[0][0] < chunk.start_ns:
+            start_ns = chunk.start_ns
+            while held and held[0][0] < start_ns:
                 yield heapq.heappop(held)[3]
             records = self._content(chunk)
             if not any(steps_back(times) for times in _by_channel(records).values()):

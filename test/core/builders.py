@@ -192,6 +192,23 @@ def elevation(cells: CellMap, x: Array, y: Array) -> Array:
     return cells.z[leaf] - run / normal[:, 2]
 
 
+def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Array:
+    """Eq. 17: covariance (N, 3, 3) in m^2 of points (N, 3) in map axes.
+
+    With the pose error (dm, dw) about fixed axes, dr = dm + dw x (r - m), and the range error
+    moves the point along its ray u: Sigma_r = J Sigma_pose J^T + sigma^2 u u^T with
+    J = [I, -[r - m]_x].
+    """
+    arm = points_map - pose.position
+    jacobian = np.concatenate(
+        [np.broadcast_to(np.eye(3), (len(arm), 3, 3)), -rotations.skew(arm)], axis=-1
+    )
+    ray = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
+    along = range_noise**2 * ray[:, :, None] * ray[:, None, :]
+    out: Array = jacobian @ pose.covariance @ jacobian.transpose(0, 2, 1) + along
+    return out
+
+
 def unit_vectors(rng: np.random.Generator, count: int) -> Array:
     """Directions (count, 3), uniform on the sphere."""
     v = rng.standard_normal((count, 3))

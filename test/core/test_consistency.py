@@ -11,6 +11,7 @@ from core.builders import (
     disturbed,
     flat,
     make_pose,
+    point_covariances,
     pose_covariance,
     random_covariances,
     scan,
@@ -118,7 +119,7 @@ def test_statistics_are_those_of_equations_17_46_and_61():
     seen = registered(mapper, scan(GROUND, x, y, pose, NOISE, rng), pose)
     cells = mapper.snapshot()
     found = prefit_statistics(cells, seen, LIDAR)
-    sigma = lidar.point_covariances(seen.points + seen.origin, pose, NOISE)
+    sigma = point_covariances(seen.points + seen.origin, pose, NOISE)
     for k, (i, row) in enumerate(zip(found.point, found.row, strict=True)):
         n = cells.normal[row]
         arm = seen.origin + seen.points[i] - (cells.x[row], cells.y[row], cells.z[row])

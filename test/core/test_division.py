@@ -11,6 +11,7 @@ from core.builders import (
     four_leaves,
     make_pose,
     mapped,
+    point_covariances,
     pose_covariance,
     scan,
     scattered,
@@ -22,7 +23,6 @@ from core.builders import (
 from quadtree_lss.core.mapping import division
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.mapping.measure import RUN, Rules
-from quadtree_lss.core.sensing.lidar import point_covariances
 
 MEAN_CHI_1, MEAN_CHI_3 = np.sqrt(2.0 / np.pi), 2.0 * np.sqrt(2.0 / np.pi)
 

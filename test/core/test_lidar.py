@@ -11,9 +11,11 @@ from core.builders import (
     flat,
     lattice,
     make_pose,
+    point_covariances,
     random_covariances,
     scan,
 )
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.core.geometry import morton, rotations
@@ -124,7 +126,8 @@ def test_point_covariance_against_monte_carlo(convention):
     else:
         of_position = 0.04 * random_covariances(rng, 1, 3, 1.0)[0]
         of_attitude = 1e-6 * random_covariances(rng, 1, 3, 1.0)[0]
-        covariance = lidar.fixed_from_body_covariance(of_position, of_attitude, rotation)
+        # Eq. 16 perturbs on the right, R_hat = R exp(dR): about the map's axes the error is R dR.
+        covariance = block_diag(of_position, rotation @ of_attitude @ rotation.T)
         error = np.hstack(
             [
                 rng.multivariate_normal(np.zeros(3), of_position, DRAWS),
@@ -137,25 +140,4 @@ def test_point_covariance_against_monte_carlo(convention):
     samples = (turned @ measured[:, :, None])[:, :, 0] + position + error[:, :3]
     pose = make_pose(tuple(position), covariance, rotation=rotation)
     mean = (rotation @ point + position)[None]
-    assert_covariance(samples, lidar.point_covariances(mean, pose, noise)[0])
-
-
-def test_body_and_fixed_covariance_are_inverse():
-    rng = np.random.default_rng(4)
-    rotation = Rotation.from_euler("xyz", [1.0, 0.3, -0.8]).as_matrix()
-    of_position, of_attitude = random_covariances(rng, 2, 3, 0.1)
-    fixed = lidar.fixed_from_body_covariance(of_position, of_attitude, rotation)
-    body = lidar.body_from_fixed_covariance(fixed, rotation)
-    np.testing.assert_allclose(body[:3, :3], of_position, atol=1e-15)
-    np.testing.assert_allclose(body[3:, 3:], of_attitude, atol=1e-15)
-    np.testing.assert_allclose(body[:3, 3:], 0.0, atol=1e-15)
-
-
-def test_cross_block_turns_with_the_axes():
-    """Sigma_m,body = Sigma_m,fixed R, so that both describe the same joint error."""
-    rng = np.random.default_rng(5)
-    rotation = Rotation.from_euler("xyz", [1.0, 0.3, -0.8]).as_matrix()
-    fixed = random_covariances(rng, 1, 6, 0.1)[0]
-    body = lidar.body_from_fixed_covariance(fixed, rotation)
-    np.testing.assert_allclose(body[:3, 3:], fixed[:3, 3:] @ rotation, atol=1e-15)
-    np.testing.assert_allclose(body[3:, 3:], rotation.T @ fixed[3:, 3:] @ rotation, atol=1e-15)
+    assert_covariance(samples, point_covariances(mean, pose, noise)[0])

@@ -217,4 +217,4 @@ def residuals(
             variance = plane + along * cosine * cosine + pose_variance(n, r, sigma)
             out[0, i] = e
             out[1, i] = sqrt(max(variance, FLOOR))
-            out[2, i] = fabs(e) * mahalanobis_factor(n, r, cosine, sigma, along, plane)
+            out[2, i] = fabs(e) * mahalanobis_factor(r, cosine, sigma, along, plane)

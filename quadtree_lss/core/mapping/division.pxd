@@ -7,7 +7,7 @@ from quadtree_lss.core.mapping.bell cimport feature_height
 from quadtree_lss.core.tree.leaves cimport MEASURED, Leaf, leaf_at
 
 cdef double mean_distance(double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* normal, double* through) noexcept nogil
-cdef double mahalanobis_factor(double* normal, double* mean, double cosine, double[:, ::1] sigma, double along, double plane) noexcept nogil
+cdef double mahalanobis_factor(double* mean, double cosine, double[:, ::1] sigma, double along, double plane) noexcept nogil
 cdef void judge(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* origin, double[:, ::1] sigma) noexcept nogil
 cdef bint asks(Rules rules, Leaf* leaf, Run* run) noexcept nogil
 cdef bint hides_rock(Rules rules, Leaf* leaf, double side) noexcept nogil

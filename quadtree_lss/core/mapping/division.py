@@ -54,7 +54,7 @@ def mean_distance(
 
 
 def mahalanobis_factor(
-    normal: Vector, mean: Vector, cosine: float, sigma: Array, along: float, plane: float
+    mean: Vector, cosine: float, sigma: Array, along: float, plane: float
 ) -> cython.double:
     """d_M / |epsilon| of Eq. 46 for residuals along the ray, 1/m.
 
@@ -66,7 +66,6 @@ def mahalanobis_factor(
     of its trace.
 
     Args:
-        normal: (3) of the plane.
         mean: (3) of the points about the lidar, m.
         cosine: |n.u|.
         sigma: (6, 6) pose covariance.
@@ -144,9 +143,7 @@ def judge(
     along = run.variance / (run.cosine * run.cosine)
     if leaf.known != MEASURED:
         distance = mean_distance(points, begin, end, run.normal, run.centroid)
-        run.statistic = distance * mahalanobis_factor(
-            run.normal, run.centroid, run.cosine, sigma, along, 0.0
-        )
+        run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, 0.0)
         return
     through[0], through[1] = leaf.x - origin[0], leaf.y - origin[1]
     through[2] = leaf.z - origin[2]
@@ -162,9 +159,7 @@ def judge(
         for j in range(3):
             total = leaf.range_part[3 * i + j] + leaf.pose_part[3 * i + j]
             plane += row[i] * total * row[j]
-    run.statistic = distance * mahalanobis_factor(
-        leaf.normal, run.centroid, run.cosine, sigma, along, plane
-    )
+    run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, plane)
 
 
 def asks(rules: Rules, leaf: Record, run: Record) -> cython.bint:
@@ -245,7 +240,6 @@ def factor_of(
     normal: ArrayLike, mean: ArrayLike, sigma: Array, along: float, plane: float
 ) -> cython.double:
     """`mahalanobis_factor` of a plane (3,) seen at ``mean`` (3,) from the lidar, 1/m."""
-    n: cython.double[3] = normal  # type: ignore[valid-type]
     r: cython.double[3] = mean  # type: ignore[valid-type]
     cosine = fabs(np.dot(normal, mean)) / sqrt(np.dot(mean, mean))
-    return mahalanobis_factor(n, r, cosine, sigma, along, plane)
+    return mahalanobis_factor(r, cosine, sigma, along, plane)

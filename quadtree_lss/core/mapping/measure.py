@@ -114,7 +114,7 @@ def range_variance(
 
 
 def pose_variance(normal: Vector, arm: Vector, sigma: Array) -> cython.double:
-    """Variance that pose error gives n.r at a point ``arm`` (3) from the lidar, m^2."""
+    """Variance that pose error gives n.r at a point ``arm`` (3) from the lidar, m^2 (Eq. 17)."""
     row = cython.declare(cython.double[6])
     i: cython.int
     j: cython.int

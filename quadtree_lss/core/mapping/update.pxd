@@ -20,7 +20,6 @@ cdef class ScanUpdate:
     cdef Run[::1] runs
     cdef Py_ssize_t[::1] rows
     cdef Py_ssize_t[::1] begins
-    cdef readonly object touched
     cdef readonly object fits
     cdef readonly object ratio
     cdef double[::1] ratios

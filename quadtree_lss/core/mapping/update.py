@@ -46,7 +46,7 @@ class ScanUpdate:
 
     Attributes:
         cells: Leaves that the scan touches.
-        touched: (cells,) their rows; fits: (cells,) records of type `RUN`.
+        fits: (cells,) records of type `RUN`.
         divisions, refused: Cells divided, and divisions for which there was no room.
         ratio: (2, R) of the cells in which points came to rest and that tell the range noise:
             observed over configured deviation, and points.
@@ -85,7 +85,6 @@ class ScanUpdate:
                 cells += 1
         self.begins[cells] = count
         self.cells = cells
-        self.touched = rows[:cells]
         self.fits = np.empty(cells + self.table.max_level + 1, dtype=RUN).view(np.recarray)
         self.runs = self.fits
 

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadtree_lss.core.geometry.rotations import skew
-
 Array = NDArray[np.float64]
 
 #: Variances (m^2, rad^2) above this say no more than this: nothing is known.
@@ -27,7 +25,8 @@ class Pose:
         stamp_ns: Time in integer nanoseconds.
         position: (3,) lidar origin in the map frame, m.
         rotation_map_lidar: (3, 3) takes lidar axes to map axes.
-        covariance: (6, 6) of (x, y, z, rotation about the map's fixed X, Y, Z), m and rad,
+        covariance: (6, 6) of (x, y, z, rotation about the map's fixed X, Y, Z), where Eq. 16
+            perturbs about the lidar's axes: Sigma_R = R^T Sigma_fixed R; m and rad,
             as in ``geometry_msgs/PoseWithCovariance``.
     """
 
@@ -103,50 +102,9 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
     )
 
 
-def fixed_from_body_covariance(
-    sigma_position: Array, sigma_rotation: Array, rotation: Array
-) -> Array:
-    """Fixed-axis 6x6 covariance of a pose perturbed as in Eq. 16.
-
-    Eq. 16 perturbs on the right, in lidar axes: R_hat = R exp(dR). About the map's axes the same
-    error is R dR, so Sigma_fixed = R Sigma_R R^T.
-
-    Args:
-        sigma_position: (3, 3) position covariance, map axes, m^2.
-        sigma_rotation: (3, 3) covariance of dR in lidar axes, rad^2.
-        rotation: (3, 3) rotation_map_lidar.
-    """
-    out = np.zeros((6, 6))
-    out[:3, :3] = sigma_position
-    out[3:, 3:] = rotation @ sigma_rotation @ rotation.T
-    return out
-
-
-def body_from_fixed_covariance(covariance: Array, rotation: Array) -> Array:
-    """Inverse of the above with the cross block: Sigma_R = R^T Sigma_fixed R, Sigma_m,fixed R."""
-    t = np.eye(6)
-    t[3:, 3:] = rotation.T
-    return t @ covariance @ t.T
-
-
 def sound_covariance(covariance: Array) -> Array:
     """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.clip(values, 0.0, MAX_VARIANCE))
+    root = vectors * np.sqrt(np.minimum(np.maximum(values, 0.0), MAX_VARIANCE))
     out: Array = root @ root.T
-    return out
-
-
-def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Array:
-    """Eq. 17: covariance (N, 3, 3) in m^2 of points (N, 3) in map axes.
-
-    With the pose error (dm, dw) about fixed axes, dr = dm + dw x (r - m), and the range error
-    moves the point along its ray u: Sigma_r = J Sigma_pose J^T + sigma^2 u u^T with
-    J = [I, -[r - m]_x].
-    """
-    arm = points_map - pose.position
-    jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(arm), 3, 3)), -skew(arm)], axis=-1)
-    ray = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
-    along = range_noise**2 * ray[:, :, None] * ray[:, None, :]
-    out: Array = jacobian @ pose.covariance @ jacobian.transpose(0, 2, 1) + along
     return out
