@@ -27,6 +27,12 @@ class Ground(NamedTuple):
     deviation: Array
     """Standard deviation of the height by the plane's covariance, m."""
 
+    def __repr__(self) -> str:
+        if np.ndim(self.height):
+            return f"<Ground at {np.size(self.height)} places>"
+        height = f"{self.height:.3f} ± {self.deviation:.3f} m"
+        return f"<Ground: height {height}, slope {self.slope_deg:.1f} deg>"
+
 
 class Profile(NamedTuple):
     """The ground along a line: arrays (K,)."""
