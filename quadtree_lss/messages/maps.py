@@ -292,30 +292,32 @@ def encode_observed(observed: NDArray[np.bool_]) -> NDArray[np.int8]:
     return np.where(observed, np.int8(100), np.int8(-1))
 
 
+_HAZARD_VALUES = np.array([0, *[100] * 0x7F, -1, *[100] * 0x7F], dtype=np.int8)
+"""Of ``landing/hazards`` by the bits of a grid point; 0x80 alone is unseen ground."""
+
+
 def encode_hazards(assessment: LandingAssessment) -> NDArray[np.int8]:
     """OccupancyGrid values of ``landing/hazards``: 0, 100 hazard, -1 unknown; (ny, nx)."""
-    identified = (assessment.hazard & 0x7F) > 0
-    unseen = (assessment.hazard & 0x80) > 0
-    return np.where(identified, 100, np.where(unseen, -1, 0)).astype(np.int8)
+    return _HAZARD_VALUES[assessment.hazard]
 
 
 def encode_score(assessment: LandingAssessment) -> NDArray[np.int8]:
     """OccupancyGrid values of ``landing/score``: best 0 to worst 99, 100 excluded; (ny, nx)."""
-    score = assessment.score
-    allowed = np.isfinite(score)
-    out = np.full(score.shape, 100, dtype=np.int8)
-    if allowed.any():
-        low, high = float(score[allowed].min()), float(score[allowed].max())
+    allowed = np.isfinite(assessment.score)
+    score = assessment.score[allowed]
+    out = np.full(allowed.shape, 100, dtype=np.int8)
+    if score.size:
+        low, high = float(score.min()), float(score.max())
         span = max(high - low, 1e-12)
-        out[allowed] = np.rint(99.0 * (score[allowed] - low) / span).astype(np.int8)
+        out[allowed] = np.rint(99.0 * (score - low) / span).astype(np.int8)
     return out
 
 
 def encode_probability(assessment: LandingAssessment) -> NDArray[np.int8]:
     """OccupancyGrid values of ``landing/probability``: per cent, rounded down; -1 if unknown."""
-    share = np.nan_to_num(known_probability(assessment), nan=-1.0)
-    values = np.where(share < 0.0, -1.0, np.floor(100.0 * np.minimum(share, 1.0) + 1e-9))
-    return values.astype(np.int8)
+    share = known_probability(assessment)
+    percent = np.floor(100.0 * np.minimum(share, 1.0) + 1e-9)
+    return np.where(share >= 0.0, percent, -1.0).astype(np.int8)
 
 
 def known_probability(assessment: LandingAssessment) -> Array:

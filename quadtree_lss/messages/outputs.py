@@ -148,6 +148,7 @@ class MessageMaker:
         frame: str,
     ) -> None:
         self._types, self._pack, self._frame = types, pack, frame
+        self._layouts: dict[Fields, list[Any]] = {}
 
     def of_map(self, cells: CellMap) -> Iterator[Named]:
         """``map/cells`` and ``map/observed``."""
@@ -159,8 +160,12 @@ class MessageMaker:
     def of_landing(
         self, assessment: LandingAssessment, age: float = float("nan")
     ) -> Iterator[Named]:
-        """The ``landing/`` topics, target first; grid points are the centres of their cells."""
+        """The ``landing/`` topics, target first."""
         yield from self.of_target(assessment, age)
+        yield from self.of_ground(assessment)
+
+    def of_ground(self, assessment: LandingAssessment) -> Iterator[Named]:
+        """Grids and sites; grid points are the centres of their cells."""
         stamp, x, y = assessment.stamp_ns, assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
         corner = (float(x[0]) - 0.5 * spacing, float(y[0]) - 0.5 * spacing)
@@ -224,16 +229,11 @@ class MessageMaker:
             header=self._header(stamp),
             height=1,
             width=len(records),
-            fields=[
-                self._make(
-                    "sensor_msgs/msg/PointField", name=name, offset=at, datatype=kind, count=1
-                )
-                for name, at, kind in point_layout(fields)
-            ],
+            fields=self._point_fields(fields),
             is_bigendian=False,
             point_step=size,
             row_step=size * len(records),
-            data=self._pack(np.frombuffer(records.tobytes(), dtype=np.uint8)),
+            data=self._pack(np.ascontiguousarray(records).view(np.uint8)),
             is_dense=False,
         )
 
@@ -277,6 +277,17 @@ class MessageMaker:
             covariance=target.covariance.ravel(),
         )
         return self._make(SELECTED_TYPE, header=self._header(assessment.stamp_ns), pose=pose)
+
+    def _point_fields(self, fields: Fields) -> list[Any]:
+        """The same list in every cloud of these fields: making one takes longer than its bytes."""
+        if fields not in self._layouts:
+            self._layouts[fields] = [
+                self._make(
+                    "sensor_msgs/msg/PointField", name=name, offset=at, datatype=kind, count=1
+                )
+                for name, at, kind in point_layout(fields)
+            ]
+        return self._layouts[fields]
 
     def _make(self, kind: str, /, **values: Any) -> Any:
         return self._types[kind](**values)

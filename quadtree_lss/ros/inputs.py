@@ -30,15 +30,18 @@ class WhenWanted(CallbackGroup):
 
     A scan takes along what arrived before it, so only one that waits needs the next pose at once;
     each wake-up costs as much as taking several messages.
+
+    Attributes:
+        wanted: True while they are.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:
         super().__init__()
-        self._wanted = wanted
+        self.wanted = wanted
 
     def can_execute(self, entity: Any) -> bool:
         """Asked by the executor before it waits and after it woke."""
-        return self._wanted()
+        return self.wanted()
 
     def beginning_execution(self, entity: Any) -> bool:
         """Nothing to keep account of in a single thread."""

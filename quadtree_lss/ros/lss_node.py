@@ -163,8 +163,7 @@ class LssNode(Node):
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
         self._target.send(result, self._map.frame)
         for topic, message in landing_messages(result, self._map.frame).items():
-            if topic in self._landing:
-                self._landing[topic].publish(message)
+            self._landing[topic].publish(message)
         self._result = result
         if result.pending:
             self._ask()

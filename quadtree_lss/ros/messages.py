@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from array import array
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
     Point,
@@ -75,6 +77,7 @@ else:
     TYPES |= {"grid_map_msgs/msg/GridMap": GridMap, "grid_map_msgs/msg/GridMapInfo": GridMapInfo}
 
 
+@lru_cache(4)
 def message_maker(frame: str) -> MessageMaker:
     """Builder of the output messages in a frame."""
     return MessageMaker(TYPES, packed, frame)
@@ -86,17 +89,14 @@ def map_messages(cells: CellMap, frame: str) -> tuple[PointCloud2, OccupancyGrid
     return cloud, grid
 
 
-def landing_messages(
-    assessment: LandingAssessment, frame: str, age: float = float("nan")
-) -> dict[str, Any]:
-    """The ``landing/`` topics by relative name, in the order in which they are sent.
+def landing_messages(assessment: LandingAssessment, frame: str) -> dict[str, Any]:
+    """The ``landing/`` topics other than the target's by relative name, as they are sent.
 
     Args:
         assessment: What they tell.
         frame: Of the map.
-        age: Of the map, s; NaN if unknown.
     """
-    return dict(message_maker(frame).of_landing(assessment, age))
+    return dict(message_maker(frame).of_ground(assessment))
 
 
 def grid_map_message(assessment: LandingAssessment, frame: str) -> Any:
@@ -105,7 +105,7 @@ def grid_map_message(assessment: LandingAssessment, frame: str) -> Any:
 
 
 def target_messages(assessment: LandingAssessment, frame: str, age: float) -> dict[str, Any]:
-    """Those of them that tell of the target."""
+    """``landing/selected`` and ``landing/status``."""
     return dict(message_maker(frame).of_target(assessment, age))
 
 
@@ -122,4 +122,6 @@ def header_message(stamp: int, frame: str) -> Header:
 
 def packed(values: NDArray[Any]) -> array[int]:
     """What rclpy takes unlooked for an array of bytes."""
-    return array(values.dtype.char, values.tobytes())
+    result = array(values.dtype.char)
+    result.frombytes(values.view(np.uint8).data)
+    return result

@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -21,6 +21,7 @@ from rclpy.utilities import remove_ros_args
 from quadtree_lss.config.settings import ConfigError, parameters
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.ros.entry import stop_on_signal
+from quadtree_lss.ros.executor import OneNodeExecutor
 
 ARGUMENT_ERRORS = (
     rclpy_implementation.RCLInvalidROSArgsError,
@@ -82,7 +83,7 @@ def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | N
 
 
 def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
-    executor: SingleThreadedExecutor | None = None
+    executor: OneNodeExecutor | None = None
     node: Node | None = None
     stop = stop_on_signal()
     if stop.asked:
@@ -93,7 +94,7 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
         return _wrong_arguments(error)
     try:
         node = _made(make_node)
-        executor = SingleThreadedExecutor()
+        executor = OneNodeExecutor()
         executor.add_node(node)
         with contextlib.suppress(ExternalShutdownException), stop.breaking():
             while rclpy.ok() and not stop.asked:

@@ -38,6 +38,11 @@ LOCAL_PROFILE = """\
       </userTransports>
       <useBuiltinTransports>false</useBuiltinTransports>
       <builtin>
+        <discovery_config>
+          <leaseAnnouncement>
+            <nanosec>200000000</nanosec>
+          </leaseAnnouncement>
+        </discovery_config>
         <metatrafficUnicastLocatorList>
           <locator/>
         </metatrafficUnicastLocatorList>

@@ -33,9 +33,10 @@ SMALL = {
         ["target, for a better one", "the best to be had"],
     ),
     "live": (["--seconds", "3"], ["scans sent", "mapping_node", "lss_node"]),
+    "start": (["--starts", "1"], ["first scan mapped", "memory"]),
     "soak": (["--minutes", "0.1"], ["By the minute", "mapping_node", "lss_node"]),
 }
-NEED_ROS = {"live", "soak"}
+NEED_ROS = {"live", "soak", "start"}
 
 
 def test_every_script_is_tried():

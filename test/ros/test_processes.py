@@ -7,9 +7,14 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from contextlib import ExitStack
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from std_msgs.msg import Int32
 
 from quadtree_lss.ros import processes
 from quadtree_lss.ros.processes import ProcessError, local_domain
@@ -27,6 +32,15 @@ processes.DOMAINS = {SPARE}
 with processes.local_domain(Path(sys.argv[1])) as domain:
     print(domain.number, flush=True)
     sys.stdin.read()
+"""
+
+THERE = """\
+import sys
+import rclpy
+from std_msgs.msg import Int32
+rclpy.init()
+publisher = rclpy.create_node("there").create_publisher(Int32, "numbers", 1)
+sys.stdin.read()
 """
 
 
@@ -68,3 +82,24 @@ def test_environment_of_a_domain_ends_with_it(tmp_path, monkeypatch):
         assert os.environ["ROS_DOMAIN_ID"] == domain.env["ROS_DOMAIN_ID"] == str(domain.number)
         assert os.environ["ROS_LOG_DIR"] == str(tmp_path)
     assert os.environ["ROS_DOMAIN_ID"] == "3" and "ROS_LOG_DIR" not in os.environ
+
+
+def test_who_joins_late_hears_those_who_are_there_at_once(tmp_path):
+    """Answers to whoever joins may be lost; who is there says again that it is."""
+    with ExitStack() as stack:
+        domain = stack.enter_context(local_domain(tmp_path))
+        there = stack.enter_context(
+            subprocess.Popen([sys.executable, "-c", THERE], stdin=subprocess.PIPE, env=domain.env)
+        )
+        for name in (f"late_{k}" for k in range(12)):
+            context = Context()
+            rclpy.init(context=context, domain_id=domain.number)
+            node, start = Node(name, context=context), time.monotonic()
+            limit = 1.2 if name != "late_0" else 15.0  # the other has to start
+            subscription = node.create_subscription(Int32, "numbers", print, 1)
+            while not subscription.get_publisher_count():
+                assert time.monotonic() < start + limit
+                time.sleep(0.01)
+            node.destroy_node()
+            context.try_shutdown()
+        there.stdin.close()

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes' executor: everything of a node is served, and nothing wakes it for nothing."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from std_msgs.msg import Int32
+from std_srvs.srv import Trigger
+
+from quadtree_lss.ros.executor import OneNodeExecutor
+from quadtree_lss.ros.inputs import WhenWanted
+from quadtree_lss.ros.processes import local_domain
+from quadtree_lss.ros.qos import stream, subscribe
+
+pytestmark = pytest.mark.xdist_group("ros_executor")
+
+
+@pytest.fixture
+def node(tmp_path):
+    with local_domain(tmp_path) as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain.number)
+        yield Node("served", context=context)
+        context.try_shutdown()
+
+
+@pytest.fixture
+def executor(node):
+    result = OneNodeExecutor(context=node.context)
+    result.add_node(node)
+    yield result
+    result.shutdown()
+
+
+def agree(request, answer):
+    answer.success = True
+    return answer
+
+
+def spin(executor, until, limit=10.0):
+    end = time.monotonic() + limit
+    while not until():
+        assert time.monotonic() < end
+        executor.spin_once(0.1)
+
+
+def test_messages_timers_events_services_and_answers_are_served(node, executor):
+    heard, ticks, matches = [], [], []
+    subscribe(node, Int32, "numbers", heard.append, stream(9, reliable=True), matches.append)
+    sender = node.create_publisher(Int32, "numbers", stream(9, reliable=True))
+    timer = node.create_timer(0.01, lambda: ticks.append(1))
+    node.create_service(Trigger, "ask", agree)
+    spin(executor, lambda: matches == [1])
+    for number in range(5):
+        sender.publish(Int32(data=number))
+    spin(executor, lambda: len(heard) == 5 and len(ticks) > 3)
+    assert [message.data for message in heard] == list(range(5))
+    client = node.create_client(Trigger, "ask")
+    spin(executor, client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    spin(executor, future.done)
+    assert future.result().success
+    node.destroy_timer(timer)
+    count = len(ticks)
+    end = time.monotonic() + 0.1
+    spin(executor, lambda: time.monotonic() > end)
+    assert len(ticks) == count
+
+
+def test_a_timer_that_another_callback_cancels_or_destroys_is_not_called(node, executor):
+    called = []
+
+    def end_others():
+        called.append("first")
+        first.cancel()
+        cancelled.cancel()
+        node.destroy_timer(destroyed)
+
+    first = node.create_timer(0.05, end_others)
+    cancelled = node.create_timer(0.05, lambda: called.append("cancelled"))
+    destroyed = node.create_timer(0.05, lambda: called.append("destroyed"))
+    executor.spin_once(0.0)
+    time.sleep(0.1)  # all three are due
+    for _ in range(5):
+        executor.spin_once(0.01)
+    assert called == ["first"]
+
+
+def test_what_is_not_wanted_neither_wakes_the_node_nor_is_served(node, executor):
+    heard, wanted = [], []
+    group = WhenWanted(lambda: bool(wanted))
+    subscribe(node, Int32, "ahead", heard.append, stream(9, reliable=True), group=group)
+    sender = node.create_publisher(Int32, "ahead", stream(9, reliable=True))
+    spin(executor, sender.get_subscription_count)
+    sender.publish(Int32(data=1))
+    for _ in range(20):  # whatever the middleware still has to say
+        executor.spin_once(0.05)
+    start = time.monotonic()
+    executor.spin_once(0.3)
+    assert time.monotonic() - start > 0.25 and not heard
+    wanted.append(True)
+    spin(executor, lambda: heard)
+
+
+def test_after_a_callback_the_node_sleeps(node, executor):
+    """rclpy's own executor wakes once more after each callback, and looks through the node."""
+    ticks = []
+    timer = node.create_timer(0.05, lambda: (ticks.append(1), timer.cancel()))
+    spin(executor, lambda: ticks)
+    start = time.monotonic()
+    executor.spin_once(0.3)
+    assert time.monotonic() - start > 0.25
+
+
+def test_errors_of_callbacks_and_a_shut_down_context_reach_the_caller(node, executor):
+    def fail():
+        raise ValueError("broken")
+
+    timer = node.create_timer(0.01, fail)
+    with pytest.raises(ValueError, match="broken"):
+        spin(executor, lambda: False)
+    node.destroy_timer(timer)
+
+    async def waits():
+        await rclpy.task.Future()
+
+    timer = node.create_timer(0.01, waits)
+    with pytest.raises(RuntimeError, match="waits"):
+        spin(executor, lambda: False)
+    node.destroy_timer(timer)
+    node.create_timer(0.01, node.context.try_shutdown)
+    with pytest.raises(ExternalShutdownException):
+        spin(executor, lambda: False)
