@@ -246,3 +246,16 @@ def test_the_shipped_model_grows_with_what_is_over_the_limits():
     for values in (model.rise_odds, model.slope_odds):
         assert (np.diff(values) >= 0.0).all()
     assert model.provenance
+
+
+def test_where_the_probability_is_the_same_the_score_decides():
+    """In the middle of bare ground no place is more probable: the first is far from the rock."""
+    config = configured(domain={"size": 32.0})
+    cells = mapped(config, block, density=60.0).snapshot()
+    near = {"dispersion": 0.1, "hazard_distance_cap": 12.0}
+    found = probable(**near).assess(cells)
+    first = found.sites.position[0, :2]
+    best = found.probability == found.probability[found.safe].max()
+    assert best.sum() > 100
+    row, column = divmod(int(np.argmin(np.where(best, found.score, np.inf))), len(found.x))
+    np.testing.assert_allclose(first, (found.x[column], found.y[row]))

@@ -48,6 +48,9 @@ Bits = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
+#: The most that the score weighs against a probability: it decides where these are the same.
+TIE = 1e-5
+
 __all__ = ["LandingAssessment", "LandingSiteSelector", "Selected", "Sites"]
 
 
@@ -126,7 +129,7 @@ class LandingSiteSelector:
         probability = 1.0 - at.linear(judged.aimed)
         score = np.where(safe, at.nearest(points.score), np.nan)
         # What sites are ranked by: the less the better.
-        cost = np.where(safe, 1.0 - probability, np.nan) if judged.ranks else score
+        cost = 1.0 - probability + TIE * score / (1.0 + score) if judged.ranks else score
         unknown = wanted.apply(cost, x, y, lss)
         score[np.isnan(cost)] = np.nan
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
