@@ -98,7 +98,9 @@ class RiskTable:
         self._level = -np.logaddexp(0.0, np.interp(slope, model.slope, model.slope_odds))
         self._within = np.array([model.own[0], model.own[-1]])
         own, about = _steps(model.own, FINE_ODDS), _steps((0.0, *model.about[1:]), FINE_ODDS)
-        odds = _shares(own, model.own) @ np.array(model.odds) @ _shares(about, model.about).T
+        # Not by BLAS: its threads go on waiting for more, and take a core for as long.
+        at_own = np.einsum("ni,ij->nj", _shares(own, model.own), np.array(model.odds))
+        odds = np.einsum("nj,mj->nm", at_own, _shares(about, model.about))
         self._risk = 1.0 / (1.0 + np.exp(-odds))
 
     def risk(self, worst: WorstRest, judged: Mask) -> Array:
