@@ -475,7 +475,10 @@ class Lander:
         first: cython.Py_ssize_t,
         last: cython.Py_ssize_t,
     ) -> None:
-        """Set the lander at a grid point over some of the cells that may be in its way."""
+        """Set the lander at a grid point over some of the cells that may be in its way.
+
+        Until one rises over the limit: by how much, nobody asks.
+        """
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
@@ -489,6 +492,8 @@ class Lander:
                 if 0 <= i < 2 * self.reach and -self.half[i] <= j < self.half[i]:
                     if self.rise_at(k, (j + 0.5) * self.side, (i - self.reach + 0.5) * self.side):
                         above = floor + self.worst_rise
+                        if self.worst_rise > self.high_rise:
+                            return
 
     def rise_at(self, k: cython.Py_ssize_t, east: cython.float, north: cython.float) -> cython.bint:
         """Whether a cell of the list, at a place from the grid point, rises higher than others."""
