@@ -89,7 +89,8 @@ def test_the_folder_holds_the_files_and_nothing_else(result):
     names = {p.name for p in result.out.iterdir()}
     assert names == FILES | {"report.html", "figures"}
     figures = {p.name for p in (result.out / "figures").iterdir()}
-    assert figures == {"elevation.png", "slope.png", "hazards.png", "score.png", "timing.png"}
+    layers = ("elevation", "slope", "hazards", "score", "probability", "timing")
+    assert figures == {f"{name}.png" for name in layers}
 
 
 def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
@@ -143,7 +144,9 @@ def test_tables_hold_the_contract(result):
     assert ",".join(header) == names
     assert [int(row[0]) for row in rows] == list(range(1, len(rows) + 1))
     safe = [float(row[13]) for row in rows]
-    assert safe == sorted(safe, reverse=True) and 0.5 < safe[-1] <= safe[0] <= 1.0
+    # Of equally probable sites the score decides.
+    assert max(b - a for a, b in zip(safe, safe[1:], strict=False)) < 1e-5
+    assert 0.5 < min(safe) and max(safe) <= 1.0
     header, rows = columns(result.out / "selected.csv")
     assert ",".join(header) == "stamp_ns,id,x,y,z,reason"
     assert [row[-1] for row in rows] == ["first"] and rows[0][1] != "0"
