@@ -75,7 +75,7 @@ class FlightSettings:
         half: Half side of the candidate area about the planned point, m.
         slant_range, speed: At the start, on a glide slope of ``glide_slope_deg``.
         scatter: 1 sigma of the start's place, m; the speed's is a twentieth of it, m/s.
-        config: Parameters by dotted key, over ``config/morpheus.yaml``.
+        config: Parameters by dotted key, over ``config/flight.yaml``.
         vehicle, rules, plan: See there.
         faults: What goes wrong.
         answer_delay: From a pass's begin to its answer at the guidance in lock-step, s.
