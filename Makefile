@@ -161,7 +161,7 @@ $(CHECKED)/.package: $(PACKAGE)
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy quadtree_lss/core quadtree_lss/simulation/march.py quadtree_lss/simulation/contact.py
+	$(BIN)/mypy quadtree_lss/core quadtree_lss/simulation/march.py quadtree_lss/simulation/contact.py quadtree_lss/simulation/rocks.py
 
 bench: setup
 	@for script in $$(ls benchmark/*.py | grep -v soak.py); do \

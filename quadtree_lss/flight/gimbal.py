@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, radians, sqrt
 
 import numpy as np
 
-from quadtree_lss.flight.lander import FloatArray
+from quadtree_lss.flight.lander import FloatArray, turned
 
 
 def axes(boresight: FloatArray) -> FloatArray:
@@ -76,7 +77,7 @@ class Gimbal:
         self.boresight = np.array([0.0, 0.0, -1.0])
         self.passes = 0
         self._corners = np.zeros((0, 3))
-        self._arc = np.zeros(0)
+        self._arc: list[float] = []
         self._began = self._ends = -np.inf
 
     def step(
@@ -98,17 +99,15 @@ class Gimbal:
         if now >= self._ends:
             self._begin(now, position, velocity, target if self.passes else None)
             self.passes += 1
-        share = (now - self._began) / (self._ends - self._began)
-        at = [np.interp(share * self._arc[-1], self._arc, axis) for axis in self._corners.T]
-        wanted = np.array(at) - position
-        wanted /= np.linalg.norm(wanted)
+        way = (now - self._began) / (self._ends - self._began) * self._arc[-1]
+        leg = min(bisect_right(self._arc, way), len(self._arc) - 1)
+        share = (way - self._arc[leg - 1]) / (self._arc[leg] - self._arc[leg - 1])
+        before, after = self._corners[leg - 1], self._corners[leg]
+        wanted = before + min(share, 1.0) * (after - before) - position
+        wanted /= sqrt(float(wanted @ wanted))
         if self.passes == 1 and now == self._began:
             self.boresight = wanted
-        angle = float(np.arccos(np.clip(wanted @ self.boresight, -1.0, 1.0)))
-        most = np.radians(self.plan.rate_deg) * dt
-        if angle > most:
-            wanted = np.sin(angle - most) * self.boresight + np.sin(most) * wanted
-        self.boresight = wanted / np.linalg.norm(wanted)
+        self.boresight = turned(self.boresight, wanted, radians(self.plan.rate_deg) * dt)
 
     def rotation(self) -> FloatArray:
         """Takes lidar axes to the map's, (3, 3)."""
@@ -149,5 +148,5 @@ class Gimbal:
                 corners.append([*(centre[:2] + row * along + s * left), centre[2]])
         self._corners = np.array(corners)
         steps = np.linalg.norm(np.diff(self._corners, axis=0), axis=1)
-        self._arc = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 1e-6))])
+        self._arc = [0.0, *np.cumsum(np.maximum(steps, 1e-6)).tolist()]
         self._began, self._ends = now, now + seconds

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.flight.lander import FloatArray
 from quadtree_lss.flight.settings import FlightSettings
 from quadtree_lss.simulation import safety
-from quadtree_lss.simulation.hazard_field import HazardField, hazard_field
+from quadtree_lss.simulation.hazard_field import HazardField, hazard_field, strewn
 from quadtree_lss.simulation.terrain import Terrain, load_terrain
 
 GRID = 0.25
@@ -42,9 +42,12 @@ class Ground:
         """
         if settings.terrain:
             terrain = load_terrain(settings.terrain)
+            if settings.rock_abundance:
+                terrain = strewn(generator, terrain, settings.rock_abundance)
+        elif settings.rock_abundance is None:
+            terrain = hazard_field(generator)
         else:
-            field = HazardField(rock_abundance=settings.rock_abundance)
-            terrain = hazard_field(generator, field)
+            terrain = hazard_field(generator, HazardField(rock_abundance=settings.rock_abundance))
         xmin, xmax, ymin, ymax = terrain.bounds
         x, y = GRID * round(0.5 * (xmin + xmax) / GRID), GRID * round(0.5 * (ymin + ymax) / GRID)
         room = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from math import acos, cos, degrees, hypot, radians, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +84,7 @@ class Lander:
     @property
     def tilt_deg(self) -> float:
         """Of the vehicle's axis from the vertical."""
-        return float(np.degrees(np.arccos(np.clip(self.direction[2], -1.0, 1.0))))
+        return degrees(acos(min(max(float(self.direction[2]), -1.0), 1.0)))
 
     def command(self, thrust: FloatArray) -> None:
         """Ask for a thrust (3,), map frame, N; it has an effect after the delay."""
@@ -105,25 +106,29 @@ class Lander:
 
     def _actuate(self, dt: float) -> None:
         v = self.vehicle
-        size = float(np.linalg.norm(self._command))
+        size = sqrt(float(self._command @ self._command))
         wanted = self._command / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
         wanted = within_tilt(wanted, v.tilt_max_deg)
-        angle = float(np.arccos(np.clip(wanted @ self.direction, -1.0, 1.0)))
-        step = np.radians(v.tilt_rate_deg) * dt
-        if angle > step:
-            wanted = np.sin(angle - step) * self.direction + np.sin(step) * wanted
-        self.direction = wanted / np.linalg.norm(wanted)
-        change = np.clip(size - self.thrust, -v.thrust_rate * dt, v.thrust_rate * dt)
-        self.thrust = float(np.clip(self.thrust + change, v.thrust_min, v.thrust_max))
+        self.direction = turned(self.direction, wanted, radians(v.tilt_rate_deg) * dt)
+        change = min(max(size - self.thrust, -v.thrust_rate * dt), v.thrust_rate * dt)
+        self.thrust = min(max(self.thrust + change, v.thrust_min), v.thrust_max)
+
+
+def turned(old: FloatArray, new: FloatArray, most: float) -> FloatArray:
+    """A unit vector (3,) turned from ``old`` toward ``new``, by ``most`` rad at most."""
+    angle = acos(min(max(float(new @ old), -1.0), 1.0))
+    if angle > most:
+        new = sin(angle - most) * old + sin(most) * new
+    return new / sqrt(float(new @ new))
 
 
 def within_tilt(direction: FloatArray, limit_deg: float) -> FloatArray:
     """A unit vector (3,) no farther from the vertical than the limit, in the same heading."""
-    limit = np.radians(limit_deg)
-    if direction[2] >= np.cos(limit):
+    limit = radians(limit_deg)
+    if direction[2] >= cos(limit):
         return direction
-    across = float(np.hypot(direction[0], direction[1]))
+    across = hypot(direction[0], direction[1])
     if across < 1e-12:
         return np.array([0.0, 0.0, 1.0])
-    side = np.sin(limit) / across
-    return np.array([side * direction[0], side * direction[1], np.cos(limit)])
+    side = sin(limit) / across
+    return np.array([side * direction[0], side * direction[1], cos(limit)])

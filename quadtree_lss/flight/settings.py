@@ -70,7 +70,8 @@ class FlightSettings:
     Attributes:
         avoidance: One of `AVOIDANCE`.
         terrain: ``.npz`` as of ``simulate --terrain``; empty for a field of rocks and craters.
-        rock_abundance: Of that field.
+        rock_abundance: Share of the ground that rocks cover; None for 0.05 on that field, and none
+            on a terrain, over 100 m of which they are strewn otherwise.
         range_noise, outliers, dropouts: Of the lidar.
         half: Half side of the candidate area about the planned point, m.
         slant_range, speed: At the start, on a glide slope of ``glide_slope_deg``.
@@ -84,7 +85,7 @@ class FlightSettings:
 
     avoidance: str = "package"
     terrain: str = ""
-    rock_abundance: float = 0.05
+    rock_abundance: float | None = None
     range_noise: float = 0.06
     outliers: float = 0.0
     dropouts: float = 0.0

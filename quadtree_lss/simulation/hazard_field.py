@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from quadtree_lss.simulation.rocks import lay
 from quadtree_lss.simulation.terrain import FloatArray, SimulationError, Terrain
 
 
@@ -151,16 +152,26 @@ def _add_craters(
         ground[rows, columns] += depth * (0.15 * rim - 1.0 * bowl)
 
 
-def _rock(
-    axis: FloatArray, cx: float, cy: float, diameter: float, height: float, axes: float, yaw: float
-) -> tuple[slice, slice, FloatArray]:
-    """Posts under an ellipsoidal rock and its height over the ground there; plan area π D²/4."""
-    long, short = 0.5 * diameter / np.sqrt(axes), 0.5 * diameter * np.sqrt(axes)
-    rows, columns = _patch(axis, cx, cy, long)
-    dx, dy = axis[None, columns] - cx, axis[rows, None] - cy
-    along = (np.cos(yaw) * dx + np.sin(yaw) * dy) / long
-    across = (np.cos(yaw) * dy - np.sin(yaw) * dx) / short
-    return rows, columns, height * np.sqrt(np.maximum(1.0 - along**2 - across**2, 0.0))
+def _lay(
+    axis: FloatArray,
+    rocks: FloatArray,
+    centres: FloatArray,
+    sizes: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    *,
+    heaped: bool,
+) -> None:
+    """Ellipsoids about ``centres`` (K, 2): diameters, heights, axes and headings, (K,) each.
+
+    Their plan area is π D²/4.
+    """
+    diameters, heights, axes, yaws = sizes
+    long, short = 0.5 * diameters / np.sqrt(axes), 0.5 * diameters * np.sqrt(axes)
+    reach = long[:, None]
+    ends = np.hstack([centres[:, 1:] - reach, centres[:, 1:] + reach])
+    ends = np.hstack([ends, centres[:, :1] - reach, centres[:, :1] + reach])
+    posts = np.searchsorted(axis, ends).astype(np.intp)
+    stones = np.column_stack([centres, heights, long, short, np.cos(yaws), np.sin(yaws)])
+    lay(rocks, axis, posts, stones, heaped)
 
 
 def _add_rocks(
@@ -175,27 +186,22 @@ def _add_rocks(
     heights = diameters * generator.uniform(*field.rock_height, count)
     axes = generator.uniform(*field.rock_axes, count)
     yaws = generator.uniform(0.0, np.pi, count)
-    for k in range(count):
-        cx, cy = centres[k]
-        rows, columns, rise = _rock(axis, cx, cy, diameters[k], heights[k], axes[k], yaws[k])
-        np.maximum(rocks[rows, columns], rise, out=rocks[rows, columns])
+    _lay(axis, rocks, centres, (diameters, heights, axes, yaws), heaped=False)
 
 
 def _add_piles(
     generator: np.random.Generator, axis: FloatArray, rocks: FloatArray, field: HazardField
 ) -> None:
     """Heaps of 8 to 20 rocks, about a metre wide and up to about a metre high."""
+    stones = []
     for _ in range(generator.poisson(field.piles * field.size**2)):
         centre = generator.uniform(axis[0] + 2.0, axis[-1] - 2.0, 2)
         spread = generator.uniform(0.3, 0.5)
         for _ in range(int(generator.integers(8, 21))):
-            cx, cy = centre + np.clip(generator.normal(0.0, spread, 2), -1.0, 1.0)
+            x, y = centre + np.clip(generator.normal(0.0, spread, 2), -1.0, 1.0)
             diameter = generator.uniform(0.25, 0.7)
-            rows, columns, rise = _rock(
-                axis, cx, cy, diameter, 0.5 * diameter, 0.85, generator.uniform(0.0, np.pi)
-            )
-            patch = rocks[rows, columns]
-            if not patch.size:
-                continue
-            base = min(0.6 * float(patch[patch.shape[0] // 2, patch.shape[1] // 2]), 0.6)
-            np.maximum(patch, np.where(rise > 0.0, base + rise, 0.0), out=patch)
+            stones.append((x, y, diameter, generator.uniform(0.0, np.pi)))
+    x, y, diameters, yaws = np.array(stones).reshape(-1, 4).T
+    axes = np.full(len(stones), 0.85)
+    sizes = diameters, 0.5 * diameters, axes, yaws
+    _lay(axis, rocks, np.column_stack([x, y]), sizes, heaped=True)

@@ -109,9 +109,10 @@ class DriftingNavigation:
         white = generator.standard_normal((times.size, 3))
         decay = np.exp(-np.diff(times, prepend=times[:1]) / self.correlation_time)
         gain = drift * np.sqrt(1.0 - decay**2)
-        wander = np.empty_like(white)
-        state = drift * white[0]
-        for k in range(times.size):
-            state = decay[k] * state + gain[k] * white[k]
-            wander[k] = state
+        shocks = gain[:, None] * white
+        wander, kept = np.empty_like(white), decay.tolist()
+        for axis, state in enumerate((drift * white[0]).tolist()):  # floats: an array is slow
+            for k, (share, new) in enumerate(zip(kept, shocks[:, axis].tolist(), strict=True)):
+                state = share * state + new
+                wander[k, axis] = state
         return np.asarray(constant + wander)

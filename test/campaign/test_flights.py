@@ -57,7 +57,7 @@ def test_conditions_and_parameters_reach_the_flight(study):
     assert settings.faults[0].kind == "pose_gap" and settings.config["lss.margin"] == 0.7
 
 
-@pytest.mark.parametrize("name", ["flight", "flight_rocks", "flight_faults"])
+@pytest.mark.parametrize("name", sorted(p.stem for p in STUDIES.glob("flight*.yaml")))
 def test_the_studies_of_the_repository_can_be_flown(name):
     study = read_study(STUDIES / f"{name}.yaml")
     for index in range(len(study.combinations)):

@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+import cython
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+
+if not cython.compiled:  # otherwise from the .pxd
+    from math import inf as INFINITY
+    from math import sqrt
 
 #: Coordinates over this are no place to land at, and their squares would overflow, m.
 FARTHEST = 1e12
@@ -31,15 +35,31 @@ def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
     if not (np.abs(corners) <= FARTHEST).all():
         msg = "a polygon has a vertex that is not finite or is off this world"
         raise ValueError(msg)
-    inside = np.zeros(x.shape, dtype=np.bool_)
-    square = np.full(x.shape, np.inf)
-    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        ex, ey = x1 - x0, y1 - y0
-        length = max(ex * ex + ey * ey, 1e-300)
-        t = np.clip(((x - x0) * ex + (y - y0) * ey) / length, 0.0, 1.0)
-        np.minimum(square, (x - x0 - t * ex) ** 2 + (y - y0 - t * ey) ** 2, out=square)
-        if y0 != y1:
-            crosses = (y0 > y) != (y1 > y)
-            inside ^= crosses & (x < x0 + (y - y0) * ex / ey)
-    out: Array = np.where(inside, 1.0, -1.0) * np.sqrt(square)
+    edges = np.hstack([corners, np.roll(corners, -1, axis=0)])
+    out = np.empty(x.shape)
+    set_distances(
+        edges, *(np.ascontiguousarray(c, dtype=np.float64).ravel() for c in (x, y)), out.ravel()
+    )
     return out
+
+
+@cython.boundscheck(False)
+def set_distances(edges: Array, x: Array, y: Array, out: Array) -> None:
+    """`signed_distance` of points (N,) from a polygon's edges (V, 4): x, y of both ends, m."""
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    inside: cython.bint
+    with cython.nogil:
+        for i in range(out.shape[0]):
+            inside, square = False, INFINITY
+            for k in range(edges.shape[0]):
+                x0, y0, y1 = edges[k, 0], edges[k, 1], edges[k, 3]
+                ex, ey = edges[k, 2] - x0, y1 - y0
+                dx, dy = x[i] - x0, y[i] - y0
+                share = (dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-300)
+                share = min(max(share, 0.0), 1.0)
+                across, along = dx - share * ex, dy - share * ey
+                square = min(square, across * across + along * along)
+                if (y0 > y[i]) != (y1 > y[i]) and x[i] < x0 + dy * ex / ey:
+                    inside = not inside
+            out[i] = sqrt(square) if inside else -sqrt(square)
