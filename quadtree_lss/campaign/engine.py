@@ -23,11 +23,13 @@ Progress = Callable[[int, int], None]
 """Called with the flights that are done and the flights there are."""
 
 REMEDY = "pip install 'quadtree_lss[campaign]'"
-KEPT_MEMORY = {
-    f"distributed.nanny.pre-spawn-environ.MALLOC_{name}_THRESHOLD_": 1 << 30
-    for name in ("TRIM", "MMAP")
+SETTINGS = {
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 30,
+    "distributed.worker.profile.enabled": False,
 }
-"""Dask has its workers give back what they free, page by page: a sixth of a flight's time."""
+"""Dask has its workers give back what they free, page by page: a sixth of a flight's time. And it
+has them look at their own stack a hundred times a second and keep what they saw for 1,000 s."""
 LOOK_S = 0.5
 TURN = 20
 """Flights after which it is asked again whether an interval is narrow enough."""
@@ -144,13 +146,16 @@ class _Enough:
 
 def fly(case: Case) -> Flown | str:
     """One flight, on a worker; a text says why it failed."""
+    import psutil  # with Dask
+
     if (case.version, case.build) != this_build():
         return f"the worker has version and build {this_build()}, not {case.version, case.build}"
     try:
         figures, timing = kind_of(case.kind).fly(case)
     except Exception as error:  # whatever it is, the others go on
         return one_line(f"{type(error).__name__}: {error}")
-    return Flown(figures, {**timing, "process": os.getpid()})
+    memory = psutil.Process().memory_info().rss / 1e6
+    return Flown(figures, {**timing, "memory_mb": memory, "process": os.getpid()})
 
 
 def _fly_all(
@@ -236,7 +241,7 @@ def _client(where: Where) -> Iterator[Any]:
             else:
                 deaf = stack.enter_context(contextlib.ExitStack())
                 deaf.enter_context(_deaf_children())
-                deaf.enter_context(dask.config.set(KEPT_MEMORY))
+                deaf.enter_context(dask.config.set(SETTINGS))
                 cluster = LocalCluster(
                     n_workers=where.workers,
                     threads_per_worker=1,

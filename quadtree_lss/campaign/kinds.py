@@ -70,7 +70,8 @@ class Flown(NamedTuple):
 class Quantity:
     """A figure that the summary tells, and which end of it is bad.
 
-    With ``of``, the name of another figure, it counts events: so many of so many.
+    With ``of``, the name of another figure, it counts events: so many of so many. Unless
+    ``ranked``, its worst flights are not listed.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Quantity:
     digits: int = 2
     worst: Literal["smallest", "largest"] = "largest"
     of: str | None = None
+    ranked: bool = True
 
 
 @dataclass(frozen=True)

@@ -171,6 +171,7 @@ MAP = Kind(
                 f"risk_{name}_unsafe",
                 f"Unsafe grid points of those told {100 * low:g} to {100 * high:g} %",
                 of=f"risk_{name}_points",
+                ranked=False,
             )
             for name, low, high in zip(TOLD, EDGES[1:], EDGES[2:], strict=False)
         ),

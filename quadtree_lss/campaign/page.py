@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from quadtree_lss.campaign.kinds import kind_of
+from quadtree_lss.campaign.kinds import Quantity, kind_of
 from quadtree_lss.campaign.statistics import bootstrap
 from quadtree_lss.evaluation.plotting import RUNS
 from quadtree_lss.report.template import Markup, document, table
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MOST_REASONS = 4
 BINS = 6
+RANKS = ("value: flight", "worst", "second", "third", "fourth", "fifth", "")
 
 
 def page_files(result: CampaignResult, times: Sequence[Mapping[str, str]]) -> dict[str, bytes]:
@@ -49,15 +50,7 @@ def _page(
     for name, lines in result.lines:
         header = ("", "mean or number", "95 % interval", "worst", "flight")
         parts.append(f"<h2>{escape(name)}</h2>{table(header, [line.cells() for line in lines])}")
-    worst = [
-        (
-            quantity.label,
-            _link(result, index),
-            f"{value:.{quantity.digits}f} {quantity.unit}".strip(),
-        )
-        for quantity, pairs in result.worst()
-        for index, value in pairs
-    ]
+    worst = [_worst(result, quantity, pairs) for quantity, pairs in result.worst() if pairs]
     failed = [(_link(result, index), why) for index, why in result.failed.items()]
     images = "".join(
         f'<p><img class="picture" alt="{escape(name)}"'
@@ -75,11 +68,21 @@ def _page(
         '<h2>Worst flights</h2>\n<p class="note">A flight\'s number leads to its page once it is'
         f" kept: all of these by <code>{escape(replay_command(result, 'worst'))}</code>, flight 17"
         f" for instance by <code>{escape(replay_command(result, '17'))}</code></p>\n"
-        f"{table(('by', 'flight', 'value'), worst)}\n<h2>What explains it</h2>\n{images}\n"
+        f"{table(RANKS, worst)}\n<h2>What explains it</h2>\n{images}\n"
         + (f"<h2>Failed</h2>{table(('flight', 'why'), failed)}\n" if failed else "")
         + f"<h2>Time</h2>\n{_times(times)}"
     )
     return document(title, body)
+
+
+def _worst(
+    result: CampaignResult, quantity: Quantity, pairs: Sequence[tuple[int, float]]
+) -> list[str]:
+    """A row of `RANKS`."""
+    digits = quantity.digits if quantity.of is None else 0
+    label = f"{quantity.label} [{quantity.unit}]" if quantity.unit else quantity.label
+    cells = [Markup(f"{value:.{digits}f}: {_link(result, index)}") for index, value in pairs]
+    return [label, *cells, *[""] * (len(RANKS) - 1 - len(cells))]
 
 
 def _link(result: CampaignResult, index: int) -> Markup:

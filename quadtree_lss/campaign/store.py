@@ -100,14 +100,16 @@ class Store:
         self.path(case).unlink(missing_ok=True)
 
     def note_time(self, index: int, timing: dict[str, float]) -> None:
-        """A row of ``times.csv``."""
-        path = self.out / TIMES
-        fresh = not path.exists()
-        with path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            if fresh:
-                writer.writerow(["index", *timing])
-            writer.writerow([index, *(f"{value:.7g}" for value in timing.values())])
+        """A row of ``times.csv``, with the columns that the file has."""
+        row = {"index": str(index), **{name: f"{value:.7g}" for name, value in timing.items()}}
+        with (self.out / TIMES).open("a+", newline="", encoding="utf-8") as file:
+            file.seek(0)
+            names = next(csv.reader(file), None)
+            how = {"extrasaction": "ignore", "lineterminator": "\n"}
+            writer = csv.DictWriter(file, names or list(row), **how)
+            if not names:
+                writer.writeheader()
+            writer.writerow(row)
 
     def times(self) -> list[dict[str, str]]:
         """Rows of ``times.csv``."""

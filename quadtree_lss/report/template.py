@@ -8,6 +8,7 @@ A page of another room is `document` with a body of its own, `table` and the cla
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
@@ -17,6 +18,8 @@ from quadtree_lss.report.packing import Columns, compressed
 
 # Nothing may be loaded from anywhere, whatever stands in a topic's name.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+#: What stands to the right in a table: a number, with its unit, and so many of so many.
+NUMBER = re.compile(r"[-+−]?[\d.,]+( of [\d,]+| \w{1,3}| %)?")
 
 
 def document(
@@ -98,5 +101,6 @@ def _cell(value: object) -> str:
     if isinstance(value, Markup):
         return f"<td>{value}</td>"
     text = str(value)
-    kind = ' class="text"' if any(c.isalpha() for c in text) else ""
+    number = not any(map(str.isalpha, text)) or NUMBER.fullmatch(text)
+    kind = "" if number else ' class="text"'
     return f"<td{kind}>{escape(text)}</td>"

@@ -19,6 +19,7 @@ import psutil
 import pytest
 
 from quadtree_lss.campaign import Where, campaign, compare_campaigns, read_study
+from quadtree_lss.campaign.engine import _client
 from quadtree_lss.campaign.kept import flagged
 from quadtree_lss.campaign.kinds import CampaignError
 from quadtree_lss.commands.common import INTERRUPTED
@@ -101,6 +102,8 @@ def test_each_flight_is_a_file_and_told(first):
         rows = list(csv.DictReader(file))
     assert [int(row["flight"]) for row in rows] == [*range(COUNT)]
     assert float(rows[3]["safe_found"]) == result.records[3].figures["safe_found"]
+    with (result.out / "times.csv").open(newline="") as file:
+        assert all(50.0 < float(row["memory_mb"]) < 2000.0 for row in csv.DictReader(file))
     content = json.loads((result.out / "campaign.json").read_text())
     assert [part["name"] for part in content["summary"]] == [
         "lss.margin 0.0: 4",
@@ -112,12 +115,27 @@ def test_each_flight_is_a_file_and_told(first):
     assert flagged(result.out) == sorted(linked) and "--keep worst" in page
     with pytest.raises(CampaignError, match="no folder of a campaign"):
         flagged(result.out / "flights")
+    assert "<td>0 of 4</td>" in page and "Unsafe grid points" in page.split("Worst flights")[0]
+    assert "Unsafe grid points" not in page.split("Worst flights")[1]
     assert "--keep 17" in page and "data:image/png" in page and "Safe terrain found" in page
 
 
 def test_two_workers_give_the_same_files(first, study, tmp_path):
     campaign(read_study(study), tmp_path, Where(workers=2))
     assert files(tmp_path) == files(first[0].out)
+
+
+def test_workers_keep_no_record_of_their_own_stack():
+    """Dask's profiler, by default on, grows by 0.3 MB a flight for a quarter of an hour."""
+
+    def spin():
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:  # a profiler would look every 10 ms
+            pass
+
+    with _client(Where(workers=1)) as client:
+        client.submit(spin).result(timeout=60)
+        assert client.profile()["count"] == 0
 
 
 def test_what_was_flown_is_not_flown_again(first, study, tmp_path):

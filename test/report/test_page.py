@@ -13,7 +13,7 @@ from report.pages import Page, column
 
 from quadtree_lss.config.settings import config_from_values
 from quadtree_lss.replay.replay import replay
-from quadtree_lss.report import page_data, palette
+from quadtree_lss.report import page_data, palette, template
 from quadtree_lss.report.content import read
 from quadtree_lss.report.report import page
 
@@ -184,3 +184,8 @@ def test_the_slope_is_marked_where_the_reasons_say_it_ends(content, assessment, 
     config.update({f"lss.{name}": value for name, value in lss.items()})
     found = dataclasses.replace(content, summary={**content.summary, "config": config})
     assert unpacked(found)[0]["grid"]["slope"]["mark"] == limit
+
+
+@pytest.mark.parametrize("value", ["1 of 5000", "2.97 m", "-0.5", "98.74 %", "12,838 of 3,124,574"])
+def test_numbers_stand_to_the_right_and_words_to_the_left(value):
+    assert template.table((), [(value, f"about {value}")]).count('<td class="text">') == 1
