@@ -13,11 +13,12 @@ from quadtree_lss.config.risk import RiskModel
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.heights import height_by_error
 from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.lander import Limits
 from quadtree_lss.core.landing.lattice import grown
 from quadtree_lss.core.landing.probability import RiskTable
 from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.landing.touchdown import Limits, TouchdownCheck
+from quadtree_lss.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.evaluation.risk_fit import unfitted
 from quadtree_lss.evaluation.risk_flights import Landings, Mapped, land

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from quadtree_lss.config.risk import RiskModel, risk_model, risk_model_text
 from quadtree_lss.config.settings import ConfigError, LssConfig
 from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.lander import Limits
 from quadtree_lss.core.landing.probability import (
     Dispersion,
     Remainder,
@@ -24,7 +25,7 @@ from quadtree_lss.core.landing.probability import (
 )
 from quadtree_lss.core.landing.raster import rasterise
 from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.landing.touchdown import Limits, TouchdownCheck, WorstRest
+from quadtree_lss.core.landing.touchdown import TouchdownCheck, WorstRest
 
 Array = NDArray[np.float64]
 

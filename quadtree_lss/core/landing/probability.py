@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.config.risk import RiskModel, Row
 from quadtree_lss.config.settings import LssConfig
+from quadtree_lss.core.landing.lander import Limits
 from quadtree_lss.core.landing.risks import blur, look_up, set_odds
-from quadtree_lss.core.landing.touchdown import Limits, WorstRest
+from quadtree_lss.core.landing.touchdown import WorstRest
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
