@@ -52,6 +52,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "by the nodes; with the paper's rules; straight to the planned point; by the truth"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
     add("--terrain", type=named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
+    add("--rocks", type=share, metavar="K", help=text)
     add("--range-noise", type=not_negative, default=0.06, metavar="M", help="one sigma, m")
     add("--outliers", type=share, default=0.0, metavar="F", help="share of false returns")
     add("--dropouts", type=share, default=0.0, metavar="F", help="share of missing returns")
@@ -118,6 +120,7 @@ def _values(options: argparse.Namespace) -> dict[str, Any]:
     return {
         "avoidance": options.avoidance,
         "terrain": "" if options.terrain is None else str(options.terrain),
+        "rock_abundance": options.rocks,
         "range_noise": options.range_noise,
         "outliers": options.outliers,
         "dropouts": options.dropouts,

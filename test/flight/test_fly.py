@@ -3,10 +3,12 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from quadtree_lss.cli import main
 from quadtree_lss.flight.fly import flown, fly
+from quadtree_lss.flight.ground import Ground
 from quadtree_lss.flight.settings import Fault, FlightError, flight_settings
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
@@ -63,6 +65,18 @@ def test_no_fault_ends_on_ground_that_was_known_to_be_unsafe(fault):
     figures = fly(SEED, {**SHORT, "faults": (fault,)})
     assert figures["safe"] or figures["outcome"] == "aborted", figures
     assert figures["map_said"] != "unsafe"
+
+
+def test_rocks_are_strewn_on_a_terrain_if_asked_for(tmp_path):
+    posts = np.linspace(-60.0, 60.0, 61)
+    np.savez(tmp_path / "flat.npz", x=posts, y=posts, elevation=np.zeros((61, 61)))
+    given = {"terrain": str(tmp_path / "flat.npz"), "avoidance": "none"}
+    bare, rocky = (
+        Ground.of(flight_settings({**given, **more}), np.random.default_rng(1))
+        for more in ({}, {"rock_abundance": 0.2})
+    )
+    assert not bare.terrain.elevation.any() and bare.safe[2].min() > 0.0
+    assert rocky.terrain.elevation.max() > 0.3 and (rocky.safe[2] == 0.0).any()
 
 
 @pytest.mark.parametrize(
