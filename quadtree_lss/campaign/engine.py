@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import logging
 import os
 import signal
@@ -154,6 +155,7 @@ def fly(case: Case) -> Flown | str:
         figures, timing = kind_of(case.kind).fly(case)
     except Exception as error:  # whatever it is, the others go on
         return one_line(f"{type(error).__name__}: {error}")
+    gc.collect()  # a flight's large arrays hang in rings of small objects
     memory = psutil.Process().memory_info().rss / 1e6
     return Flown(figures, {**timing, "memory_mb": memory, "process": os.getpid()})
 

@@ -39,8 +39,7 @@ class _Answers:
     waiting: list[tuple[int, LandingAssessment]] | None = None
 
     def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
-        """It stays latched, should there be no other."""
-        take()
+        """Nobody but lss_node hears it."""
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """An answer is on its way."""
@@ -76,7 +75,6 @@ class Onboard:
         self._wishes = LandingWishes(config.frames.map)
         self._checkpoint: Any = None
         self._checkpoint_ns = 0
-        self._latched: CellMap | None = None
         self._down: set[str] = set()
         self.last: LandingAssessment | None = None
         self.scans = 0
@@ -108,7 +106,7 @@ class Onboard:
                 self._checkpoint, self._checkpoint_ns = self._mapper.export_state(), now_ns
         if "lss" in self._down:
             return None
-        self._passes.tick(now_ns, self._snapshot)
+        self._passes.tick(now_ns, self._mapper.snapshot)
         said = self._answers.due(now_ns)
         if said is None:
             return None
@@ -119,7 +117,7 @@ class Onboard:
         return Target(said.selected.position.copy() if said.selected.id else None)
 
     def kill(self, node: str) -> None:
-        """``mapping`` or ``lss`` is no more."""
+        """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""
         self._down.add(node)
 
     def respawn(self, node: str, *, checkpoint: bool = True) -> None:
@@ -127,7 +125,7 @@ class Onboard:
         self._down.discard(node)
         if node == "lss":
             self._start_lss()
-            if self._latched is not None:
+            if self._mapper.stamp_ns:
                 self._passes.changed()
             return
         self._start_mapping()
@@ -135,13 +133,6 @@ class Onboard:
             self._mapper.import_state(self._checkpoint)
         if self._mapper.stamp_ns:
             self._passes.changed()
-
-    def _snapshot(self) -> CellMap:
-        """The map as it is published; the last one published stays latched."""
-        if "mapping" not in self._down:
-            self._latched = self._mapper.snapshot()
-        assert self._latched is not None
-        return self._latched
 
     def _start_mapping(self) -> None:
         self._intake, self._mapper = Intake(self._config), Mapper(self._config)
