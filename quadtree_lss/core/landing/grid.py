@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -45,6 +46,7 @@ def best_points(
         hysteresis: ... unless another scores better by more than this.
     """
     left = np.where(np.isnan(score), np.inf, score)
+    far = separation * (1.0 + 1e-9)
     rows: list[int] = []
     columns: list[int] = []
     while len(rows) < count:
@@ -55,11 +57,10 @@ def best_points(
             row, column = last[len(rows)]
         rows.append(row)
         columns.append(column)
-        near_y = np.flatnonzero(np.abs(y - y[row]) <= separation)
-        near_x = np.flatnonzero(np.abs(x - x[column]) <= separation)
-        square = (y[near_y] - y[row])[:, None] ** 2 + (x[near_x] - x[column]) ** 2
-        block = left[np.ix_(near_y, near_x)]
-        left[np.ix_(near_y, near_x)] = np.where(square < separation**2, np.inf, block)
+        in_y = slice(*np.searchsorted(y, (y[row] - far, y[row] + far)))
+        in_x = slice(*np.searchsorted(x, (x[column] - far, x[column] + far)))
+        square = (y[in_y] - y[row])[:, None] ** 2 + (x[in_x] - x[column]) ** 2
+        left[in_y, in_x][square < separation**2] = np.inf
         left[row, column] = np.inf
     return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
 
@@ -69,10 +70,14 @@ class GridSampler:
 
     A grid point that coincides with one of the lattice takes its value; one between them is judged
     by all (up to four) around it.
+
+    Attributes:
+        x, y: (nx,), (ny,) of the grid points, m.
     """
 
     def __init__(self, domain: Domain, x: Array, y: Array) -> None:
         n, side = domain.finest_count, domain.finest_size
+        self.x, self.y = x, y
         self.column = np.clip((x - domain.xmin) / side, 0.0, n)
         self.row = np.clip((y - domain.ymin) / side, 0.0, n)
         low = [np.floor(place + 1e-6).astype(np.intp) for place in (self.row, self.column)]
@@ -136,6 +141,16 @@ class GridSampler:
         x = self.column - np.minimum(np.floor(self.column + 1e-6), last) - 0.5
         y = self.row - np.minimum(np.floor(self.row + 1e-6), last) - 0.5
         return np.asarray(z + side * (slope_x * x + slope_y * y[:, None]))
+
+
+@lru_cache(maxsize=4)
+def users_grid(domain: Domain, spacing: float) -> GridSampler:
+    """Grid points from the domain's south-western corner on in steps of ``spacing``, m."""
+    return GridSampler(
+        domain,
+        grid_axis(domain.xmin, domain.size, spacing),
+        grid_axis(domain.ymin, domain.size, spacing),
+    )
 
 
 def _steps(index: Index) -> Index | slice:

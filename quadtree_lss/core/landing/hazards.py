@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from math import radians, tan
+
 import cython
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +82,8 @@ def avoided_features(cells: CellMap, config: LssConfig) -> Bits:
     """Bits (M,) of the avoided features each leaf contains; unmeasured leaves have none."""
     level = reference_level(cells, config.elevation_reference_size)
     with np.errstate(invalid="ignore"):
-        steep = slope(cells.normal) > np.radians(config.max_slope_deg)
+        limit = tan(radians(config.max_slope_deg)) * cells.normal[:, 2]
+        steep = np.hypot(cells.normal[:, 0], cells.normal[:, 1]) > limit
         raised = elevation_deviation(cells, level) > config.max_roughness
         excepted = cells.exception_fraction > config.max_exception_fraction
     bits = SLOPE * steep + ELEVATION * raised + EXCEPTION * excepted

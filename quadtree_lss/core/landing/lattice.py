@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import isqrt, sqrt
 
 import numpy as np
@@ -42,6 +43,7 @@ class Disc:
     half: Index
 
 
+@lru_cache(maxsize=16)
 def disc(radius: float, side: float) -> Disc:
     """Cells of side ``side`` (m) within ``radius`` (m) of a grid point, four at the least."""
     reach = max(int(np.ceil(radius / side)), 1)
@@ -99,8 +101,10 @@ def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     The point of a lattice square that is nearest to a grid point is a grid point itself, so the
     distance to the nearest grid point that touches a marked cell is that to the cell's edge.
     """
-    padded = np.pad(cells, 1)
-    out: NDArray[np.uint8] = padded[:-1, :-1] | padded[1:, :-1] | padded[:-1, 1:] | padded[1:, 1:]
+    rows, columns = cells.shape
+    out = np.zeros((rows + 1, columns + 1), dtype=np.uint8)
+    for i, j in (0, 0), (0, 1), (1, 0), (1, 1):
+        out[i : i + rows, j : j + columns] |= cells
     return out
 
 

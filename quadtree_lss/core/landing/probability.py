@@ -13,6 +13,7 @@ On unseen ground and beyond the domain's edge no landing is safe.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, exp, isnan, radians, tan
 
 import numpy as np
@@ -175,6 +176,7 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
     return out
 
 
+@lru_cache(maxsize=4)
 def normal_weights(sigma: float, side: float) -> Array:
     """Weights (2 K + 1,) of grid points about the aim, along one axis."""
     reach = ceil(TAIL * sigma / side)
@@ -242,13 +244,11 @@ def remainder(
     """What speaks against an aim point, given by row and column of the lattice."""
     across, along = normal_weights(dispersion.y, side), normal_weights(dispersion.x, side)
     up, right = len(across) // 2, len(along) // 2
-    share = np.full((len(across), len(along)), 1.0)
-    rows = np.arange(place[0] - up, place[0] + up + 1)
-    columns = np.arange(place[1] - right, place[1] + right + 1)
-    in_y = (rows >= 0) & (rows < risk.shape[0])
-    in_x = (columns >= 0) & (columns < risk.shape[1])
-    share[np.ix_(in_y, in_x)] = risk[np.ix_(rows[in_y], columns[in_x])]
-    share *= across[:, None] * along
+    south, west = max(place[0] - up, 0), max(place[1] - right, 0)
+    known = risk[south : place[0] + up + 1, west : place[1] + right + 1]
+    share = across[:, None] * along
+    south, west = south - place[0] + up, west - place[1] + right
+    share[south : south + known.shape[0], west : west + known.shape[1]] *= known
     row, column = divmod(int(np.argmax(share)), len(along))
     y, x = (row - up) * side, (column - right) * side
     row, column = row + place[0] - up, column + place[1] - right

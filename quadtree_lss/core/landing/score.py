@@ -84,7 +84,8 @@ def assess_points(
     side = cells.domain.finest_size
     radius = 0.5 * lss.vehicle_diameter
     zone = radius + lss.margin
-    bits = np.where(raster.seen, features.take(raster.leaf), np.uint8(0))
+    bits = features.take(raster.leaf)
+    bits *= raster.seen.view(np.uint8)
     # No zone fits a domain smaller than itself: none needs sums over more than that.
     widest = 0.5 * cells.domain.size
     planes = ground_planes(raster.elevation, side, min(ground_radius(lss), widest))
@@ -110,12 +111,13 @@ def assess_points(
         spoiled = bits > 0
         safe = ~grown(hazard > 0, zone, side)
         near, reach = distance_from(hazard > 0, side, lss.hazard_distance_cap), zone
-        of_slope, of_leaves = 0.0, lss.weight_slope * hazards.slope(cells.normal)
+        of_slope, of_leaves = 0.0, np.nan_to_num(lss.weight_slope * hazards.slope(cells.normal))
     safe &= inside >= zone - 1e-9
     hazard |= (touching((~raster.seen).view(np.uint8)) > 0) * np.uint8(hazards.UNSEEN)
     over = disc(min(zone, widest), side)
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
-    rough = np.nan_to_num(cells.roughness / cells.size**2)
+    rough = cells.roughness / cells.size**2
+    rough[np.isnan(rough)] = 0.0
     of_leaves += lss.weight_roughness * rough
     # Eq. 58 on the finest cells; Eq. 56's integral as Eq. 59's mean over the disc of each point.
     density = np.empty(raster.leaf.shape)
@@ -126,7 +128,7 @@ def assess_points(
         inside,
         raster.subscale,
         raster.leaf,
-        np.nan_to_num(of_leaves),
+        of_leaves,
         np.array(weights),
         density,
     )

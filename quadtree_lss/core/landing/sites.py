@@ -19,7 +19,7 @@ from quadtree_lss.core.landing.assessment import (
     with_reasons,
 )
 from quadtree_lss.core.landing.covariance import ground_covariance
-from quadtree_lss.core.landing.grid import GridSampler, best_points, grid_axis
+from quadtree_lss.core.landing.grid import GridSampler, best_points, users_grid
 from quadtree_lss.core.landing.probability import Dispersion
 from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.core.landing.restrictions import Restrictions
@@ -107,7 +107,8 @@ class LandingSiteSelector:
         nobody knows where landing is wanted: no site is given out and the explanation says why.
         """
         lss, domain = self.config.lss, cells.domain
-        x, y = (grid_axis(low, domain.size, lss.grid_spacing) for low in (domain.xmin, domain.ymin))
+        at = users_grid(domain, lss.grid_spacing)
+        x, y = at.x, at.y
         wanted = Restrictions(area, keep_out, target, withheld)
         self._answers += 1
         spread = Dispersion.of(dispersion, lss)
@@ -124,7 +125,6 @@ class LandingSiteSelector:
         judged = self._judge.judge(raster, inside, spread)
         points = assess_points(cells, raster, features, inside, judged.fails, lss)
         points.hazard[judged.uncertain] |= np.uint8(hazards.UNCERTAIN)
-        at = GridSampler(domain, x, y)
         safe = at.everywhere(points.safe)
         probability = 1.0 - at.linear(judged.aimed)
         score = np.where(safe, at.nearest(points.score), np.nan)
@@ -152,7 +152,7 @@ class LandingSiteSelector:
         choice = self._choose(Ground(x, y, safe, -cost), why_not, none)
         ranked = self._rank(cost, x, y)
         places = ranked if choice.place is None else [*ranked, choice.place]
-        found = self._describe(points, judged, domain, at, (score, probability), x, y, places)
+        found = self._describe(points, judged, domain, at, (score, probability), places)
         hazard = at.any(points.hazard)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
@@ -232,14 +232,12 @@ class LandingSiteSelector:
         domain: Domain,
         at: GridSampler,
         layers: tuple[Array, Array],
-        x: Array,
-        y: Array,
         places: list[tuple[int, int]],
     ) -> Sites:
         """What is known of landing at grid points, given by row and column."""
         lss = self.config.lss
         where = tuple(np.array(places, dtype=np.intp).reshape(-1, 2).T)
-        place = np.column_stack([x[where[1]], y[where[0]]])
+        place = np.column_stack([at.x[where[1]], at.y[where[0]]])
         centre = at.lattice(*where)
         rough, raised = greatest_about(points, *centre)
         planes, zone = points.planes, 0.5 * lss.vehicle_diameter + lss.margin

@@ -56,23 +56,28 @@ def disc_moments(
             if slopes:
                 along_x[row, :] = 0.0
                 along_y[row, :] = 0.0
-            for k in range(rows):
+            # The row as far to the north has a run as wide.
+            for k in range(reach):
                 east, west = reach + half[k], reach - half[k]
                 if east == west:
                     continue
-                i_k: cython.Py_ssize_t = (row + k) % rows
-                y = k - reach + 0.5
+                south: cython.Py_ssize_t = (row + k) % rows
+                north: cython.Py_ssize_t = (row + rows - 1 - k) % rows
+                y = reach - k - 0.5
                 if not slopes:
                     for j in range(n + 1):
-                        total[row, j] += sums[0, i_k, j + east] - sums[0, i_k, j + west]
+                        z = sums[0, south, j + east] - sums[0, south, j + west]
+                        total[row, j] += z + (sums[0, north, j + east] - sums[0, north, j + west])
                     continue
                 # Two loops: the compiler leaves one over all arrays as it is.
                 for j in range(n + 1):
-                    z = sums[0, i_k, j + east] - sums[0, i_k, j + west]
-                    total[row, j] += z
-                    along_y[row, j] += y * z
+                    z = sums[0, south, j + east] - sums[0, south, j + west]
+                    up = sums[0, north, j + east] - sums[0, north, j + west]
+                    total[row, j] += z + up
+                    along_y[row, j] += y * (up - z)
                 for j in range(n + 1):
-                    along_x[row, j] += sums[1, i_k, j + east] - sums[1, i_k, j + west]
+                    z = sums[1, south, j + east] - sums[1, south, j + west]
+                    along_x[row, j] += z + (sums[1, north, j + east] - sums[1, north, j + west])
             if slopes:
                 for j in range(n + 1):
                     along_x[row, j] -= (j + reach) * total[row, j]
