@@ -16,14 +16,14 @@ cdef double ROUNDING, SAG, SHAPE, STEP
 cdef class Lander:
     cdef readonly double side, radius, pad_radius, plane_x, plane_y
     cdef readonly double low_rise, high_rise, low_slope, high_slope, worst_rise, worst_slope
-    cdef readonly double least_x, most_x, least_y, most_y, least_z
+    cdef readonly float least_x, most_x, least_y, most_y, least_z
     cdef readonly Py_ssize_t yaws, reach, width, blocks, highs, spoiler
     cdef readonly bint bounded
     cdef double[:, :, ::1] ground
-    cdef double[::1] cos, sin, offset
+    cdef double[::1] offset
     cdef Py_ssize_t[::1] pad_place, half, begin
     cdef float[::1] pad_x, pad_y, top, pad, slope_x, slope_y, run, floor, spread, roof, height, most
-    cdef float[::1] rest_x, rest_y, rest_z, above
+    cdef float[::1] rest_x, rest_y, rest_z, above, along, across, cos, sin
     cdef Py_ssize_t[:, ::1] high
     cdef float[:, ::1] stand
 
@@ -55,6 +55,7 @@ cdef class Lander:
     cdef void list_highs(self, double above) noexcept nogil
     cdef void set_worst(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil
     cdef void settle(self, Py_ssize_t place) noexcept nogil
+    cdef void bound_rests(self) noexcept nogil
     cdef void gather(
         self,
         Py_ssize_t row,

@@ -118,7 +118,7 @@ class Lander:
         self.bounded = float(np.hypot(under.x, under.y).max()) <= self.radius
         yaw = (heading or 0.0) + np.arange(self.yaws) * (0.5 * np.pi / self.yaws)
         c, s = np.cos(yaw), np.sin(yaw)
-        self.cos, self.sin = c / self.radius, s / self.radius
+        self.cos, self.sin = (np.tile(v / self.radius, 2).astype(np.float32) for v in (c, s))
         x = self.radius * np.stack([c, -s, -c, s], axis=1).ravel()
         y = self.radius * np.stack([s, c, -s, -c], axis=1).ravel()
         column, row = np.floor(x / side).astype(np.intp), np.floor(y / side).astype(np.intp)
@@ -137,8 +137,8 @@ class Lander:
         self.high = np.zeros((2, self.width**2), dtype=np.intp)
         self.height, self.most = np.zeros((2, self.width**2), dtype=np.float32)
         self.begin = np.zeros(BINS + 1, dtype=np.intp)
-        self.rest_x, self.rest_y, self.rest_z, self.above = np.zeros(
-            (4, 2 * self.yaws), dtype=np.float32
+        self.rest_x, self.rest_y, self.rest_z, self.above, self.along, self.across = np.zeros(
+            (6, 2 * self.yaws), dtype=np.float32
         )
         self.highs = self.spoiler = 0
         self.worst_rise = self.worst_slope = 0.0
@@ -353,6 +353,7 @@ class Lander:
         self.settle(place)
         if self.worst_slope > self.high_slope or not under:
             return
+        self.bound_rests()
         # What is in the way of one grid point mostly is of the next.
         self.gather(row, column, self.spoiler, self.spoiler + 1)
         if self.worst_rise <= self.high_rise:
@@ -365,33 +366,43 @@ class Lander:
         steepest slope.
         """
         k: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        steepest = self.worst_slope * self.worst_slope
-        self.least_x = self.least_y = self.least_z = FAR
-        self.most_x = self.most_y = -FAR
-        for k in range(self.yaws):
+        n: cython.Py_ssize_t = self.yaws
+        east_up: cython.float = self.plane_x
+        north_up: cython.float = self.plane_y
+        steepest: cython.float = 0.0
+        for k in range(n):
             east, north = self.stand[4 * k, place], self.stand[4 * k + 1, place]
             west, south = self.stand[4 * k + 2, place], self.stand[4 * k + 3, place]
-            # Rise in the heading and across it over a radius, of either plane.
-            if east + west >= north + south:
-                centre, along = 0.5 * (east + west), 0.5 * (east - west)
-                across, other_along, other_across = north - centre, along, centre - south
-            else:
-                centre, across = 0.5 * (north + south), 0.5 * (north - south)
-                along, other_along, other_across = east - centre, centre - west, across
-            for j in range(2):
-                x = along * self.cos[k] - across * self.sin[k]
-                y = along * self.sin[k] + across * self.cos[k]
-                self.rest_x[2 * k + j], self.rest_y[2 * k + j] = x, y
-                self.rest_z[2 * k + j] = centre
-                self.least_x, self.most_x = min(self.least_x, x), max(self.most_x, x)
-                self.least_y, self.most_y = min(self.least_y, y), max(self.most_y, y)
-                self.least_z = min(self.least_z, centre)
-                x += self.plane_x
-                y += self.plane_y
-                steepest = max(steepest, x * x + y * y)
-                along, across = other_along, other_across
-        self.worst_slope = sqrt(steepest)
+            # One end of the diagonal that carries is as far over its middle as the other is under:
+            # the rise over a radius, in the heading and across it, of the one plane and the other.
+            centre: cython.float = 0.5 * max(east + west, north + south)
+            self.along[k], self.across[k] = east - centre, north - centre
+            self.along[n + k], self.across[n + k] = centre - west, centre - south
+            self.rest_z[k] = self.rest_z[n + k] = centre
+        for k in range(2 * n):
+            self.rest_x[k] = self.along[k] * self.cos[k] - self.across[k] * self.sin[k]
+            self.rest_y[k] = self.along[k] * self.sin[k] + self.across[k] * self.cos[k]
+        for k in range(2 * n):
+            x, y = self.rest_x[k] + east_up, self.rest_y[k] + north_up
+            self.above[k] = x * x + y * y
+        for k in range(n):
+            steepest = max(steepest, max(self.above[k], self.above[n + k]))
+        self.worst_slope = max(self.worst_slope, sqrt(steepest))
+
+    def bound_rests(self) -> None:
+        """Bounds of the planes that the lander rests on."""
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self.yaws
+        least_x, least_y, least_z = self.rest_x[0], self.rest_y[0], self.rest_z[0]
+        most_x, most_y = least_x, least_y
+        for k in range(n):
+            least_x = min(least_x, min(self.rest_x[k], self.rest_x[n + k]))
+            most_x = max(most_x, max(self.rest_x[k], self.rest_x[n + k]))
+            least_y = min(least_y, min(self.rest_y[k], self.rest_y[n + k]))
+            most_y = max(most_y, max(self.rest_y[k], self.rest_y[n + k]))
+            least_z = min(least_z, self.rest_z[k])
+        self.least_x, self.most_x, self.least_y, self.most_y = least_x, most_x, least_y, most_y
+        self.least_z = least_z
 
     def gather(
         self,
@@ -423,6 +434,7 @@ class Lander:
     def rise_at(self, k: cython.Py_ssize_t, east: cython.float, north: cython.float) -> cython.bint:
         """Whether a cell of the list, at a place from the grid point, rises higher than others."""
         i: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self.yaws
         worst: cython.float = self.worst_rise
         height: cython.float = self.height[k]
         # No plane stands lower there than the least of all their heights and slopes would.
@@ -430,10 +442,10 @@ class Lander:
         lowest += (self.least_y if north > 0.0 else self.most_y) * north
         if height - lowest <= worst - ROUNDING:
             return False
-        for i in range(2 * self.yaws):
+        for i in range(2 * n):
             self.above[i] = height - self.rest_x[i] * east - self.rest_y[i] * north - self.rest_z[i]
-        for i in range(2 * self.yaws):
-            worst = max(worst, self.above[i])
+        for i in range(n):
+            worst = max(worst, max(self.above[i], self.above[n + i]))
         if worst <= self.worst_rise:
             return False
         self.worst_rise, self.spoiler = worst, k
