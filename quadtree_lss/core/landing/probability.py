@@ -95,9 +95,9 @@ class RiskTable:
             [lss.max_roughness + model.rise[0], tan(radians(lss.max_slope_deg)) + model.slope[0]]
         )
         rise, slope = _steps(model.rise, FINE), _steps(model.slope, FINE)
-        # log P(safe) of the one, and of the other.
-        self._stands = -np.logaddexp(0.0, np.interp(rise, model.rise, model.rise_odds))
-        self._level = -np.logaddexp(0.0, np.interp(slope, model.slope, model.slope_odds))
+        # Odds that it does not stand, and that it is too steep.
+        self._rise_odds = np.exp(np.interp(rise, model.rise, model.rise_odds))
+        self._slope_odds = np.exp(np.interp(slope, model.slope, model.slope_odds))
         self._within = np.array([model.own[0], model.own[-1]])
         own, about = _steps(model.own, FINE_ODDS), _steps((0.0, *model.about[1:]), FINE_ODDS)
         # Not by BLAS: its threads go on waiting for more, and take a core for as long.
@@ -124,8 +124,8 @@ class RiskTable:
             worst.rise,
             worst.slope,
             judged.view(np.uint8),
-            self._stands,
-            self._level,
+            self._rise_odds,
+            self._slope_odds,
             self._low,
             FINE,
             self._within,
@@ -137,12 +137,12 @@ class RiskTable:
     def by_slope(self, rise: float, slope: float) -> bool:
         """Whether it is the slope, and not what rises under the lander, that speaks against it."""
         place = (np.array([rise, slope]) - self._low) / FINE + 0.5
-        tables = self._stands, self._level
-        stands, level = (
+        tables = self._rise_odds, self._slope_odds
+        by_rise, by_slope = (
             table[int(min(max(at, 0.0), len(table) - 1.0))]
             for table, at in zip(tables, place.tolist(), strict=True)
         )
-        return bool(level < stands)
+        return bool(by_slope > by_rise)
 
 
 def _steps(knots: Row, step: float) -> Array:
@@ -165,14 +165,12 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
         dispersion: Of the touchdown about the aim.
     """
     out = np.empty(risk.shape)
-    up, right = (
-        weights[len(weights) // 2 :][:count]
-        for weights, count in (
-            (normal_weights(dispersion.y, side), risk.shape[0]),
-            (normal_weights(dispersion.x, side), risk.shape[1]),
-        )
-    )
-    blur(risk, up, right, out)
+    sides = []
+    for sigma, count in zip((dispersion.y, dispersion.x), risk.shape, strict=True):
+        weights = normal_weights(sigma, side)
+        one = weights[len(weights) // 2 :][:count]
+        sides.append(np.append(one, np.zeros(1 - len(one) % 2)))  # pairs, after the first
+    blur(risk, *sides, out)
     return out
 
 

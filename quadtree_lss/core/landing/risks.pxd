@@ -1,11 +1,11 @@
-from libc.math cimport expm1, log
+from libc.math cimport log
 
 cpdef void set_odds(
     const float[:, ::1] rise,
     const float[:, ::1] slope,
     const unsigned char[:, ::1] judged,
-    const double[::1] stands,
-    const double[::1] level,
+    const double[::1] rise_odds,
+    const double[::1] slope_odds,
     const double[::1] low,
     double step,
     const double[::1] within,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if not cython.compiled:
-    from math import expm1, log
+    from math import log
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -20,8 +20,8 @@ def set_odds(
     rise: Single,
     slope: Single,
     judged: Marks,
-    stands: Array,
-    level: Array,
+    rise_odds: Array,
+    slope_odds: Array,
     low: Array,
     step: float,
     within: Array,
@@ -33,8 +33,8 @@ def set_odds(
     Args:
         rise, slope: (ny, nx) of the worst rest, m and rise over run.
         judged: (ny, nx) where they are known; elsewhere the odds are the least.
-        stands, level: log P(safe) of the one and of the other, from ``low`` (2,) in steps of
-            ``step``.
+        rise_odds, slope_odds: Odds that it fails by the one and by the other, from ``low`` (2,) in
+            steps of ``step``: 1 + the odds that it fails is (1 + the one's) (1 + the other's).
         within: (2,) least and greatest log odds.
         own: (ny, nx), set.
         about: (ny, nx), set: how much greater those of the worst of the four neighbours are.
@@ -47,8 +47,8 @@ def set_odds(
     m_last: cython.Py_ssize_t = -1
     rows: cython.Py_ssize_t = own.shape[0]
     columns: cython.Py_ssize_t = own.shape[1]
-    rise_last: cython.double = stands.shape[0] - 1.0
-    slope_last: cython.double = level.shape[0] - 1.0
+    rise_last: cython.double = rise_odds.shape[0] - 1.0
+    slope_last: cython.double = slope_odds.shape[0] - 1.0
     odds, least, greatest = 0.0, within[0], within[1]
     per = 1.0 / step
     with cython.nogil:
@@ -62,7 +62,7 @@ def set_odds(
                 place = min(max((slope[i, j] - low[1]) * per + 0.5, 0.0), slope_last)
                 m = cython.cast(cython.Py_ssize_t, place)
                 if k != k_last or m != m_last:  # level ground is all alike
-                    odds = log(expm1(-stands[k] - level[m]))
+                    odds = log(rise_odds[k] + slope_odds[m] + rise_odds[k] * slope_odds[m])
                     odds = min(max(odds, least), greatest)
                     k_last, m_last = k, m
                 own[i, j] = odds
@@ -119,7 +119,7 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
     Args:
         risk: (ny, nx).
         across, along: (K + 1,), (L + 1,) weights of rows and columns so far from the grid point;
-            on both sides they are alike.
+            on both sides they are alike. K and L are even.
         out: (ny, nx), set.
     """
     i: cython.Py_ssize_t
@@ -138,18 +138,22 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
                 line[right + j] = 1.0 - risk[i, j]
             for j in range(columns):
                 safe[up + i, j] = along[0] * line[right + j]
-            for k in range(1, right + 1):
-                weight = along[k]
-                for j in range(columns):
-                    both = line[right + j - k] + line[right + j + k]
-                    safe[up + i, j] += weight * both
+            for k in range(1, right, 2):
+                near, far = along[k], along[k + 1]
+                for j in range(right, right + columns):
+                    z = near * (line[j - k] + line[j + k])
+                    z += far * (line[j - k - 1] + line[j + k + 1])
+                    safe[up + i, j - right] += z
         for i in range(rows):
             for j in range(columns):
                 out[i, j] = 1.0 - across[0] * safe[up + i, j]
-            for k in range(1, up + 1):
-                weight = across[k]
+            for k in range(1, up, 2):
+                near, far = across[k], across[k + 1]
+                south: cython.Py_ssize_t = up + i - k
+                north: cython.Py_ssize_t = up + i + k
                 for j in range(columns):
-                    both = safe[up + i - k, j] + safe[up + i + k, j]
-                    out[i, j] -= weight * both
+                    z = near * (safe[south, j] + safe[north, j])
+                    z += far * (safe[south - 1, j] + safe[north + 1, j])
+                    out[i, j] -= z
             for j in range(columns):
                 out[i, j] = min(max(out[i, j], 0.0), 1.0)
