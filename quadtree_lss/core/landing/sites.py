@@ -124,18 +124,21 @@ class LandingSiteSelector:
         inside = seen_about(raster, lss)
         judged = self._judge.judge(raster, inside, spread)
         points = assess_points(cells, raster, features, inside, judged.fails, lss)
-        points.hazard[judged.uncertain] |= np.uint8(hazards.UNCERTAIN)
+        bits = points.hazard
+        bits |= judged.uncertain * np.uint8(hazards.UNCERTAIN)
         safe = at.everywhere(points.safe)
-        probability = 1.0 - at.linear(judged.aimed)
+        unsafe = at.linear(judged.aimed)
         score = np.where(safe, at.nearest(points.score), np.nan)
         # What sites are ranked by: the less the better.
-        cost = 1.0 - probability + TIE * score / (1.0 + score) if judged.ranks else score
+        cost = unsafe + TIE * score / (1.0 + score) if judged.ranks else score
         unknown = wanted.apply(cost, x, y, lss)
-        score[np.isnan(cost)] = np.nan
+        np.copyto(score, np.nan, where=np.isnan(cost))
+        landable = bool(np.isfinite(cost).any())
+        probability = 1.0 - unsafe
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
         if not safe.any():
             explanation = _why_none(points, raster, lss)
-        elif not np.isfinite(cost).any():
+        elif not landable:
             explanation = "no safe ground within the landing area and outside the keep-out"
         if unknown:
             explanation = f"no site is given out: {unknown}"
@@ -153,12 +156,12 @@ class LandingSiteSelector:
         ranked = self._rank(cost, x, y)
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, judged, domain, at, (score, probability), places)
-        hazard = at.any(points.hazard)
+        hazard = at.any(bits)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             answer=self._answers,
             selected=self._selected(choice, found, cells, raster),
-            pending=choice.place is None and bool(np.isfinite(cost).any()),
+            pending=choice.place is None and landable,
             sites=found.of(slice(len(ranked))),
             x=x,
             y=y,
