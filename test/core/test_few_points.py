@@ -176,3 +176,19 @@ def test_two_points_more_keep_the_papers_treatment():
     cells = mapper.snapshot()
     assert cells.count[cells.measured] == 27
     assert np.abs(cells.covariance_pose[cells.measured]).max() < 1e-12
+
+
+@pytest.mark.parametrize("fit", ["height", "ml"])
+def test_a_strip_that_climbs_at_the_edge_of_a_leaf_leaves_its_middle_near(fit):
+    """Over 0.08 m beside a rock, past which the rest is not seen, heights go from 0 to 1.1 m."""
+    config = configured(
+        domain={"min_level": 6, "max_level": 6}, lidar={"range_noise": 0.01}, mapping={"fit": fit}
+    )
+    rng, mapper = np.random.default_rng(8), Mapper(config)
+    for k in range(6):
+        pose = make_pose(ABOVE, stamp_ns=k + 1)
+        x, y = 8.0 + 0.25 * rng.random(20), 8.17 + 0.08 * rng.random(20)
+        mapper.update(scan(lambda x, y: 14.0 * (y - 8.17), x, y, pose, 0.01, rng), pose)
+    cells = mapper.snapshot()
+    assert cells.measured.any()
+    assert abs(cells.at(8.125, 8.125).height - 0.56) < 0.5  # 0.56 m is the mean of the strip

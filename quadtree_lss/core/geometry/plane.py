@@ -24,8 +24,8 @@ if not cython.compiled:
 
 Array = NDArray[np.float64]
 
-#: A map of elevations has no walls: steeper planes are tilted back to this n_z (87 deg).
-MIN_UP = cython.declare(cython.double, 0.05)
+#: A map of elevations has no walls: steeper planes are tilted back to this n_z (75.5 deg).
+MIN_UP = cython.declare(cython.double, 0.25)
 #: Variance that round-off leaves at least, rad^2 and m^2.
 SURE = cython.declare(cython.double, 1e-12)
 #: Information on a slope that a fit has at least, rad^-2.
