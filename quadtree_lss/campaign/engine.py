@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gc
 import logging
@@ -32,6 +33,8 @@ SETTINGS = {
 """Dask has its workers give back what they free, page by page: a sixth of a flight's time. And it
 has them look at their own stack a hundred times a second and keep what they saw for 1,000 s."""
 LOOK_S = 0.5
+TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
+"""One and the same from Python 3.11 on."""
 TURN = 20
 """Flights after which it is asked again whether an interval is narrow enough."""
 
@@ -189,7 +192,7 @@ def _fly_all(
 
     fill()
     while running and not stop() and not enough.reached():
-        with contextlib.suppress(TimeoutError):
+        with contextlib.suppress(*TIMED_OUT):
             wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
         for future in [f for f in running if f.done()]:
             case = running.pop(future)
@@ -253,7 +256,7 @@ def _client(where: Where) -> Iterator[Any]:
                 )
                 client = stack.enter_context(Client(stack.enter_context(cluster)))
                 deaf.close()
-        except (OSError, ValueError, TimeoutError) as error:
+        except (OSError, ValueError, *TIMED_OUT) as error:
             msg = f"no scheduler: {one_line(str(error) or type(error).__name__)}"
             raise CampaignError(msg) from error
         yield client

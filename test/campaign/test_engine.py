@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import psutil
@@ -41,7 +42,7 @@ parameters:
   lss.margin: [0.0, 1.0]
 """
 COUNT = 8
-PROGRAM = [sys.executable, "-m", "quadtree_lss.cli", "campaign"]
+PROGRAM = [str(Path(sys.executable).with_name("quadtree-lss")), "campaign"]
 
 
 @pytest.fixture(scope="module")
@@ -188,8 +189,12 @@ def test_a_scheduler_started_separately(first, study, tmp_path):
     worker += ["--no-dashboard", "--local-directory", str(tmp_path / "dask")]
     with contextlib.ExitStack() as stack:
         for arguments in (scheduler, worker, worker):
+            # Not from the checkout: before Python 3.11 it would come before what is installed.
             process = subprocess.Popen(
-                [*command[:2], *arguments], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+                [*command[:2], *arguments],
+                cwd=tmp_path,
+                stderr=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
             )
             stack.callback(process.wait, 30)
             stack.callback(process.terminate)

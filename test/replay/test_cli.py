@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from replay.recordings import storage_file, write_ros2
@@ -216,7 +217,7 @@ def test_a_missing_package_for_bags_is_told_with_its_remedy(module, tmp_path):
 
 def interrupted(bag, out, *signals_after):
     """Exit code, stdout, stderr of a replay that gets SIGINT when it maps."""
-    command = [sys.executable, "-m", "quadtree_lss.cli", "replay", str(bag)]
+    command = [str(Path(sys.executable).with_name("quadtree-lss")), "replay", str(bag)]
     command += ["--out", str(out), *FAST]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not out.exists():  # until it maps
@@ -246,7 +247,13 @@ def test_interrupting_keeps_what_was_computed(tmp_path):
 
 def test_interrupting_a_simulation_keeps_what_was_flown(tmp_path):
     bag = tmp_path / "bag"
-    command = [sys.executable, "-m", "quadtree_lss.cli", "simulate", "descent", "--out", str(bag)]
+    command = [
+        str(Path(sys.executable).with_name("quadtree-lss")),
+        "simulate",
+        "descent",
+        "--out",
+        str(bag),
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not bag.exists() or sum(p.stat().st_size for p in bag.iterdir()) < 100_000:
         assert process.poll() is None  # until scans are in the bag

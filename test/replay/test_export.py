@@ -191,7 +191,9 @@ def test_a_missing_library_is_one_line(module, form, written):
         "from quadtree_lss.cli import main\n"
         f"sys.exit(main(['export', {str(written.out)!r}, '--format', '{form}']))"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=written.out
+    )
     assert done.returncode == 1 and done.stderr.count("\n") == 1
     assert f"need {module}" in done.stderr and "quadtree_lss[exchange]" in done.stderr
 
