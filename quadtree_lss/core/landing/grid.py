@@ -145,12 +145,13 @@ class GridSampler:
 
 @lru_cache(maxsize=4)
 def users_grid(domain: Domain, spacing: float) -> GridSampler:
-    """Grid points from the domain's south-western corner on in steps of ``spacing``, m."""
-    return GridSampler(
-        domain,
-        grid_axis(domain.xmin, domain.size, spacing),
-        grid_axis(domain.ymin, domain.size, spacing),
-    )
+    """Grid points from the domain's south-western corner on in steps of ``spacing``, m.
+
+    Assessments share them: they cannot be written to.
+    """
+    x, y = (grid_axis(low, domain.size, spacing) for low in (domain.xmin, domain.ymin))
+    x.flags.writeable = y.flags.writeable = False
+    return GridSampler(domain, x, y)
 
 
 def _steps(index: Index) -> Index | slice:

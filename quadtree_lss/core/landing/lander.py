@@ -92,7 +92,9 @@ class Lander:
         most: Greatest height of such a cell and those after it, m.
         rest_x, rest_y, rest_z: (2 yaws,) planes that the lander rests on at the grid point at
             hand: slopes and height there, over the block's plane.
-        least_x, most_x, least_y, most_y, least_z: Bounds of these.
+        along, across: (2 yaws,) their rise over a radius in the heading and across it, m.
+        cos, sin: (2 yaws,) of the headings, over the radius.
+        least_x, most_x, least_y, most_y, least_z: Bounds of the planes.
         above: (2 yaws,) rise of a cell over them, m.
         worst_rise, worst_slope: Worst found there.
         plane_x, plane_y: Slopes of the block's plane.
