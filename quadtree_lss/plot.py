@@ -13,12 +13,11 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from quadtree_lss.arrays import Array, Bytes
 from quadtree_lss.core.tree.cell_map import CellMap, Profile
 from quadtree_lss.report.palette import CLEAR_COLOUR, HAZARDS, MAPS, SITE_COLOUR, colour_limits
-
-Array = NDArray[np.float64]
 
 KINDS = {"plane_elevation": "elevation", "slope_deg": "slope"}
 UNITS = {"elevation": "m", "plane_elevation": "m", "slope_deg": "deg"}
@@ -139,7 +138,7 @@ def profile(axes: Any, along: Profile, *, sigmas: float = 3.0, **line: Any) -> A
     return drawn
 
 
-def _hazards(axes: Any, grid: GridLike, bits: NDArray[np.uint8]) -> Any:
+def _hazards(axes: Any, grid: GridLike, bits: Bytes) -> Any:
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
     kind = np.zeros(bits.shape, dtype=np.int64)

@@ -9,10 +9,11 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.evaluation import figures_map, figures_sites
 from quadtree_lss.evaluation.metrics import ErrorField, SafetyField
 from quadtree_lss.evaluation.reliability import reliability_of
-from quadtree_lss.evaluation.results import FloatArray, Results, Truth
+from quadtree_lss.evaluation.results import Results, Truth
 
 _DPI = 130
 _TOP = 5
@@ -61,8 +62,8 @@ def draw_together(
     folder: Path,
     truth: Truth,
     heights: ErrorField,
-    map_ms: Mapping[str, FloatArray],
-    sites: Mapping[str, FloatArray],
+    map_ms: Mapping[str, Array],
+    sites: Mapping[str, Array],
 ) -> tuple[Path, ...]:
     """Figures 11 and 25 with several runs in one picture; ``heights`` are the last run's."""
     top = {name: rows[:_TOP] for name, rows in sites.items()}

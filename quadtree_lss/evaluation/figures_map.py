@@ -10,6 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.evaluation.metrics import ErrorField
 from quadtree_lss.evaluation.plotting import (
     RUNS,
@@ -21,7 +22,7 @@ from quadtree_lss.evaluation.plotting import (
     relief,
     truth_window,
 )
-from quadtree_lss.evaluation.results import FloatArray, Leaves, Results, Truth
+from quadtree_lss.evaluation.results import Leaves, Results, Truth
 from quadtree_lss.report.palette import MAPS, even_limits
 
 EVERY = 5
@@ -49,7 +50,7 @@ def cells_and_scans(results: Results, truth: Truth) -> Figure:
     return figure
 
 
-def _around_all(leaves: Leaves, outlines: FloatArray) -> Box:
+def _around_all(leaves: Leaves, outlines: Array) -> Box:
     """The domain, and a little of what scans saw beyond."""
     xmin, xmax, ymin, ymax = domain(leaves)
     room = 0.1 * leaves.domain.size
@@ -66,7 +67,7 @@ def domain(leaves: Leaves) -> Box:
     return of.xmin, of.xmin + of.size, of.ymin, of.ymin + of.size
 
 
-def _edges(leaves: Leaves) -> FloatArray:
+def _edges(leaves: Leaves) -> Array:
     """Closed outlines of the leaves (M, 5, 2)."""
     corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
     centre = np.stack([leaves.x, leaves.y], axis=-1)
@@ -138,7 +139,7 @@ def _seen_box(heights: ErrorField) -> Box:
     return float(x[0] - dx), float(x[-1] + dx), float(y[0] - dy), float(y[-1] + dy)
 
 
-def processing_time(runs: Mapping[str, FloatArray]) -> Figure:
+def processing_time(runs: Mapping[str, Array]) -> Figure:
     """Time per scan (ms) of one or several runs (Fig. 11)."""
     figure = Figure(figsize=(7.6, 3.8), layout="constrained")
     axes = figure.add_subplot()

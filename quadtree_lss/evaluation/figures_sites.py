@@ -10,6 +10,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.evaluation.metrics import ErrorField, SafetyField
 from quadtree_lss.evaluation.page import VERDICTS, verdict_classes
 from quadtree_lss.evaluation.plotting import (
@@ -26,7 +27,7 @@ from quadtree_lss.evaluation.plotting import (
     relief,
 )
 from quadtree_lss.evaluation.reliability import Reliability
-from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Truth
+from quadtree_lss.evaluation.results import Grid, Truth
 
 
 def true_safety(truth: Truth) -> Figure:
@@ -41,7 +42,7 @@ def true_safety(truth: Truth) -> Figure:
     return figure
 
 
-def classification(safety: SafetyField, truth: Truth, sites: FloatArray) -> Figure:
+def classification(safety: SafetyField, truth: Truth, sites: Array) -> Figure:
     """Verdict against truth, point by point, with the best sites (Fig. 22)."""
     figure, axes = map_axes("Classification of terrain and the best sites", around(truth))
     kind = verdict_classes(safety)
@@ -58,10 +59,10 @@ def classification(safety: SafetyField, truth: Truth, sites: FloatArray) -> Figu
     return figure
 
 
-def score(grid: Grid, truth: Truth, sites: FloatArray) -> Figure:
+def score(grid: Grid, truth: Truth, sites: Array) -> Figure:
     """Score of the terrain where landing is allowed, lower is better (Figs. 23, 24)."""
     figure, axes = map_axes("Site score, lower is better; white: excluded", around(truth))
-    allowed: BoolArray = grid.safe & np.isfinite(grid.score)
+    allowed: Mask = grid.safe & np.isfinite(grid.score)
     values = np.where(allowed, grid.score, np.nan)
     low, high = np.percentile(grid.score[allowed], (0.5, 99.5)) if allowed.any() else (0.0, 1.0)
     shown = image(axes, grid.x, grid.y, values, cmap="viridis_r", vmin=low, vmax=high)
@@ -72,7 +73,7 @@ def score(grid: Grid, truth: Truth, sites: FloatArray) -> Figure:
     return figure
 
 
-def selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, FloatArray]) -> Figure:
+def selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, Array]) -> Figure:
     """Sites of one or several runs over the mapped elevation (Fig. 25).
 
     The paper shows binned measurements below them; results hold no points, so the map does here.

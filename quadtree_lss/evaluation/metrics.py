@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt, label
 
-from quadtree_lss.evaluation.results import BoolArray, FloatArray, Grid, Leaves, Truth
+from quadtree_lss.arrays import Array, Mask
+from quadtree_lss.evaluation.results import Grid, Leaves, Truth
 from quadtree_lss.simulation.safety import contact_safe, on_dem
 
 _SAMPLE_STEP = 0.5  # m, at most, between the points where elevations are compared
@@ -40,11 +41,11 @@ class ElevationError:
 class ErrorField:
     """Where the elevation was compared: x (n,), y (m,) and error (m, n), NaN = not seen."""
 
-    x: FloatArray
-    y: FloatArray
-    estimate: FloatArray
-    error: FloatArray
-    seen: BoolArray
+    x: Array
+    y: Array
+    estimate: Array
+    error: Array
+    seen: Mask
     without_estimate: float
 
 
@@ -75,13 +76,13 @@ class Detection:
 class SafetyField:
     """Grid point by grid point: their x (nx,), y (ny,) in the box and arrays (ny, nx)."""
 
-    x: FloatArray
-    y: FloatArray
-    truly_safe: BoolArray
-    called_safe: BoolArray
-    seen: BoolArray
-    scored: BoolArray
-    risk: FloatArray | None = None
+    x: Array
+    y: Array
+    truly_safe: Mask
+    called_safe: Mask
+    seen: Mask
+    scored: Mask
+    risk: Array | None = None
     """By the map; None if it tells none."""
 
 
@@ -102,11 +103,11 @@ class MissedPlace:
     peak_y: float
 
 
-def seen_at(grid: Grid, x: FloatArray, y: FloatArray) -> BoolArray:
+def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
     """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
     u, v = (x - grid.x[0]) / grid.spacing, (y - grid.y[0]) / grid.spacing
 
-    def around(w: FloatArray, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
+    def around(w: Array, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
         low, high = np.floor(w + 1e-9).astype(np.int64), np.ceil(w - 1e-9).astype(np.int64)
         inside = (low >= 0) & (high <= count - 1)
         return np.clip(low, 0, count - 1), np.clip(high, 0, count - 1), inside
@@ -151,7 +152,7 @@ def elevation_error(field: ErrorField) -> ElevationError:
     )
 
 
-def fill_holes(seen: BoolArray, spacing: float, width: float = 2.0) -> BoolArray:
+def fill_holes(seen: Mask, spacing: float, width: float = 2.0) -> Mask:
     """Close unseen gaps up to ``width`` (m) wide: morphological closing with a disc."""
     radius = 0.5 * width / spacing
     reach = int(np.floor(radius + 1e-9))
@@ -194,7 +195,7 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
 
 
 def _matches(
-    axis: FloatArray, lattice: FloatArray, low: float, high: float
+    axis: Array, lattice: Array, low: float, high: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Indices into ``lattice`` and ``axis`` of the coordinates both have in [low, high]."""
     nearest = np.clip(np.searchsorted(lattice, axis), 1, lattice.size - 1)
@@ -217,7 +218,7 @@ def detection(field: SafetyField) -> Detection:
         inside = np.pad(~field.truly_safe, 1, mode="edge")
         depth = spacing * float(distance_transform_edt(inside)[1:-1, 1:-1][missed].max())
 
-    def share(part: BoolArray, whole: BoolArray) -> float:
+    def share(part: Mask, whole: Mask) -> float:
         return float((part & whole).sum() / whole.sum()) if whole.any() else float("nan")
 
     return Detection(
@@ -234,7 +235,7 @@ def detection(field: SafetyField) -> Detection:
     )
 
 
-def site_verdicts(sites: FloatArray, truth: Truth) -> tuple[SiteVerdict, ...]:
+def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
     """Whether a lander set down at each site (K, 2 or 3) stands safely.
 
     A site on a grid point of the true safety map takes its verdict from there; any other, inside or

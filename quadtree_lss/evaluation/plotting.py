@@ -16,7 +16,8 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Circle, Rectangle
 from scipy.ndimage import gaussian_filter
 
-from quadtree_lss.evaluation.results import FloatArray, Truth
+from quadtree_lss.arrays import Array
+from quadtree_lss.evaluation.results import Truth
 from quadtree_lss.report.palette import MAPS, shaded
 from quadtree_lss.simulation.safety import Lander
 
@@ -70,9 +71,7 @@ def scale_bar(axes: Axes, box: Box) -> None:
     )
 
 
-def image(
-    axes: Axes, x: FloatArray, y: FloatArray, values: np.ndarray, **style: object
-) -> AxesImage:
+def image(axes: Axes, x: Array, y: Array, values: np.ndarray, **style: object) -> AxesImage:
     """An array (ny, nx) with samples at x, y; leaves the limits of the axes alone."""
     dx, dy = 0.5 * float(x[1] - x[0]), 0.5 * float(y[1] - y[0])
     extent = (float(x[0]) - dx, float(x[-1]) + dx, float(y[0]) - dy, float(y[-1]) + dy)
@@ -83,9 +82,7 @@ def image(
     return shown
 
 
-def relief(
-    axes: Axes, x: FloatArray, y: FloatArray, z: FloatArray, low: float, high: float
-) -> ScalarMappable:
+def relief(axes: Axes, x: Array, y: Array, z: Array, low: float, high: float) -> ScalarMappable:
     """Elevations (ny, nx) as on the page: in its colours, lit from the north-west."""
     scale = ScalarMappable(Normalize(low, high), MAPS["elevation"])
     colours = scale.to_rgba(np.ma.masked_invalid(z))[..., :3]
@@ -94,7 +91,7 @@ def relief(
     return scale
 
 
-def truth_window(truth: Truth, box: Box) -> tuple[FloatArray, FloatArray, FloatArray]:
+def truth_window(truth: Truth, box: Box) -> tuple[Array, Array, Array]:
     """The part of the DEM inside a box: x, y, elevation."""
     columns = np.flatnonzero((truth.x >= box[0]) & (truth.x <= box[1]))
     rows = np.flatnonzero((truth.y >= box[2]) & (truth.y <= box[3]))
@@ -115,7 +112,7 @@ def contours(axes: Axes, truth: Truth, box: Box) -> None:
         axes.contour(x, y, z, levels=levels, colors="black", linewidths=0.4, alpha=0.6)
 
 
-def limits(values: FloatArray) -> tuple[float, float]:
+def limits(values: Array) -> tuple[float, float]:
     """Colour limits of elevations that a few rock tops do not stretch."""
     finite = values[np.isfinite(values)]
     if not finite.size:
@@ -139,7 +136,7 @@ def outline(axes: Axes, truth: Truth) -> None:
     )
 
 
-def mark(axes: Axes, sites: FloatArray, colour: str = "black", name: str | None = None) -> None:
+def mark(axes: Axes, sites: Array, colour: str = "black", name: str | None = None) -> None:
     """Sites with their rank and the lander's footprint."""
     for rank, (x, y) in enumerate(sites[:, :2], start=1):
         circle = Circle((x, y), 0.5 * Lander().diameter, fill=False, edgecolor=colour, lw=1.4)

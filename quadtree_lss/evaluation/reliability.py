@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.evaluation.metrics import SafetyField
-from quadtree_lss.evaluation.results import BoolArray, FloatArray
 
 #: Bounds of the bins of predicted risk.
 EDGES = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
@@ -49,14 +49,14 @@ class Reliability:
         return "\n".join(lines)
 
 
-def scores(risk: FloatArray, failed: BoolArray) -> tuple[float, float]:
+def scores(risk: Array, failed: Mask) -> tuple[float, float]:
     """Brier score and mean log score of risks (K,)."""
     sure = np.clip(risk, LEAST, 1.0 - LEAST)
     log = -np.where(failed, np.log(sure), np.log1p(-sure)).mean()
     return float(np.square(risk - failed).mean()), float(log)
 
 
-def reliability(risk: FloatArray, failed: BoolArray) -> Reliability | None:
+def reliability(risk: Array, failed: Mask) -> Reliability | None:
     """Of risks and what was true (any shape); None if nobody asked for risks.
 
     A risk of 1 is no prediction: there the lander would reach unseen ground.

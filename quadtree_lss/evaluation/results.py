@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Mask
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.replay.result import ReplayResult
@@ -23,9 +24,6 @@ from quadtree_lss.replay.results import cells_arrays, grid_arrays
 from quadtree_lss.simulation.safety import Lander
 from quadtree_lss.simulation.simulate import TRUTH_NAME
 from quadtree_lss.simulation.terrain import bilinear
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 UNSEEN = 128
 """Bit of ``grid.npz`` ``hazard`` for ground that was not seen."""
@@ -50,12 +48,12 @@ class Leaves:
     level: NDArray[np.int64]
     ix: NDArray[np.int64]
     iy: NDArray[np.int64]
-    x: FloatArray
-    y: FloatArray
-    size: FloatArray
-    z: FloatArray
-    normal: FloatArray
-    measured: BoolArray
+    x: Array
+    y: Array
+    size: Array
+    z: Array
+    normal: Array
+    measured: Mask
     domain: Domain
     observed: NDArray[np.int64]
     """Number of the finest cells of each leaf in which a point fell; 0 if the file tells none."""
@@ -66,7 +64,7 @@ class Leaves:
         return self.domain.min_level == self.domain.max_level
 
     @property
-    def estimated(self) -> BoolArray:
+    def estimated(self) -> Mask:
         """Leaves with a plane, measured or inherited (M,)."""
         return np.isfinite(self.z)
 
@@ -90,7 +88,7 @@ class Leaves:
         of_all = self.observed.sum()
         return float(self.observed[~self.estimated].sum() / of_all) if of_all else float("nan")
 
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Elevation (m) of the leaf planes at map coordinates; NaN without an estimate."""
         x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         n, size = self.domain.finest_count, self.domain.finest_size
@@ -109,14 +107,14 @@ class Leaves:
 class Grid:
     """Points of the landing grid (``grid.npz``): x (nx,), y (ny,), arrays (ny, nx)."""
 
-    x: FloatArray
-    y: FloatArray
-    elevation: FloatArray
-    slope_deg: FloatArray
-    hazard: NDArray[np.uint8]
-    safe: BoolArray
-    score: FloatArray
-    risk: FloatArray | None = None
+    x: Array
+    y: Array
+    elevation: Array
+    slope_deg: Array
+    hazard: Bytes
+    safe: Mask
+    score: Array
+    risk: Array | None = None
     """That landing there fails; None where the file tells none, NaN where nobody asked."""
 
     @property
@@ -125,7 +123,7 @@ class Grid:
         return float(self.x[-1] - self.x[0]) / (self.x.size - 1)
 
     @property
-    def seen(self) -> BoolArray:
+    def seen(self) -> Mask:
         """Grid points on seen ground (ny, nx)."""
         return np.asarray((self.hazard & UNSEEN) == 0)
 
@@ -136,9 +134,9 @@ class Results:
 
     leaves: Leaves
     grid: Grid
-    sites: FloatArray
+    sites: Array
     """Positions (K, 3) of the ranked sites, best first."""
-    map_ms: FloatArray
+    map_ms: Array
     """Time per scan (S,), ms."""
     stamps_ns: NDArray[np.int64]
     """Stamps of the mapped scans (S,)."""
@@ -157,15 +155,15 @@ class Results:
 class Truth:
     """The ground as it is (``truth.npz``), metres, map frame."""
 
-    x: FloatArray
-    y: FloatArray
-    elevation: FloatArray
-    safe_x: FloatArray
-    safe_y: FloatArray
-    safe: BoolArray
+    x: Array
+    y: Array
+    elevation: Array
+    safe_x: Array
+    safe_y: Array
+    safe: Mask
     box: tuple[float, float, float, float]
     scan_stamp_ns: NDArray[np.int64]
-    scan_outline: FloatArray
+    scan_outline: Array
     """Edge of each scan on the ground (S, K, 2); K = 0 where the file does not know."""
     scan_flight: NDArray[np.int64]
     """Flight to which each scan belongs (S,)."""
@@ -175,11 +173,11 @@ class Truth:
     lander: Lander = Lander()
     """Whose safety it is."""
 
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
         """True elevation (m) at map coordinates; NaN outside the DEM."""
         return bilinear(self.x, self.y, self.elevation, x, y)
 
-    def outlines_of(self, stamps_ns: NDArray[np.int64], every: int) -> tuple[FloatArray, int]:
+    def outlines_of(self, stamps_ns: NDArray[np.int64], every: int) -> tuple[Array, int]:
         """Closed outlines (n, K + 1, 2) of every so-manieth of the given scans; their number."""
         rows = np.flatnonzero(np.isin(self.scan_stamp_ns, stamps_ns))
         if not self.scan_outline.shape[1]:

@@ -6,12 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.config.risk import RiskModel, Row
-
-FloatArray = NDArray[np.float64]
 
 #: Knots of r, m; of s, rise over run; of l and d (see ``RiskModel``).
 RISE = (-0.15, -0.12, -0.09, -0.06, -0.04, -0.02, 0.0) + (
@@ -40,8 +39,8 @@ def unfitted() -> RiskModel:
 
 
 def counted(
-    first: ArrayLike, second: ArrayLike, failed: ArrayLike, bins: tuple[FloatArray, FloatArray]
-) -> FloatArray:
+    first: ArrayLike, second: ArrayLike, failed: ArrayLike, bins: tuple[Array, Array]
+) -> Array:
     """Landings tried and failed (2, len(bins[0]), len(bins[1])), in the nearest bins.
 
     Args:
@@ -60,7 +59,7 @@ def counted(
     return np.stack([tried, np.bincount(at, of, len(tried))]).reshape(2, len(bins[0]), -1)
 
 
-def fit_curves(counts: FloatArray) -> tuple[Row, Row]:
+def fit_curves(counts: Array) -> tuple[Row, Row]:
     """First step: a at the knots of r and b at those of s, which ascend.
 
     Args:
@@ -73,7 +72,7 @@ def fit_curves(counts: FloatArray) -> tuple[Row, Row]:
     bend_r = np.diff(_sums(len(RISE)), 2, axis=0)
     bend_s = np.diff(_sums(len(SLOPE)), 2, axis=0)
 
-    def cost(steps: FloatArray) -> tuple[float, FloatArray]:
+    def cost(steps: Array) -> tuple[float, Array]:
         one, other = steps[: len(RISE)], steps[len(RISE) :]
         odds_r, odds_s = up_r @ one, up_s @ other
         safe = -np.logaddexp(0.0, odds_r)[:, None] - np.logaddexp(0.0, odds_s)
@@ -96,7 +95,7 @@ def fit_curves(counts: FloatArray) -> tuple[Row, Row]:
     return _row(np.cumsum(steps[: len(RISE)])), _row(np.cumsum(steps[len(RISE) :]))
 
 
-def fit_table(counts: FloatArray) -> tuple[Row, ...]:
+def fit_table(counts: Array) -> tuple[Row, ...]:
     """Second step: c at the knots of l (rows) and d (columns), which ascend as good as always.
 
     Args:
@@ -109,7 +108,7 @@ def fit_table(counts: FloatArray) -> tuple[Row, ...]:
     bends = np.kron(np.diff(rows, 2, axis=0), columns), np.kron(rows, np.diff(columns, 2, axis=0))
     rises = np.kron(np.diff(rows, 1, axis=0), columns), np.kron(rows, np.diff(columns, 1, axis=0))
 
-    def cost(odds: FloatArray) -> tuple[float, FloatArray]:
+    def cost(odds: Array) -> tuple[float, Array]:
         at = hats @ odds
         value = float(np.sum(tried * np.logaddexp(0.0, at) - failed * at))
         by = hats.T @ (tried / (1.0 + np.exp(-at)) - failed)
@@ -127,23 +126,23 @@ def fit_table(counts: FloatArray) -> tuple[Row, ...]:
 
 
 def _least(
-    cost: Callable[[FloatArray], tuple[float, FloatArray]],
-    begin: FloatArray,
+    cost: Callable[[Array], tuple[float, Array]],
+    begin: Array,
     bounds: list[tuple[float, float | None]] | None,
-) -> FloatArray:
+) -> Array:
     options = {"maxiter": 5000, "maxfun": 8000, "ftol": 1e-13, "gtol": 1e-9}
     found = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return np.asarray(found.x)
 
 
-def _hats(values: FloatArray, knots: Row) -> FloatArray:
+def _hats(values: Array, knots: Row) -> Array:
     """(len(values), len(knots)) shares of the knots in what is straight between them."""
     return np.stack([np.interp(values, knots, unit) for unit in np.eye(len(knots))], axis=1)
 
 
-def _sums(count: int) -> FloatArray:
+def _sums(count: int) -> Array:
     return np.tril(np.ones((count, count)))
 
 
-def _row(values: FloatArray) -> Row:
+def _row(values: Array) -> Row:
     return tuple(round(float(value), 3) for value in values)

@@ -11,6 +11,7 @@ import numpy as np
 
 import quadtree_lss
 from quadtree_lss import build
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.config.risk import RiskModel
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.probability import RiskTable, limits
@@ -20,13 +21,12 @@ from quadtree_lss.core.landing.touchdown import TouchdownCheck, WorstRest
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.evaluation.reliability import scores
-from quadtree_lss.evaluation.results import BoolArray, EvaluationError
+from quadtree_lss.evaluation.results import EvaluationError
 from quadtree_lss.evaluation.risk_fit import (
     ABOUT_BINS,
     OWN_BINS,
     RISE_BINS,
     SLOPE_BINS,
-    FloatArray,
     counted,
     fit_curves,
     fit_table,
@@ -86,8 +86,8 @@ class Mapped:
     """
 
     cells: CellMap
-    known: BoolArray
-    safe: BoolArray
+    known: Mask
+    safe: Mask
 
 
 def fly(
@@ -130,7 +130,7 @@ def lander_of(config: Config) -> Lander:
     )
 
 
-def _truth(cells: CellMap, simulation: Simulation, config: Config) -> tuple[BoolArray, BoolArray]:
+def _truth(cells: CellMap, simulation: Simulation, config: Config) -> tuple[Mask, Mask]:
     """Grid points whose truth is known, and of them those that are safe."""
     domain, (xmin, xmax, ymin, ymax) = cells.domain, simulation.box
     along = domain.finest_size * np.arange(domain.finest_count + 1)
@@ -157,9 +157,9 @@ class Landings:
     """
 
     worst: WorstRest
-    judged: BoolArray
-    counts: BoolArray
-    failed: BoolArray
+    judged: Mask
+    counts: Mask
+    failed: Mask
 
 
 def land(mapped: Mapped, model: RiskModel, config: Config) -> Landings:
@@ -224,7 +224,7 @@ def fitted(flown: dict[str, list[Landings]], config: Config) -> RiskModel:
     lss, model = config.lss, unfitted()
     slope0 = float(np.tan(np.radians(lss.max_slope_deg)))
 
-    def first(one: Landings) -> FloatArray:
+    def first(one: Landings) -> Array:
         rise = one.worst.rise[one.counts] - lss.max_roughness
         return counted(
             rise, one.worst.slope[one.counts] - slope0, one.failed, (RISE_BINS, SLOPE_BINS)
@@ -234,16 +234,14 @@ def fitted(flown: dict[str, list[Landings]], config: Config) -> RiskModel:
     model = replace(model, rise_odds=rise_odds, slope_odds=slope_odds)
     table = RiskTable(model, lss)
 
-    def second(one: Landings) -> FloatArray:
+    def second(one: Landings) -> Array:
         own, about = (odds[one.counts] for odds in table.log_odds(one.worst, one.judged))
         return counted(own, about, one.failed, (OWN_BINS, ABOUT_BINS))
 
     return replace(model, odds=fit_table(_evenly(flown, second)))
 
 
-def _evenly(
-    flown: dict[str, list[Landings]], count: Callable[[Landings], FloatArray]
-) -> FloatArray:
+def _evenly(flown: dict[str, list[Landings]], count: Callable[[Landings], Array]) -> Array:
     """Counts of all cases, each with weight 1."""
     of_case = [np.sum([count(one) for one in landings], axis=0) for landings in flown.values()]
     return np.asarray(sum(counts / counts[0].sum() for counts in of_case))

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.exchange.libraries import ExchangeError, library
-
-Array = NDArray[np.float64]
 
 TIFF = (".tif", ".tiff", ".vrt", ".img", ".asc")
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.exchange.libraries import ExchangeError, library
-
-Array = NDArray[np.float64]
 
 WHAT = "GeoTIFF and coordinates of the Earth"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes
 from quadtree_lss.exchange.libraries import library
-
-Array = NDArray[np.float64]
 
 FAR = 10_000.0
 """Coordinates beyond lose centimetres in the 32 bits that meshes have, m."""
@@ -34,9 +33,7 @@ def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.i
     return vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
-def write_meshes(
-    paths: list[Path], x: Array, y: Array, heights: Array, colours: NDArray[np.uint8]
-) -> Array:
+def write_meshes(paths: list[Path], x: Array, y: Array, heights: Array, colours: Bytes) -> Array:
     """Writes the ground as ``.ply`` (z up) or ``.glb`` (y up, as glTF has it).
 
     Args:

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.flight.gimbal import Gimbal, quaternion
 from quadtree_lss.flight.ground import Ground, start
-from quadtree_lss.flight.lander import FloatArray, Lander
+from quadtree_lss.flight.lander import Lander
 from quadtree_lss.flight.pilot import Pilot, Target
 from quadtree_lss.flight.settings import Fault, FlightSettings
 from quadtree_lss.simulation.lidar import FlashLidar
@@ -101,7 +102,7 @@ class Flight:
         self.active: dict[str, float] = {}
         self.outcome = ""
         self.samples: list[Sample] = []
-        self.outlines: list[FloatArray] = []
+        self.outlines: list[Array] = []
         self._asked: dict[str, bytes] = {}
         self._seen_from = (np.zeros(3), np.eye(3))
 
@@ -115,7 +116,7 @@ class Flight:
         """Of the present tick."""
         return START_NS + self._ticks * round(TICK * 1e9)
 
-    def navigated(self) -> tuple[FloatArray, FloatArray]:
+    def navigated(self) -> tuple[Array, Array]:
         """Position and velocity (3,) as navigation knows them."""
         off = self._offset[self._ticks]
         if "pose_jump" in self.active:
@@ -210,7 +211,7 @@ class Flight:
                 self.active[fault.kind] = self.time + fault.seconds
                 self._due.remove(item)
 
-    def _sense(self, position: FloatArray, velocity: FloatArray) -> Iterator[Sent]:
+    def _sense(self, position: Array, velocity: Array) -> Iterator[Sent]:
         """Poses, scans and wishes of this tick."""
         pilot = self.pilot
         before = self._seen_from
@@ -237,7 +238,7 @@ class Flight:
             square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
             yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * square)
 
-    def _scan(self, before: tuple[FloatArray, FloatArray]) -> Sent:
+    def _scan(self, before: tuple[Array, Array]) -> Sent:
         """The flash between the last tick, ``before``, and this one."""
         share = SCAN_AFTER / TICK
         (place, turn), (place_now, turn_now) = before, self._seen_from
@@ -252,7 +253,7 @@ class Flight:
         stamp = self.stamp_ns - round((TICK - SCAN_AFTER) * 1e9)
         return Sent("lidar/points", stamp, points)
 
-    def _ask(self, topic: str, value: FloatArray) -> Iterator[Sent]:
+    def _ask(self, topic: str, value: Array) -> Iterator[Sent]:
         """Only what is new is sent."""
         content = np.round(value, 3).tobytes()
         if self._asked.get(topic) != content:

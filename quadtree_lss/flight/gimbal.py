@@ -9,10 +9,11 @@ from math import hypot, radians, sqrt
 
 import numpy as np
 
-from quadtree_lss.flight.lander import FloatArray, turned
+from quadtree_lss.arrays import Array
+from quadtree_lss.flight.lander import turned
 
 
-def axes(boresight: FloatArray) -> FloatArray:
+def axes(boresight: Array) -> Array:
     """Rotation (3, 3) of a lidar, z along a unit vector, y down, x level; as of ``look_at``."""
     x, y, z = boresight.tolist()
     level = hypot(x, y)
@@ -21,7 +22,7 @@ def axes(boresight: FloatArray) -> FloatArray:
     return np.array([(across, back, 0.0), down, (x, y, z)]).T
 
 
-def quaternion(rotation: FloatArray) -> FloatArray:
+def quaternion(rotation: Array) -> Array:
     """x, y, z, w (4,) of a rotation (3, 3) of which the trace may be anything."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
@@ -70,7 +71,7 @@ class Gimbal:
     """
 
     def __init__(
-        self, plan: ScanPlan, field_of_view_deg: float, centre: FloatArray, half: float
+        self, plan: ScanPlan, field_of_view_deg: float, centre: Array, half: float
     ) -> None:
         self.plan, self.centre, self.half = plan, np.asarray(centre, dtype=np.float64), half
         self._angle = float(np.radians(field_of_view_deg))
@@ -83,9 +84,9 @@ class Gimbal:
     def step(
         self,
         now: float,
-        position: FloatArray,
-        velocity: FloatArray,
-        target: FloatArray | None,
+        position: Array,
+        velocity: Array,
+        target: Array | None,
         dt: float,
     ) -> None:
         """Turns the boresight toward where it should look at ``now`` s.
@@ -109,13 +110,11 @@ class Gimbal:
             self.boresight = wanted
         self.boresight = turned(self.boresight, wanted, radians(self.plan.rate_deg) * dt)
 
-    def rotation(self) -> FloatArray:
+    def rotation(self) -> Array:
         """Takes lidar axes to the map's, (3, 3)."""
         return axes(self.boresight)
 
-    def _begin(
-        self, now: float, position: FloatArray, velocity: FloatArray, target: FloatArray | None
-    ) -> None:
+    def _begin(self, now: float, position: Array, velocity: Array, target: Array | None) -> None:
         """Strips across the line of sight, from the near edge to the far one.
 
         They are as narrow as the footprint will be at the end of the pass.

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.flight.lander import FloatArray
+from quadtree_lss.arrays import Array
 from quadtree_lss.flight.settings import FlightSettings
 from quadtree_lss.simulation import safety
 from quadtree_lss.simulation.hazard_field import HazardField, hazard_field, strewn
@@ -30,7 +30,7 @@ class Ground:
     """
 
     terrain: Terrain
-    planned: FloatArray
+    planned: Array
     half: float
 
     @classmethod
@@ -57,7 +57,7 @@ class Ground:
         planned = np.array([x, y, float(terrain.elevation_at(x, y))])
         return cls(terrain, planned, min(settings.half, room))
 
-    def touches(self, position: FloatArray) -> bool:
+    def touches(self, position: Array) -> bool:
         """Whether a lander whose pads are level with ``position`` (3,) is on the ground."""
         if position[2] > self._highest:
             return False
@@ -82,7 +82,7 @@ class Ground:
         return float(t.elevation[near].max())
 
     @cached_property
-    def safe(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def safe(self) -> tuple[Array, Array, Array]:
         """x, y (n,) of the candidate area and the room in truth (n, n), m: 0 where unsafe."""
         n = int(self.half / GRID)
         x = self.planned[0] + GRID * np.arange(-n, n + 1)
@@ -91,7 +91,7 @@ class Ground:
         safe = safety.safety_map(t.x, t.y, t.elevation, x, y)
         return x, y, GRID * distance_transform_edt(np.pad(safe, 1))[1:-1, 1:-1]
 
-    def best(self) -> FloatArray | None:
+    def best(self) -> Array | None:
         """(3,) what perfect knowledge flies to: room enough, near to the planned point."""
         x, y, room = self.safe
         away = np.hypot(x[None, :] - self.planned[0], y[:, None] - self.planned[1])
@@ -104,8 +104,8 @@ class Ground:
 
 
 def start(
-    settings: FlightSettings, planned: FloatArray, generator: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
+    settings: FlightSettings, planned: Array, generator: np.random.Generator
+) -> tuple[Array, Array]:
     """Position and velocity (3,) at the start: on the glide slope, flying along +x, scattered."""
     slope = np.radians(settings.glide_slope_deg)
     way = np.array([np.cos(slope), 0.0, -np.sin(slope)])

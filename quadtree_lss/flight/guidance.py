@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import trapezoid
 
-from quadtree_lss.flight.lander import FloatArray, Vehicle
+from quadtree_lss.arrays import Array
+from quadtree_lss.flight.lander import Vehicle
 
 _AT = np.linspace(0.0, 1.0, 13)
 """Shares of the time to go at which a path is looked at."""
@@ -52,9 +53,9 @@ class Paths:
         times: (M,) s.
     """
 
-    propellant: FloatArray
+    propellant: Array
     allowed: np.ndarray
-    times: FloatArray
+    times: Array
 
     def best(self, k: int = 0) -> tuple[float, float] | None:
         """Time to go and propellant of the cheapest allowed path to place ``k``, None if none."""
@@ -64,13 +65,13 @@ class Paths:
 
 
 def zem_zev(
-    position: FloatArray,
-    velocity: FloatArray,
-    end: FloatArray,
-    end_velocity: FloatArray,
+    position: Array,
+    velocity: Array,
+    end: Array,
+    end_velocity: Array,
     time_to_go: float,
-    weight: FloatArray,
-) -> FloatArray:
+    weight: Array,
+) -> Array:
     """Acceleration (3,) by thrust, now; all in the map frame, m and s."""
     t = time_to_go
     miss = end - position - velocity * t - 0.5 * weight * t * t
@@ -81,11 +82,11 @@ def zem_zev(
 def paths(
     vehicle: Vehicle,
     mass: float,
-    position: FloatArray,
-    velocity: FloatArray,
-    ends: FloatArray,
-    end_velocity: FloatArray,
-    times: FloatArray,
+    position: Array,
+    velocity: Array,
+    ends: Array,
+    end_velocity: Array,
+    times: Array,
     limits: Limits,
 ) -> Paths:
     """What it takes to reach each of ``ends`` (K, 3) in each of ``times`` (M,)."""
@@ -121,7 +122,7 @@ def paths(
     return Paths(mass - left, allowed, times)
 
 
-def thrust_for(vehicle: Vehicle, mass: float, acceleration: FloatArray) -> FloatArray:
+def thrust_for(vehicle: Vehicle, mass: float, acceleration: Array) -> Array:
     """Thrust (3,), N, for an acceleration: within the limits, the vertical part first."""
     up = max(float(acceleration[2]), 0.1 * vehicle.gravity)
     up = min(up * mass, 0.97 * vehicle.thrust_max)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from math import acos, cos, degrees, hypot, radians, sin, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 EARTH_G = 9.80665
 
@@ -47,7 +46,7 @@ class Vehicle:
         return self.isp * EARTH_G
 
     @property
-    def weight(self) -> FloatArray:
+    def weight(self) -> Array:
         """Acceleration of gravity (3,), map frame, m/s^2."""
         return np.array([0.0, 0.0, -self.gravity])
 
@@ -65,14 +64,14 @@ class Lander:
         direction: (3,) unit vector of the thrust, up along the vehicle's axis.
     """
 
-    def __init__(self, vehicle: Vehicle, position: FloatArray, velocity: FloatArray) -> None:
+    def __init__(self, vehicle: Vehicle, position: Array, velocity: Array) -> None:
         self.vehicle = vehicle
         self.position = np.array(position, dtype=np.float64)
         self.velocity = np.array(velocity, dtype=np.float64)
         self.mass = vehicle.mass
         self.thrust = vehicle.mass * vehicle.gravity
         self.direction = np.array([0.0, 0.0, 1.0])
-        self._commands: deque[tuple[float, FloatArray]] = deque()
+        self._commands: deque[tuple[float, Array]] = deque()
         self._command = self.thrust * self.direction
         self._now = 0.0
 
@@ -86,7 +85,7 @@ class Lander:
         """Of the vehicle's axis from the vertical."""
         return degrees(acos(min(max(float(self.direction[2]), -1.0), 1.0)))
 
-    def command(self, thrust: FloatArray) -> None:
+    def command(self, thrust: Array) -> None:
         """Ask for a thrust (3,), map frame, N; it has an effect after the delay."""
         self._commands.append((self._now + self.vehicle.delay - 1e-9, np.array(thrust)))
 
@@ -114,7 +113,7 @@ class Lander:
         self.thrust = min(max(self.thrust + change, v.thrust_min), v.thrust_max)
 
 
-def turned(old: FloatArray, new: FloatArray, most: float) -> FloatArray:
+def turned(old: Array, new: Array, most: float) -> Array:
     """A unit vector (3,) turned from ``old`` toward ``new``, by ``most`` rad at most."""
     angle = acos(min(max(float(new @ old), -1.0), 1.0))
     if angle > most:
@@ -122,7 +121,7 @@ def turned(old: FloatArray, new: FloatArray, most: float) -> FloatArray:
     return new / sqrt(float(new @ new))
 
 
-def within_tilt(direction: FloatArray, limit_deg: float) -> FloatArray:
+def within_tilt(direction: Array, limit_deg: float) -> Array:
     """A unit vector (3,) no farther from the vertical than the limit, in the same heading."""
     limit = radians(limit_deg)
     if direction[2] >= cos(limit):

@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.flight.guidance import Limits, Paths, paths, thrust_for, zem_zev
-from quadtree_lss.flight.lander import FloatArray, Vehicle
+from quadtree_lss.flight.lander import Vehicle
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Rules:
 class Target(NamedTuple):
     """What ``landing/selected`` said: a place, or None where there is none."""
 
-    place: FloatArray | None
+    place: Array | None
 
 
 class Decision(NamedTuple):
@@ -93,12 +94,12 @@ class Pilot:
     """
 
     def __init__(
-        self, vehicle: Vehicle, rules: Rules, planned: FloatArray, *, avoid: bool, surveys: bool
+        self, vehicle: Vehicle, rules: Rules, planned: Array, *, avoid: bool, surveys: bool
     ) -> None:
         self.vehicle, self.rules, self.avoid = vehicle, rules, avoid
         self.aim = np.array(planned, dtype=np.float64)
         self.surveyed = not surveys
-        self.target: FloatArray | None = None
+        self.target: Array | None = None
         self.mode = "approach"
         self.decisions: list[Decision] = []
         self.time_to_go = np.nan
@@ -138,9 +139,7 @@ class Pilot:
         self.aim, self.target = place.copy(), place
         self._resume("target" if first else "divert")
 
-    def guide(
-        self, now: float, position: FloatArray, velocity: FloatArray, mass: float
-    ) -> FloatArray:
+    def guide(self, now: float, position: Array, velocity: Array, mass: float) -> Array:
         """Thrust (3,), N, from navigation's position and velocity (3,) and the mass."""
         self._now, self._state = now, (position, velocity, mass)
         self._height = float(position[2] - self.aim[2])
@@ -155,7 +154,7 @@ class Pilot:
             return self._down()
         return self._wait()
 
-    def area(self) -> FloatArray | None:
+    def area(self) -> Array | None:
         """(V, 2) polygon of the zones that can still be reached, None if nothing new is known."""
         rules = self.rules
         if self.mode in ("terminal", "abort") or self.committed:
@@ -174,7 +173,7 @@ class Pilot:
         far = radii[steps] + rules.zone
         return self.aim[:2] + far[:, None] * way[:, :2]
 
-    def gate(self, place: FloatArray | None = None) -> FloatArray:
+    def gate(self, place: Array | None = None) -> Array:
         """(3,) point above a place, the aim by default, from which it is straight down."""
         over = self.aim if place is None else place
         return over + np.array([0.0, 0.0, self.rules.gate])
@@ -183,7 +182,7 @@ class Pilot:
         self.mode, self._planned_at, self.time_to_go = "approach", -np.inf, np.nan
         self._note(what)
 
-    def _note(self, what: str, place: FloatArray | None = None) -> None:
+    def _note(self, what: str, place: Array | None = None) -> None:
         x, y = (self.aim if place is None else place)[:2]
         last = self.decisions[-1] if self.decisions else None
         if last is None or (last.what, last.x, last.y) != (what, float(x), float(y)):
@@ -193,19 +192,19 @@ class Pilot:
         burnt = self.vehicle.mass - self._state[2]
         return self.vehicle.propellant - burnt - self.rules.reserve
 
-    def _times(self, number: int) -> FloatArray:
+    def _times(self, number: int) -> Array:
         position, velocity, _ = self._state
         distance = float(np.linalg.norm(position - self.gate()))
         typical = distance / max(0.5 * float(np.linalg.norm(velocity)), 3.0)
         return np.geomspace(max(0.5 * typical, 3.0), max(2.5 * typical, 20.0), number)
 
-    def _paths(self, ends: FloatArray, times: FloatArray, limits: Limits | None = None) -> Paths:
+    def _paths(self, ends: Array, times: Array, limits: Limits | None = None) -> Paths:
         position, velocity, mass = self._state
         down = np.array([0.0, 0.0, -self.rules.gate_speed])
         limits = limits or self.rules.limits
         return paths(self.vehicle, mass, position, velocity, ends, down, times, limits)
 
-    def _reaches(self, place: FloatArray) -> bool:
+    def _reaches(self, place: Array) -> bool:
         found = self._paths(self.gate(place)[None], self._times(40)).best()
         return found is not None and found[1] <= self._spare()
 
@@ -225,7 +224,7 @@ class Pilot:
             self._planned_at, self.time_to_go = -np.inf, np.nan
             self._note("hover")
 
-    def _approach(self, now: float) -> FloatArray:
+    def _approach(self, now: float) -> Array:
         position, velocity, mass = self._state
         down = np.array([0.0, 0.0, -self.rules.gate_speed])
         if now - self._planned_at >= 1.0 - 1e-6 and not self.time_to_go < 4.0:
@@ -263,7 +262,7 @@ class Pilot:
             found = self._paths(self.gate()[None], times, loose).best()
             self.time_to_go = float(np.median(times)) if found is None else found[0]
 
-    def _down(self) -> FloatArray:
+    def _down(self) -> Array:
         """Straight down; it waits where it is while it is not yet over the aim."""
         position, velocity, mass = self._state
         off = (self.aim - position)[:2]
@@ -275,7 +274,7 @@ class Pilot:
         push[2] += 1.2 * (-over * self.rules.touchdown_speed - velocity[2])
         return thrust_for(self.vehicle, mass, push)
 
-    def _wait(self) -> FloatArray:
+    def _wait(self) -> Array:
         """To the hover point over the aim, and to stay there; up and away after an abort."""
         position, velocity, mass = self._state
         over = self.aim + np.array([0.0, 0.0, self.rules.hover])

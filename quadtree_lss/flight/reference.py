@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.flight.guidance import Limits
-from quadtree_lss.flight.lander import FloatArray, Vehicle
+from quadtree_lss.flight.lander import Vehicle
 
 
 class NoReference(QuadtreeLssError):
@@ -36,9 +37,9 @@ class Optimum:
 
     propellant: float
     time: float
-    position: FloatArray
-    velocity: FloatArray
-    thrust: FloatArray
+    position: Array
+    velocity: Array
+    thrust: Array
 
 
 class Descent:
@@ -55,7 +56,7 @@ class Descent:
         self._cvxpy: Any = _cvxpy()
 
     def cheapest(
-        self, position: FloatArray, velocity: FloatArray, end: FloatArray, end_velocity: FloatArray
+        self, position: Array, velocity: Array, end: Array, end_velocity: Array
     ) -> Optimum | None:
         """The descent that burns least, with the best time to 0.5 s; None if there is none."""
         found: dict[float, Optimum | None] = {}
@@ -83,10 +84,10 @@ class Descent:
     def within(
         self,
         seconds: float,
-        position: FloatArray,
-        velocity: FloatArray,
-        end: FloatArray,
-        end_velocity: FloatArray,
+        position: Array,
+        velocity: Array,
+        end: Array,
+        end_velocity: Array,
     ) -> Optimum | None:
         """The descent that burns least in a given time, None if there is none."""
         cp = self._cvxpy
@@ -112,12 +113,12 @@ class Descent:
     def reach(
         self,
         seconds: float,
-        position: FloatArray,
-        velocity: FloatArray,
+        position: Array,
+        velocity: Array,
         height: float,
-        end_velocity: FloatArray,
+        end_velocity: Array,
         heading: float,
-    ) -> FloatArray | None:
+    ) -> Array | None:
         """The farthest place (3,) that can be reached in a time along a heading, None if none.
 
         Args:
@@ -139,7 +140,7 @@ class Descent:
         return np.asarray(r.value[n]) if problem.status == cp.OPTIMAL else None
 
     def _problem(
-        self, seconds: float, position: FloatArray, velocity: FloatArray
+        self, seconds: float, position: Array, velocity: Array
     ) -> tuple[Any, Any, Any, list[Any]]:
         """Places, velocities (N + 1, 3), speed change and rules of motion and engine."""
         cp, vehicle, n = self._cvxpy, self.vehicle, self.steps

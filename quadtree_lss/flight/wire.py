@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.flight.flight import Sent
-from quadtree_lss.flight.lander import FloatArray
 
 KINDS = {
     "nav/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -73,9 +73,7 @@ class Wire:
         covariance = np.diag([*sent.value, 0.0, 0.0, 0.0, np.inf])  # at any heading
         return self._with_covariance(sent, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), covariance)
 
-    def _with_covariance(
-        self, sent: Sent, position: FloatArray, xyzw: FloatArray, covariance: FloatArray
-    ) -> Any:
+    def _with_covariance(self, sent: Sent, position: Array, xyzw: Array, covariance: Array) -> Any:
         x, y, z, w = (float(value) for value in xyzw)
         pose = self._make(
             "geometry_msgs/msg/Pose",

@@ -14,12 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Points
 from quadtree_lss.core.sensing.lidar import points_from_ranges
 from quadtree_lss.core.sensing.points import reach_beyond
 from quadtree_lss.errors import QuadtreeLssError
-
-Array = NDArray[np.float64]
-Points = NDArray[np.float32] | NDArray[np.float64]
 
 CARTESIAN = ("x", "y", "z")
 SPHERICAL = ("range", "azimuth", "elevation")
@@ -59,7 +57,7 @@ class _Layout:
     offsets: tuple[int, int, int]
     formats: tuple[str, str, str]
 
-    def columns(self, data: NDArray[np.uint8]) -> tuple[NDArray[Any], ...]:
+    def columns(self, data: Bytes) -> tuple[NDArray[Any], ...]:
         """Three (height, width) views of the bytes."""
         return tuple(
             np.ndarray(
@@ -72,7 +70,7 @@ class _Layout:
             for offset, kind in zip(self.offsets, self.formats, strict=True)
         )
 
-    def view(self, data: NDArray[np.uint8]) -> Points | None:
+    def view(self, data: Bytes) -> Points | None:
         """(height, width, 3) of the bytes themselves; None if they do not lie so."""
         kind, size = self.formats[0], int(self.formats[0][1])
         start, address = self.offsets[0], data.__array_interface__["data"][0]
@@ -171,7 +169,7 @@ def _count(msg: Any, name: str) -> int:
     return value
 
 
-def _bytes(data: Any) -> NDArray[np.uint8]:
+def _bytes(data: Any) -> Bytes:
     """The bytes without a copy where the type allows it: array.array, bytes, NumPy."""
     try:
         return np.frombuffer(data, dtype=np.uint8)
@@ -179,7 +177,7 @@ def _bytes(data: Any) -> NDArray[np.uint8]:
         return _copied_bytes(data)
 
 
-def _copied_bytes(data: Any) -> NDArray[np.uint8]:
+def _copied_bytes(data: Any) -> Bytes:
     """Bytes of a list, an array with gaps or an empty buffer."""
     try:
         values = np.asarray(data).reshape(-1)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Points
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.mount import MountedPoses
@@ -18,7 +19,7 @@ from quadtree_lss.core.sensing.pose_gate import PoseGate
 from quadtree_lss.core.sensing.scan_queue import Drop, ScanQueue
 from quadtree_lss.core.sensing.sweep import Sweep, poses_during, sweep
 from quadtree_lss.errors import one_line
-from quadtree_lss.messages.clouds import MessageError, Points, points_from_cloud, stamp_ns
+from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.messages.extrinsics import Extrinsics
 from quadtree_lss.messages.poses import (
     has_unknown_covariance,

@@ -6,13 +6,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.geometry.polygons import FARTHEST
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.poses import check_frame
-
-Array = NDArray[np.float64]
 
 AREA, KEEP_OUT, TARGET, DISPERSION = "area", "keep_out", "target", "dispersion"
 """Their topics are ``landing/`` and this."""

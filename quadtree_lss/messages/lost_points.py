@@ -6,17 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Points
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.mapping.mapper import ScanReport
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.mount import AXES, cloud_turn
 from quadtree_lss.core.sensing.pose_buffer import seconds
 from quadtree_lss.core.tree.domain import Domain
-from quadtree_lss.messages.clouds import Points
-
-Array = NDArray[np.float64]
 
 TRIED_POINTS = 500
 """As many points of a scan are tried with other axes and frames."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.tree.cell_map import CellMap
@@ -22,8 +23,6 @@ from quadtree_lss.errors import QuadtreeLssError
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
     from quadtree_lss.core.landing.sites import LandingAssessment
-
-Array = NDArray[np.float64]
 
 
 class MapMessageError(QuadtreeLssError):
@@ -123,7 +122,7 @@ def encode_cells(cells: CellMap) -> NDArray[np.void]:
 
 def decode_cells(
     records: NDArray[np.void],
-    observed: NDArray[np.bool_],
+    observed: Mask,
     xmin: float,
     ymin: float,
     stamp_ns: int,
@@ -287,7 +286,7 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     return out
 
 
-def encode_observed(observed: NDArray[np.bool_]) -> NDArray[np.int8]:
+def encode_observed(observed: Mask) -> NDArray[np.int8]:
     """OccupancyGrid values of ``map/observed``: 100 where a point fell, -1 elsewhere."""
     return np.where(observed, np.int8(100), np.int8(-1))
 

@@ -8,14 +8,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import MessageError, stamp_ns
-
-Array = NDArray[np.float64]
 
 MAX_POSITION = 1e8
 """Metres; positions beyond are absurd."""

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.messages.clouds import MessageError, Points, column
+from quadtree_lss.arrays import Points
+from quadtree_lss.messages.clouds import MessageError, column
 
 #: Fields that may hold the times; the first that is there does.
 FIELDS = ("t", "time", "timestamp", "time_offset", "offset_time")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.errors import one_line
 from quadtree_lss.exchange.clouds import READERS, read_clouds
 from quadtree_lss.exchange.libraries import ExchangeError
@@ -22,8 +23,6 @@ from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError, Topic, likely_bag
 from quadtree_lss.replay.records import RawMessage
 from quadtree_lss.replay.types import POSE_TYPE, SCAN_TYPE, typestore
-
-Array = NDArray[np.float64]
 
 #: Without poses: from so far above its ground a cloud is seen, m; its attitude is known, rad.
 ABOVE, ATTITUDE_SIGMA = 2000.0, 1e-6

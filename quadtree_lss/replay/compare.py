@@ -9,13 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.replay.results import plain, write_bytes
 from quadtree_lss.replay.saved import Grid, Results, ResultsError, load_results
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 UNSEEN = 128
 HAZARDS = {1: "slope", 2: "elevation", 4: "exception", 8: "touchdown", UNSEEN: "unseen"}

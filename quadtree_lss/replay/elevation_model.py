@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from quadtree_lss.config.settings import Config, config_from_values
 from quadtree_lss.core.landing.sites import LandingSiteSelector
@@ -19,8 +19,6 @@ from quadtree_lss.exchange.dem import ElevationModel, read_dem
 from quadtree_lss.replay.replay import write_results
 from quadtree_lss.replay.result import ReplayResult
 from quadtree_lss.replay.summary import run_summary
-
-Array = NDArray[np.float64]
 
 #: Leaves along a side, at most.
 MOST_CELLS = 1 << 10

@@ -9,16 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Bytes
 from quadtree_lss.exchange.geojson import sites_geojson
 from quadtree_lss.exchange.geotiff import reference, write_geotiff
 from quadtree_lss.exchange.libraries import ExchangeError
 from quadtree_lss.exchange.map_server import write_map
 from quadtree_lss.exchange.mesh import write_meshes
 from quadtree_lss.replay.saved import Results, load_results
-
-Array = NDArray[np.float64]
 
 UNSEEN = 128
 
@@ -93,7 +91,7 @@ def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:
     return write
 
 
-def _colours(results: Results) -> NDArray[np.uint8]:
+def _colours(results: Results) -> Bytes:
     """(ny, nx, 3): green where landing is allowed, else grey, shaded."""
     from quadtree_lss.plot import relief
     from quadtree_lss.report.palette import SAFE_COLOUR

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.config.loading import load_config
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import QuadtreeLssError
 
-Array = NDArray[np.float64]
 Table = dict[str, NDArray[Any]]
 """Columns of a CSV file by name: whole numbers, numbers, or else texts."""
 

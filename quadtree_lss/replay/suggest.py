@@ -9,17 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.config.loading import dump_values
 from quadtree_lss.config.settings import Config, config_from_values
 from quadtree_lss.messages.intake import ReadyScan
 from quadtree_lss.replay.cloud_files import open_recording
 from quadtree_lss.replay.run import Progress
 from quadtree_lss.replay.stream import SECOND_NS, ReplayError, Stream
-
-Array = NDArray[np.float64]
 
 #: Of a bag so many scans are looked at, and so many points of each.
 SCANS, POINTS = 60, 1500

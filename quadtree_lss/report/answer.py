@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.core.landing.probability import shown
 from quadtree_lss.report.content import Content
 from quadtree_lss.report.palette import excluding
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -91,9 +89,9 @@ def nearest_miss(content: Content) -> NearestMiss | None:
     return NearestMiss(float(grid["x"][column]), float(grid["y"][row]), why)
 
 
-def _room(mask: Mask, spacing: float) -> NDArray[np.float64]:
+def _room(mask: Mask, spacing: float) -> Array:
     """Distance (ny, nx) of grid points to where the mask is not, m."""
-    room: NDArray[np.float64] = spacing * distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    room: Array = spacing * distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
     return room
 
 

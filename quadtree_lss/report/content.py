@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.config.settings import Config, config_from_values
 from quadtree_lss.core.landing.hazards import UNSEEN
 
 Arrays = Mapping[str, NDArray[Any]]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Content:
         return 0.5 * self.config.lss.vehicle_diameter + self.config.lss.margin
 
     @property
-    def probability(self) -> NDArray[np.float64] | None:
+    def probability(self) -> Array | None:
         """(ny, nx) of a safe touchdown, NaN where it was not judged; None if nowhere."""
         found = self.grid.get("probability")
         return None if found is None or not np.isfinite(found).any() else found

@@ -14,6 +14,7 @@ from matplotlib.patches import Circle, Patch
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.report.content import Content
 from quadtree_lss.report.palette import (
     CLEAR_COLOUR,
@@ -30,7 +31,6 @@ from quadtree_lss.report.palette import (
     top_limit,
 )
 
-Array = NDArray[np.float64]
 NONE_COLOUR = "#cdcdcd"
 
 

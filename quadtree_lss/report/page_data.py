@@ -23,8 +23,6 @@ MAX_LEAVES = 80_000
 MAX_ANSWERS = 60
 """Of the slider."""
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Layer:

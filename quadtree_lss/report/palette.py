@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import matplotlib
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes
 from quadtree_lss.config.sections import LssConfig
-
-Array = NDArray[np.float64]
 
 UNSEEN, UNSEEN_COLOUR = 128, "#bbbbbb"
 # Bit, name and colour of hazards, the first that applies is drawn.
@@ -45,7 +43,7 @@ def slope_limit(lss: LssConfig) -> float:
     return lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
 
 
-def colour_table(name: str) -> NDArray[np.uint8]:
+def colour_table(name: str) -> Bytes:
     """(256, 3) colours of a matplotlib colour map."""
     colours = matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3]
     return np.ascontiguousarray(colours, dtype=np.uint8)

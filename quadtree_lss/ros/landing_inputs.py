@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
-from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.timer import Timer
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.messages.clouds import MessageError
 from quadtree_lss.messages.landing_inputs import (
     BINDING,
@@ -22,8 +22,6 @@ from quadtree_lss.messages.landing_inputs import (
 )
 from quadtree_lss.ros.problems import Problems
 from quadtree_lss.ros.qos import latched, stream, subscribe
-
-Array = NDArray[np.float64]
 
 JOIN_S = 3.0
 """How long after the node has come it may well not know another, whose latched messages are waiting

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
-from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from quadtree_lss.arrays import Array, Index
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages.maps import site_orientations
 from quadtree_lss.ros.cdr import CdrWriter
@@ -23,8 +23,6 @@ from quadtree_lss.ros.messages import header_message
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
     from quadtree_lss.core.landing.sites import LandingAssessment
-
-Array = NDArray[np.float64]
 
 LOW_TO_HIGH = np.array(
     [
@@ -119,7 +117,7 @@ def cell_markers(cells: CellMap, frame: str) -> bytes:
     return writer.bytes()
 
 
-def patch_vertices(cells: CellMap, rows: NDArray[np.intp]) -> Array:
+def patch_vertices(cells: CellMap, rows: Index) -> Array:
     """Corners (K, 6, 3) of two triangles on the planes of leaves ``rows``, map frame, m."""
     offset = CORNERS * cells.size[rows, None, None]
     normal = cells.normal[rows]

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 if not cython.compiled:  # otherwise from the .pxd
     from math import ceil, sqrt

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messages
 from quadtree_lss.simulation.safety import Lander, safety_map
 from quadtree_lss.simulation.scenarios import (
@@ -19,7 +20,7 @@ from quadtree_lss.simulation.scenarios import (
     make_request,
     quaternions,
 )
-from quadtree_lss.simulation.terrain import FloatArray, SimulationError
+from quadtree_lss.simulation.terrain import SimulationError
 
 _START_NS = 1_700_000_000 * 10**9
 _GAP_S = 10.0
@@ -41,7 +42,7 @@ class Leg:
 
     plan: Flight
     start_ns: int
-    outlines: list[FloatArray] = field(default_factory=list)
+    outlines: list[Array] = field(default_factory=list)
     poses: int = 0
     points: int = 0
 

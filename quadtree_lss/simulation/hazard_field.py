@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.simulation.rocks import lay
-from quadtree_lss.simulation.terrain import FloatArray, SimulationError, Terrain
+from quadtree_lss.simulation.terrain import SimulationError, Terrain
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def rock_decay(abundance: float) -> float:
 
 def sample_rock_diameters(
     generator: np.random.Generator, area: float, abundance: float, smallest: float, largest: float
-) -> FloatArray:
+) -> Array:
     """Diameters (m) of the rocks on ``area`` (m²): a Poisson number, sizes by the law.
 
     The cover of a rock is π D²/4, so the number density is n(D) = 4 k q exp(−q D)/(π D²).
@@ -102,9 +103,7 @@ def strewn(generator: np.random.Generator, terrain: Terrain, abundance: float) -
     return Terrain(x, y, terrain.elevation_at(x[None, :], y[:, None]) + rocks)
 
 
-def _undulation(
-    generator: np.random.Generator, axis: FloatArray, slope_rms_deg: float
-) -> FloatArray:
+def _undulation(generator: np.random.Generator, axis: Array, slope_rms_deg: float) -> Array:
     """Plane waves of 12 to 60 m with the given root mean square slope."""
     waves = 16
     wavelength = np.geomspace(12.0, 60.0, waves)
@@ -119,7 +118,7 @@ def _undulation(
     return np.ascontiguousarray((along_y @ along_x).real)
 
 
-def _texture(generator: np.random.Generator, count: int, length: float) -> FloatArray:
+def _texture(generator: np.random.Generator, count: int, length: float) -> Array:
     """Unit-variance noise with a correlation length in posts."""
     noise = gaussian_filter(
         generator.standard_normal((count, count)), length / np.sqrt(2.0), mode="wrap"
@@ -127,7 +126,7 @@ def _texture(generator: np.random.Generator, count: int, length: float) -> Float
     return np.asarray(noise / noise.std())
 
 
-def _patch(axis: FloatArray, centre_x: float, centre_y: float, reach: float) -> tuple[slice, slice]:
+def _patch(axis: Array, centre_x: float, centre_y: float, reach: float) -> tuple[slice, slice]:
     """Rows and columns of the posts within ``reach`` of a centre, along each axis."""
     x0, x1 = np.searchsorted(axis, (centre_x - reach, centre_x + reach))
     y0, y1 = np.searchsorted(axis, (centre_y - reach, centre_y + reach))
@@ -135,7 +134,7 @@ def _patch(axis: FloatArray, centre_x: float, centre_y: float, reach: float) -> 
 
 
 def _add_craters(
-    generator: np.random.Generator, axis: FloatArray, ground: FloatArray, field: HazardField
+    generator: np.random.Generator, axis: Array, ground: Array, field: HazardField
 ) -> None:
     """Degraded craters: a smooth bowl and a low rim; sizes by a cumulative power law D⁻²."""
     count = generator.poisson(field.craters * field.size**2)
@@ -153,10 +152,10 @@ def _add_craters(
 
 
 def _lay(
-    axis: FloatArray,
-    rocks: FloatArray,
-    centres: FloatArray,
-    sizes: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    axis: Array,
+    rocks: Array,
+    centres: Array,
+    sizes: tuple[Array, Array, Array, Array],
     *,
     heaped: bool,
 ) -> None:
@@ -175,7 +174,7 @@ def _lay(
 
 
 def _add_rocks(
-    generator: np.random.Generator, axis: FloatArray, rocks: FloatArray, field: HazardField
+    generator: np.random.Generator, axis: Array, rocks: Array, field: HazardField
 ) -> None:
     """Single rocks, half buried: ellipsoids about half as high as wide."""
     diameters = sample_rock_diameters(
@@ -190,7 +189,7 @@ def _add_rocks(
 
 
 def _add_piles(
-    generator: np.random.Generator, axis: FloatArray, rocks: FloatArray, field: HazardField
+    generator: np.random.Generator, axis: Array, rocks: Array, field: HazardField
 ) -> None:
     """Heaps of 8 to 20 rocks, about a metre wide and up to about a metre high."""
     stones = []

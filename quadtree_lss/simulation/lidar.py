@@ -8,13 +8,14 @@ from functools import cache
 
 import numpy as np
 
-from quadtree_lss.simulation.terrain import FloatArray, Surface
+from quadtree_lss.arrays import Array
+from quadtree_lss.simulation.terrain import Surface
 
 OUTLINE = 8
 """Beams per side of the outline of a field of view."""
 
 
-def _beams(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+def _beams(azimuth: Array, elevation: Array) -> Array:
     """Unit directions (..., 3) in the lidar frame: Eq. 14 with ρ = 1."""
     azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
     return np.stack(
@@ -28,7 +29,7 @@ def _beams(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
 
 
 @cache
-def _pixel_beams(field_of_view_deg: float, pixels: int) -> FloatArray:
+def _pixel_beams(field_of_view_deg: float, pixels: int) -> Array:
     centred = (np.arange(pixels) + 0.5) / pixels - 0.5
     angle = np.radians(field_of_view_deg) * centred
     beams = _beams(angle[None, :], -angle[:, None])
@@ -51,13 +52,11 @@ class FlashLidar:
     dropouts: float = 0.0
     outlier_error: float = 10.0
 
-    def directions(self) -> FloatArray:
+    def directions(self) -> Array:
         """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
         return _pixel_beams(self.field_of_view_deg, self.pixels)
 
-    def outline(
-        self, surface: Surface, position_map: FloatArray, rotation_map_lidar: FloatArray
-    ) -> FloatArray:
+    def outline(self, surface: Surface, position_map: Array, rotation_map_lidar: Array) -> Array:
         """Edge of the field of view on the ground, map frame: (4·OUTLINE, 2) m; NaN = no hit."""
         half = 0.5 * np.radians(self.field_of_view_deg)
         along = np.linspace(-half, half, OUTLINE, endpoint=False)
@@ -68,8 +67,8 @@ class FlashLidar:
         return np.asarray((position_map + ranges[:, None] * directions_map)[:, :2])
 
     def true_ranges(
-        self, surface: Surface, position_map: FloatArray, rotation_map_lidar: FloatArray
-    ) -> FloatArray:
+        self, surface: Surface, position_map: Array, rotation_map_lidar: Array
+    ) -> Array:
         """Noise-free ranges (pixels, pixels) from a pose; NaN = no return."""
         directions_map = self.directions().reshape(-1, 3) @ rotation_map_lidar.T
         return surface.cast(position_map, directions_map).reshape(self.pixels, self.pixels)
@@ -77,10 +76,10 @@ class FlashLidar:
     def scan(
         self,
         surface: Surface,
-        position_map: FloatArray,
-        rotation_map_lidar: FloatArray,
+        position_map: Array,
+        rotation_map_lidar: Array,
         generator: np.random.Generator,
-    ) -> FloatArray:
+    ) -> Array:
         """Measured points (pixels, pixels, 3) in the lidar frame, NaN = no return.
 
         Ranges have Gaussian noise (Eq. 13); a fraction ``outliers`` is off by up to ±

@@ -10,10 +10,8 @@ quadratic of the range, whose first root is the hit.
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 if not cython.compiled:  # otherwise from the .pxd
     from math import fabs, sqrt

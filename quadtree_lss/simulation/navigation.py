@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.simulation.terrain import FloatArray
+from quadtree_lss.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,9 @@ class Estimate:
     axes X, Y, Z of the map (m², m·rad, rad²).
     """
 
-    positions: FloatArray
-    rotations: FloatArray
-    covariance: FloatArray
+    positions: Array
+    rotations: Array
+    covariance: Array
 
 
 class Navigation(Protocol):
@@ -31,15 +31,15 @@ class Navigation(Protocol):
     def estimate(
         self,
         generator: np.random.Generator,
-        times: FloatArray,
-        positions: FloatArray,
-        rotations: FloatArray,
+        times: Array,
+        positions: Array,
+        rotations: Array,
     ) -> Estimate:
         """Estimate of poses (n, 3), (n, 3, 3) at ascending times (n,) s."""
         ...
 
 
-def _isotropic(position_sigma: float, attitude_sigma: float) -> FloatArray:
+def _isotropic(position_sigma: float, attitude_sigma: float) -> Array:
     return np.diag([position_sigma**2] * 3 + [attitude_sigma**2] * 3)
 
 
@@ -57,9 +57,9 @@ class WhiteNavigation:
     def estimate(
         self,
         generator: np.random.Generator,
-        times: FloatArray,
-        positions: FloatArray,
-        rotations: FloatArray,
+        times: Array,
+        positions: Array,
+        rotations: Array,
     ) -> Estimate:
         """Independent Gaussian errors for every pose."""
         sigma = np.radians(self.attitude_sigma_deg)
@@ -88,9 +88,9 @@ class DriftingNavigation:
     def estimate(
         self,
         generator: np.random.Generator,
-        times: FloatArray,
-        positions: FloatArray,
-        rotations: FloatArray,
+        times: Array,
+        positions: Array,
+        rotations: Array,
     ) -> Estimate:
         """One bias for the flight plus a drift that is continuous in time."""
         offset = self._error(generator, times, self.position_bias, self.position_drift)
@@ -102,8 +102,8 @@ class DriftingNavigation:
         return Estimate(positions + offset, tilt @ rotations, covariance)
 
     def _error(
-        self, generator: np.random.Generator, times: FloatArray, bias: float, drift: float
-    ) -> FloatArray:
+        self, generator: np.random.Generator, times: Array, bias: float, drift: float
+    ) -> Array:
         """Bias plus drift (n, 3): exact discretisation of the Gauss–Markov process."""
         constant = generator.normal(0.0, bias, 3)
         white = generator.standard_normal((times.size, 3))

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.simulation.terrain import FloatArray, Terrain
+from quadtree_lss.arrays import Array
+from quadtree_lss.simulation.terrain import Terrain
 
 
 @dataclass(frozen=True)
@@ -18,12 +19,12 @@ class Parabola:
     curvature: float = 3e-3
     flat_radius: float = 12.0
 
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Elevation (m) at map coordinates (m)."""
         squared = np.square(np.asarray(x, float)) + np.square(np.asarray(y, float))
         return np.asarray(np.maximum(self.curvature * (squared - self.flat_radius**2), 0.0))
 
-    def cast(self, origin_map: FloatArray, directions_map: FloatArray) -> FloatArray:
+    def cast(self, origin_map: Array, directions_map: Array) -> Array:
         """Range (N,) to the first hit; NaN where a ray misses.
 
         The surface is the higher of plane and paraboloid, hence the first hit is the nearer of

@@ -6,11 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.simulation.march import march
-
-FloatArray = NDArray[np.float64]
 
 _WINDOWS = (64, 16, 4)
 
@@ -19,11 +17,11 @@ _WINDOWS = (64, 16, 4)
 class WindowMaxima:
     """For each window size (posts): highest post within one window of each block of that size."""
 
-    maxima: tuple[FloatArray, ...]
-    box: FloatArray
+    maxima: tuple[Array, ...]
+    box: Array
 
     @classmethod
-    def of(cls, elevation: FloatArray) -> WindowMaxima:
+    def of(cls, elevation: Array) -> WindowMaxima:
         """Build from posts (ny, nx)."""
         maxima = []
         for window in _WINDOWS:
@@ -38,13 +36,13 @@ class WindowMaxima:
 
 
 def cast_heightfield(
-    x: FloatArray,
-    y: FloatArray,
-    elevation: FloatArray,
+    x: Array,
+    y: Array,
+    elevation: Array,
     maxima: WindowMaxima,
-    origin_map: FloatArray,
-    directions_map: FloatArray,
-) -> FloatArray:
+    origin_map: Array,
+    directions_map: Array,
+) -> Array:
     """Range (N,) from ``origin_map`` (3,) along ``directions_map`` (N, 3); NaN = no hit."""
     ny, nx = elevation.shape
     dx, dy = (x[-1] - x[0]) / (nx - 1), (y[-1] - y[0]) / (ny - 1)

@@ -4,11 +4,8 @@
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from quadtree_lss.arrays import Array, Index
 
 if not cython.compiled:  # otherwise from the .pxd
     from math import sqrt

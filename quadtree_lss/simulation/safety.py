@@ -16,12 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.simulation import contact
-from quadtree_lss.simulation.terrain import FloatArray
-
-BoolArray = NDArray[np.bool_]
 
 _TOLERANCE = 1e-9  # m: a lander that reaches to the very edge of the DEM is on it
 
@@ -48,7 +46,7 @@ def contact_safe(
     elevation: ArrayLike,
     points: ArrayLike,
     lander: Lander | None = None,
-) -> BoolArray:
+) -> Mask:
     """Whether a lander centred at each of ``points`` (K, 2), map frame, m, stands safely: (K,).
 
     ``x`` (nx,), ``y`` (ny,), ``elevation`` (ny, nx) are the DEM. A point whose lander would reach
@@ -67,7 +65,7 @@ def worst_contact(
     elevation: ArrayLike,
     points: ArrayLike,
     lander: Lander,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Array, Array]:
     """The worst over yaws and resting planes, for landers at each of ``points`` (K, 2).
 
     Tangent of the slope (K,), and how far the highest post within the circle is above the plane
@@ -94,7 +92,7 @@ def worst_contact(
     return worst[:, 0], worst[:, 1]
 
 
-def on_dem(x: ArrayLike, y: ArrayLike, points: ArrayLike, lander: Lander) -> BoolArray:
+def on_dem(x: ArrayLike, y: ArrayLike, points: ArrayLike, lander: Lander) -> Mask:
     """Whether all of a lander centred at ``points`` (K, 2) is over the DEM: (K,)."""
     posts_x, posts_y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     centres = np.asarray(points, np.float64).reshape(-1, 2)
@@ -114,7 +112,7 @@ def safety_map(
     grid_x: ArrayLike,
     grid_y: ArrayLike,
     lander: Lander | None = None,
-) -> BoolArray:
+) -> Mask:
     """True safety at the points of a grid: (len(grid_y), len(grid_x)); see `contact_safe`."""
     x_of, y_of = np.asarray(grid_x, np.float64), np.asarray(grid_y, np.float64)
     points = np.stack(np.meshgrid(x_of, y_of), axis=-1).reshape(-1, 2)

@@ -10,17 +10,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.simulation.hazard_field import HazardField, hazard_field, strewn
 from quadtree_lss.simulation.lidar import FlashLidar
 from quadtree_lss.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
 from quadtree_lss.simulation.parabola import Parabola
-from quadtree_lss.simulation.terrain import (
-    FloatArray,
-    SimulationError,
-    Surface,
-    Terrain,
-    load_terrain,
-)
+from quadtree_lss.simulation.terrain import SimulationError, Surface, Terrain, load_terrain
 from quadtree_lss.simulation.trajectory import (
     Sweep,
     Trajectory,
@@ -44,8 +39,8 @@ class Flight:
     lidar: FlashLidar
     trajectory: Trajectory
     navigation: Navigation
-    scan_times: FloatArray
-    pose_times: FloatArray
+    scan_times: Array
+    pose_times: Array
     box: tuple[float, float, float, float]
 
 
@@ -101,12 +96,12 @@ def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
     return (centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half)
 
 
-def _centre(terrain: Terrain, box: tuple[float, float, float, float]) -> FloatArray:
+def _centre(terrain: Terrain, box: tuple[float, float, float, float]) -> Array:
     x, y = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
     return np.array([x, y, float(terrain.elevation_at(x, y))])
 
 
-def _times(duration: float, rate: float, first: float = 0.0) -> FloatArray:
+def _times(duration: float, rate: float, first: float = 0.0) -> Array:
     return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1, dtype=np.float64) / rate
 
 
@@ -289,7 +284,7 @@ def make_request(
     )
 
 
-def quaternions(rotations: FloatArray) -> FloatArray:
+def quaternions(rotations: Array) -> Array:
     """Unit quaternions (n, 4) x, y, z, w of rotations (n, 3, 3)."""
     if not len(rotations):  # which SciPy 1.11 does not take
         return np.zeros((0, 4))

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.simulation.raycast import WindowMaxima, cast_heightfield
-
-FloatArray = NDArray[np.float64]
 
 
 class SimulationError(QuadtreeLssError):
@@ -26,18 +25,16 @@ class SimulationError(QuadtreeLssError):
 class Surface(Protocol):
     """What a lidar can look at."""
 
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Elevation (m) at map coordinates (m); NaN where the surface is not defined."""
         ...
 
-    def cast(self, origin_map: FloatArray, directions_map: FloatArray) -> FloatArray:
+    def cast(self, origin_map: Array, directions_map: Array) -> Array:
         """Ranges (N,) from one origin (3,) along unit directions (N, 3); NaN = no hit."""
         ...
 
 
-def bilinear(
-    posts_x: FloatArray, posts_y: FloatArray, elevation: FloatArray, x: ArrayLike, y: ArrayLike
-) -> FloatArray:
+def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: ArrayLike) -> Array:
     """Elevation (m) at map coordinates of any equal shape; NaN outside the posts.
 
     Posts (nx,), (ny,) ascend in equal steps; ``elevation`` is (ny, nx).
@@ -65,9 +62,9 @@ class Terrain:
     when the arrays do not fit together or hold values that are not finite.
     """
 
-    x: FloatArray
-    y: FloatArray
-    elevation: FloatArray
+    x: Array
+    y: Array
+    elevation: Array
 
     def __post_init__(self) -> None:
         """Convert to float64 and validate."""
@@ -104,7 +101,7 @@ class Terrain:
         """Extent (xmin, xmax, ymin, ymax), m."""
         return float(self.x[0]), float(self.x[-1]), float(self.y[0]), float(self.y[-1])
 
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Bilinear elevation (m) at map coordinates of any equal shape; NaN outside."""
         return bilinear(self.x, self.y, self.elevation, x, y)
 
@@ -113,7 +110,7 @@ class Terrain:
         """Maxima over windows of posts, with which rays skip empty space."""
         return WindowMaxima.of(self.elevation)
 
-    def cast(self, origin_map: FloatArray, directions_map: FloatArray) -> FloatArray:
+    def cast(self, origin_map: Array, directions_map: Array) -> Array:
         """Range (N,) to the first hit of each ray, with occlusion; NaN where a ray misses."""
         return cast_heightfield(
             self.x, self.y, self.elevation, self.window_maxima, origin_map, directions_map

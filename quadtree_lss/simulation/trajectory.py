@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from quadtree_lss.simulation.terrain import FloatArray
+from quadtree_lss.arrays import Array
 
 NORTH = (0.0, 1.0, 0.0)
 UP = (0.0, 0.0, 1.0)
@@ -17,7 +17,7 @@ UP = (0.0, 0.0, 1.0)
 
 def look_at(
     position_map: ArrayLike, target_map: ArrayLike, up_map: tuple[float, float, float] = UP
-) -> FloatArray:
+) -> Array:
     """Rotations (..., 3, 3) that take the lidar frame (z boresight, x right, y down) to map.
 
     ``position_map`` and ``target_map`` are (..., 3), m. The image's upper edge points toward
@@ -42,7 +42,7 @@ class Trajectory:
     target: CubicSpline | CubicHermiteSpline
     up_map: tuple[float, float, float] = UP
 
-    def poses(self, times: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def poses(self, times: ArrayLike) -> tuple[Array, Array]:
         """True lidar positions (n, 3) and rotations_map_lidar (n, 3, 3) at times (n,)."""
         t = np.asarray(times, float)
         positions = np.asarray(self.position(t))
@@ -99,7 +99,7 @@ class Sweep:
         position = CubicHermiteSpline([0.0, self.duration], [start, stop], [velocity, velocity])
         return Trajectory(position, self._aim(centre, stop))
 
-    def _aim(self, centre: FloatArray, closest: FloatArray) -> CubicSpline:
+    def _aim(self, centre: Array, closest: Array) -> CubicSpline:
         """Ground point under the boresight against time, from a polyline with rounded turns."""
         half_angle = np.radians(0.5 * self.field_of_view_deg)
         height, distance = closest[2] - centre[2], centre[0] - closest[0]
@@ -133,7 +133,7 @@ class Sweep:
             corners += [(x, side * end_y), (x, -side * end_y)]
         return self._along(np.array(corners), centre)
 
-    def _along(self, corners: FloatArray, centre: FloatArray) -> CubicSpline:
+    def _along(self, corners: Array, centre: Array) -> CubicSpline:
         lengths = np.hypot(*np.diff(corners, axis=0).T)
         arc = np.concatenate([[0.0], np.cumsum(lengths)])
         step, rounding = 0.005, 0.25

@@ -8,9 +8,8 @@ k^2 is the bump's volume. The state is (A, k, mu_x, mu_y, sigma), the centre rel
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 #: Peak of the bell that fits a hemisphere (Eq. 53) best over the hemisphere's height.
 SHAPE = 1.25

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Keys = NDArray[np.int64]
+from quadtree_lss.arrays import Index, Keys
 
 #: A packed number holds a key above so many bits and a place in the scan below.
 PLACE_BITS = 32
@@ -43,7 +43,7 @@ def squeeze(code: cython.longlong) -> cython.longlong:
     return (code | (code >> 8)) & 0x0000FFFF
 
 
-def squeezed(codes: Keys) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def squeezed(codes: Keys) -> tuple[Index, Index]:
     """ix and iy, each (N,), of Morton codes (N,)."""
     found = []
     for value in (codes, codes >> 1):
@@ -58,7 +58,7 @@ def squeezed(codes: Keys) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 SPREAD = np.array([spread(value) for value in range(4096)], dtype=np.int64)
 
 
-def order(keys: ArrayLike) -> NDArray[np.intp]:
+def order(keys: ArrayLike) -> Index:
     """Permutation (N,) that sorts keys (N,), 0 … 2^31 - 1; equal keys keep their order."""
     values = np.asarray(keys, dtype=np.int64)
     packed = (values << PLACE_BITS) | np.arange(len(values))
@@ -80,10 +80,8 @@ def sort_packed(packed: Keys, spare: Keys) -> cython.bint:
     width: cython.longlong = 0
     ones: cython.longlong = 0
     zeros: cython.longlong = 0
-    differing: cython.longlong
-    digit: cython.longlong
-    passes: cython.longlong
-    k: cython.longlong
+    cython.declare(differing=cython.longlong, digit=cython.longlong, passes=cython.longlong)
+    cython.declare(k=cython.longlong)
     if packed.shape[0] == 0:
         return False
     with cython.nogil:
@@ -112,8 +110,7 @@ def by_digit(
     source: Keys, target: Keys, low: cython.longlong, count: cython.longlong
 ) -> cython.void:
     """Copy in the order of the digit at bit ``low``, which has ``count`` values."""
-    i: cython.Py_ssize_t
-    digit: cython.longlong
+    cython.declare(i=cython.Py_ssize_t, digit=cython.longlong)
     before: cython.longlong = 0
     here: cython.longlong
     first = cython.declare(cython.int[2048])

@@ -12,17 +12,15 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.geometry.sphere import Vector, tangent_basis
 
 if not cython.compiled:
     from math import hypot, sqrt
 
     from quadtree_lss.core.geometry.sphere import basis_at, change_of_tangent, minus_at, plus_at
-
-
-Array = NDArray[np.float64]
 
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (75.5 deg).
 MIN_UP = cython.declare(cython.double, 0.25)
@@ -34,8 +32,7 @@ LEAST = cython.declare(cython.double, 1e-2)
 
 def multiply(a: Vector, b: Vector, out: Vector) -> None:
     """Product of two 3x3 matrices."""
-    i: cython.int
-    j: cython.int
+    cython.declare(i=cython.int, j=cython.int)
     for i in range(3):
         for j in range(3):
             out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
@@ -44,8 +41,7 @@ def multiply(a: Vector, b: Vector, out: Vector) -> None:
 def congruent(a: Vector, c: Vector, out: Vector) -> None:
     """A C A^T of a symmetric C, symmetric to the last bit."""
     half = cython.declare(cython.double[9])
-    i: cython.int
-    j: cython.int
+    cython.declare(i=cython.int, j=cython.int)
     multiply(a, c, half)
     for i in range(3):
         for j in range(i, 3):
@@ -201,8 +197,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
     second = cython.declare(cython.double[3])
     step = cython.declare(cython.double[2])
     turned = cython.declare(cython.double[3])
-    i: cython.int
-    k: cython.int
+    cython.declare(i=cython.int, k=cython.int)
     for _ in range(4):
         basis_at(normal, basis)
         for k in range(3):
@@ -286,8 +281,7 @@ def pose_part(normal: Vector, arm: Vector, sigma: Array, out: Vector) -> None:
     """
     basis = cython.declare(cython.double[6])
     turn = cython.declare(cython.double[3])
-    j: cython.int
-    k: cython.int
+    cython.declare(j=cython.int, k=cython.int)
     basis_at(normal, basis)
     turn[0] = arm[1] * normal[2] - arm[2] * normal[1]
     turn[1] = arm[2] * normal[0] - arm[0] * normal[2]

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 if not cython.compiled:  # otherwise from the .pxd
     from math import inf as INFINITY
@@ -46,9 +46,7 @@ def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
 @cython.boundscheck(False)
 def set_distances(edges: Array, x: Array, y: Array, out: Array) -> None:
     """`signed_distance` of points (N,) from a polygon's edges (V, 4): x, y of both ends, m."""
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    inside: cython.bint
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, inside=cython.bint)
     with cython.nogil:
         for i in range(out.shape[0]):
             inside, square = False, INFINITY

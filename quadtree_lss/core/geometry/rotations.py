@@ -6,9 +6,9 @@ from __future__ import annotations
 from math import atan2, cos, hypot, sin
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 
 def skew(vectors: ArrayLike) -> Array:

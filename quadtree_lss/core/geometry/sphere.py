@@ -13,12 +13,13 @@ from typing import TypeAlias
 
 import cython
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from quadtree_lss.arrays import Array
 
 if not cython.compiled:
     from math import atan2, cos, sin, sqrt
 
-Array = NDArray[np.float64]
 #: A C array of doubles that a kernel reads or writes in place.
 Vector: TypeAlias = MutableSequence[float]
 
@@ -121,8 +122,7 @@ def change_of_tangent(of: Vector, to: Vector, out: Vector) -> None:
     axis = cython.declare(cython.double[3])
     moved = cython.declare(cython.double[3])
     slope = cython.declare(cython.double[6])
-    i: cython.int
-    k: cython.int
+    cython.declare(i=cython.int, k=cython.int)
     seen_from(of, to, seen)
     log_jacobian_at(seen, slope)
     basis_at(of, basis)

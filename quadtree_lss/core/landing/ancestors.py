@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Index
 from quadtree_lss.core.tree.cell_map import CellMap
 
 if not cython.compiled:
@@ -21,9 +21,6 @@ if not cython.compiled:
         turn_tangent,
     )
     from quadtree_lss.core.geometry.sphere import basis_at, change_of_tangent, minus_at, plus_at
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -124,10 +121,8 @@ def fuse_leaves(
         z, fused, fused_range, fused_pose: What is made of them: (A,), (A, 3), (A, 3, 3) twice, the
             last only if it is not empty.
     """
-    k: cython.Py_ssize_t
-    a: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, a=cython.Py_ssize_t, i=cython.Py_ssize_t)
+    cython.declare(j=cython.Py_ssize_t)
     count: cython.Py_ssize_t = place.shape[0]
     with_pose: cython.bint = fused_pose.shape[0] > 0
     total = cython.declare(cython.double[::1], np.zeros(count))

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Counts, Mask
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.grid import GridSampler
@@ -18,10 +18,6 @@ from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.landing.score import PointAssessment
 from quadtree_lss.core.landing.target import Reason
 from quadtree_lss.core.tree.cell_map import CellMap
-
-Array = NDArray[np.float64]
-Bits = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,7 +48,7 @@ class Sites:
     roughness: Array
     hazard_distance: Array
     subscale_height: Array
-    id: NDArray[np.uint32]
+    id: Counts
     reasons: tuple[str, ...]
 
     def of(self, rows: slice) -> Sites:
@@ -125,7 +121,7 @@ class LandingAssessment:
     sites: Sites
     x: Array
     y: Array
-    hazard: Bits
+    hazard: Bytes
     safe: Mask
     score: Array
     probability: Array

@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.geometry.heights import height_by_error
 from quadtree_lss.core.landing.lattice import disc
 from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.tree.cell_map import CellMap
-
-Array = NDArray[np.float64]
 
 #: Any heading is as good as another: variance of an angle of which nothing is known, rad^2.
 ANY_HEADING = np.pi**2 / 3.0

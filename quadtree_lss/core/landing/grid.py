@@ -10,13 +10,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.tree.domain import Domain
 
-Array = NDArray[np.float64]
-Bits = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 Kind = TypeVar("Kind", bound=np.generic)
 
 
@@ -105,7 +102,7 @@ class GridSampler:
         """True where all surrounding lattice points are."""
         return np.asarray(np.logical_and.reduce(self._corners(values)), dtype=np.bool_)
 
-    def any(self, values: Bits) -> Bits:
+    def any(self, values: Bytes) -> Bytes:
         """Bits set in any surrounding lattice point."""
         return np.asarray(np.bitwise_or.reduce(self._corners(values)), dtype=np.uint8)
 

@@ -7,8 +7,8 @@ from math import radians, tan
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Index
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing.ancestors import fuse_to_level
 from quadtree_lss.core.tree.cell_map import CellMap
@@ -16,9 +16,6 @@ from quadtree_lss.core.tree.cell_map import CellMap
 if not cython.compiled:
     from math import fabs
 
-Array = NDArray[np.float64]
-Bits = NDArray[np.uint8]
-Index = NDArray[np.intp]
 
 SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN, UNSEEN = 1, 2, 4, 8, 16, 128
 
@@ -63,8 +60,7 @@ def farthest_corner(
         planes: (A, 3) x, y, z of the fused planes, m; fused: (A, 3) their normals.
         out: (M,) written where there is a fused plane.
     """
-    k: cython.Py_ssize_t
-    a: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, a=cython.Py_ssize_t)
     with cython.nogil:
         for k in range(above.shape[0]):
             a = above[k]
@@ -78,7 +74,7 @@ def farthest_corner(
             out[k] = fabs(middle) + leaves[k, 3] * (along_x + along_y)
 
 
-def avoided_features(cells: CellMap, config: LssConfig) -> Bits:
+def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
     """Bits (M,) of the avoided features each leaf contains; unmeasured leaves have none."""
     level = reference_level(cells, config.elevation_reference_size)
     with np.errstate(invalid="ignore"):

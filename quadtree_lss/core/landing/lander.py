@@ -25,16 +25,12 @@ from dataclasses import dataclass
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Single
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.geometry import feature
 from quadtree_lss.core.landing.lattice import disc
 from quadtree_lss.core.tree.domain import Domain
-
-Array = NDArray[np.float64]
-Single = NDArray[np.float32]
-Marks = NDArray[np.uint8]
 
 if not cython.compiled:  # otherwise from the .pxd
     from math import fabs, nan, sqrt
@@ -149,10 +145,8 @@ class Lander:
 
     def stand_on(self, elevation: Array, slope_x: Array, slope_y: Array, subscale: Array) -> None:
         """Take the ground of a map, (n, n) each: height, slopes and features of finest cells."""
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        r: cython.Py_ssize_t
-        c: cython.Py_ssize_t
+        cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, r=cython.Py_ssize_t)
+        cython.declare(c=cython.Py_ssize_t)
         n: cython.Py_ssize_t = elevation.shape[0]
         first: cython.Py_ssize_t = self.reach
         after: cython.Py_ssize_t = self.reach + n
@@ -175,7 +169,7 @@ class Lander:
                     self.ground[k, i, :first] = self.ground[k, i, first]
                     self.ground[k, i, after:] = self.ground[k, i, after - 1]
 
-    def judge(self, due: Marks, changed: Marks, rest: Single, block: cython.Py_ssize_t) -> None:
+    def judge(self, due: Bytes, changed: Bytes, rest: Single, block: cython.Py_ssize_t) -> None:
         """Bring the worst rests of a row of blocks up to date after ``stand_on``.
 
         Args:
@@ -184,10 +178,8 @@ class Lander:
             rest: (2, n + 1, n + 1) worst rise and slope there, NaN if unknown, changed in place.
             block: Number of the row, from the south.
         """
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        other: cython.bint
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+        cython.declare(other=cython.bint)
         n: cython.Py_ssize_t = changed.shape[0]
         first: cython.Py_ssize_t = max(block * BLOCK - self.reach, 0)
         after: cython.Py_ssize_t = min(block * BLOCK - self.reach + self.width, n)
@@ -205,15 +197,14 @@ class Lander:
 
     def judge_block(
         self,
-        due: Marks,
+        due: Bytes,
         forget: cython.bint,
         rest: Single,
         row: cython.Py_ssize_t,
         column: cython.Py_ssize_t,
     ) -> None:
         """``judge`` for the grid points of the block that begins at one."""
-        r: cython.Py_ssize_t
-        c: cython.Py_ssize_t
+        cython.declare(r=cython.Py_ssize_t, c=cython.Py_ssize_t)
         loaded: cython.bint = False
         for r in range(row, min(row + BLOCK, due.shape[0])):
             for c in range(column, min(column + BLOCK, due.shape[1])):
@@ -234,8 +225,7 @@ class Lander:
 
         The plane is one of least squares, through every other cell; any would do.
         """
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
         w: cython.Py_ssize_t = self.width
         count, level, along_x, along_y, square = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(0, w, 2):
@@ -261,11 +251,8 @@ class Lander:
 
     def set_down(self) -> None:
         """Heights of the pads about every grid point of the block, and their bounds."""
-        k: cython.Py_ssize_t
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        here: cython.Py_ssize_t
-        place: cython.Py_ssize_t
+        cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+        cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
         for k in range(4 * self.yaws):
             x, y = self.pad_x[k], self.pad_y[k]
             for i in range(BLOCK):
@@ -290,11 +277,8 @@ class Lander:
 
         A disc is a stack of centred runs of cells.
         """
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        half: cython.Py_ssize_t
-        place: cython.Py_ssize_t
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+        cython.declare(half=cython.Py_ssize_t, place=cython.Py_ssize_t)
         self.run[:] = -FAR
         self.roof[:] = -FAR
         for half in range(1, self.reach + 1):
@@ -321,9 +305,7 @@ class Lander:
 
         They are in order of height to a ``STEP``: more would not pay.
         """
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
         self.begin[:] = 0
         for i in range(self.width * self.width):
             if self.top[i] > above:
@@ -417,9 +399,7 @@ class Lander:
 
         Until one rises over the limit: by how much, nobody asks.
         """
-        k: cython.Py_ssize_t
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
+        cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
         floor: cython.float = self.floor[row * BLOCK + column]
         above: cython.float = floor + self.worst_rise
         for k in range(first, last):

@@ -8,13 +8,9 @@ from functools import lru_cache
 from math import isqrt, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Index, Mask, Places
 from quadtree_lss.core.landing.sweeps import disc_moments, find_distances, find_nearest
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 FAR = 16
 """Beyond so many steps one distance transform takes less than a step at a time."""
@@ -95,7 +91,7 @@ def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
     return GroundPlanes(height, slope_x, slope_y)
 
 
-def touching(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def touching(cells: Bytes) -> Bytes:
     """Bits of the up to four cells that meet at each grid point: (n, n) to (n + 1, n + 1).
 
     The point of a lattice square that is nearest to a grid point is a grid point itself, so the
@@ -128,7 +124,7 @@ def distance_from(marked: Mask, side: float, limit: float = np.inf) -> Array:
     return out
 
 
-def nearest_marked(marked: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def nearest_marked(marked: Mask) -> tuple[Places, Places]:
     """Square of the distance of each point to the nearest marked one, in steps, and its place.
 
     Args:

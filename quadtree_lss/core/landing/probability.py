@@ -17,16 +17,14 @@ from functools import lru_cache
 from math import ceil, exp, isnan, radians, tan
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.config.risk import RiskModel, Row
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing.lander import Limits
 from quadtree_lss.core.landing.risks import blur, look_up, set_odds
 from quadtree_lss.core.landing.touchdown import WorstRest
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Steps between entries of the tables, in m, rise over run, and of the log odds.
 FINE, FINE_ODDS = 2e-4, 0.02

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Index, Mask, Places
 from quadtree_lss.core.landing.lattice import grown, nearest_marked
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
@@ -18,8 +18,6 @@ if not cython.compiled:
 
     M_PI = pi
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Lower tails of a feature are no feature, m.
 NEGLIGIBLE = cython.declare(cython.double, 0.005)
@@ -43,7 +41,7 @@ class TerrainRaster:
     """
 
     domain: Domain
-    leaf: NDArray[np.int32]
+    leaf: Places
     elevation: Array
     slope_x: Array
     slope_y: Array
@@ -94,14 +92,14 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
 
 @cython.boundscheck(False)
 def lay_out(
-    row: NDArray[np.intp],
-    column: NDArray[np.intp],
-    width: NDArray[np.intp],
+    row: Index,
+    column: Index,
+    width: Index,
     z: Array,
     normal: Array,
     feature: Array,
     side: float,
-    leaf: NDArray[np.int32],
+    leaf: Places,
     layers: Array,
 ) -> None:
     """Fill the finest cells under leaves (M).
@@ -116,9 +114,7 @@ def lay_out(
         layers: (5, n, n), set to elevation, slopes in x and y; where there is a feature, the last
             two to its mean and its greatest height.
     """
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     half = 0.5 * side
     # Of a feature, column by column: its share, and the square of the distance.
     shares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))

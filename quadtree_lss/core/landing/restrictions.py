@@ -6,13 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.geometry.polygons import signed_distance
 from quadtree_lss.core.landing.target import Reason
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,21 +5,18 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
+
+from quadtree_lss.arrays import Array, Bytes, Single
 
 if not cython.compiled:
     from math import log
-
-Array = NDArray[np.float64]
-Single = NDArray[np.float32]
-Marks = NDArray[np.uint8]
 
 
 @cython.boundscheck(False)
 def set_odds(
     rise: Single,
     slope: Single,
-    judged: Marks,
+    judged: Bytes,
     rise_odds: Array,
     slope_odds: Array,
     low: Array,
@@ -39,10 +36,8 @@ def set_odds(
         own: (ny, nx), set.
         about: (ny, nx), set: how much greater those of the worst of the four neighbours are.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    m: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(m=cython.Py_ssize_t)
     k_last: cython.Py_ssize_t = -1
     m_last: cython.Py_ssize_t = -1
     rows: cython.Py_ssize_t = own.shape[0]
@@ -82,7 +77,7 @@ def set_odds(
 
 @cython.boundscheck(False)
 def look_up(
-    own: Array, about: Array, judged: Marks, table: Array, least: float, step: float, out: Array
+    own: Array, about: Array, judged: Bytes, table: Array, least: float, step: float, out: Array
 ) -> None:
     """Set P(unsafe) at grid points (ny, nx): by a table of the log odds ``set_odds`` gives.
 
@@ -94,10 +89,8 @@ def look_up(
         step: Of log odds.
         out: (ny, nx), set.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    m: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(m=cython.Py_ssize_t)
     k_last: cython.Py_ssize_t = table.shape[0] - 1
     m_last: cython.Py_ssize_t = table.shape[1] - 1
     per = 1.0 / step
@@ -122,9 +115,7 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
             on both sides they are alike. K and L are even.
         out: (ny, nx), set.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     rows: cython.Py_ssize_t = risk.shape[0]
     columns: cython.Py_ssize_t = risk.shape[1]
     up: cython.Py_ssize_t = across.shape[0] - 1

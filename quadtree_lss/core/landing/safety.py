@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import radians, tan
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Index, Mask
 from quadtree_lss.config.risk import risk_model
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing.probability import (
@@ -21,10 +21,6 @@ from quadtree_lss.core.landing.probability import (
 )
 from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.landing.touchdown import TouchdownCheck, WorstRest
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

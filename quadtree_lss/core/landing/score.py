@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.lattice import (
@@ -26,11 +26,6 @@ from quadtree_lss.core.landing.zones import greatest_in_zones, lower_room
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 
-Array = NDArray[np.float64]
-Bits = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
-
 
 @dataclass(frozen=True)
 class PointAssessment:
@@ -39,7 +34,7 @@ class PointAssessment:
     Attributes:
         planes: Ground at the lander's scale.
         slope: Its angle, rad.
-        hazard: Bits of ``hazards``.
+        hazard: Bytes of ``hazards``.
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
         roughness: (M,) of the leaves, Eq. 55's volume over the area, m.
@@ -53,7 +48,7 @@ class PointAssessment:
 
     planes: GroundPlanes
     slope: Array
-    hazard: Bits
+    hazard: Bytes
     safe: Mask
     score: Array
     roughness: Array
@@ -67,7 +62,7 @@ class PointAssessment:
 def assess_points(
     cells: CellMap,
     raster: TerrainRaster,
-    features: Bits,
+    features: Bytes,
     inside: Array,
     fails: Mask,
     lss: LssConfig,

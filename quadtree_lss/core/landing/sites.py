@@ -6,8 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.config.settings import Config, LssConfig
 from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.assessment import (
@@ -42,11 +43,6 @@ from quadtree_lss.core.landing.target import (
 )
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
-
-Array = NDArray[np.float64]
-Bits = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 
 #: The most that the score weighs against a probability: it decides where these are the same.
 TIE = 1e-5

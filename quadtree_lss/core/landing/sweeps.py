@@ -5,11 +5,8 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Places = NDArray[np.int32]
+from quadtree_lss.arrays import Array, Bytes, Index, Places
 
 
 @cython.boundscheck(False)
@@ -27,12 +24,8 @@ def disc_moments(
         half: (2 reach,) half width of the disc in each row, in cells.
         total, along_x, along_y: (n + 1, n + 1), set; of the last two none if they are empty.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    row: cython.Py_ssize_t
-    east: cython.Py_ssize_t
-    west: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(row=cython.Py_ssize_t, east=cython.Py_ssize_t, west=cython.Py_ssize_t)
     n: cython.Py_ssize_t = cells.shape[0]
     rows: cython.Py_ssize_t = half.shape[0]
     reach: cython.Py_ssize_t = rows // 2
@@ -84,7 +77,7 @@ def disc_moments(
 
 
 @cython.boundscheck(False)
-def find_nearest(marked: NDArray[np.uint8], square: Places, place: Places) -> None:
+def find_nearest(marked: Bytes, square: Places, place: Places) -> None:
     """Exact distances in two sweeps (Meijster, Roerdink and Hesselink 2000).
 
     First the nearest marked point in each column; then along each row the lower envelope of the
@@ -94,12 +87,8 @@ def find_nearest(marked: NDArray[np.uint8], square: Places, place: Places) -> No
         marked: (ny, nx).
         square, place: (ny, nx), set; a place outside the lattice if none is marked.
     """
-    i: cython.int
-    j: cython.int
-    k: cython.int
-    top: cython.int
-    last: cython.int
-    x: cython.int
+    cython.declare(i=cython.int, j=cython.int, k=cython.int, top=cython.int, last=cython.int)
+    cython.declare(x=cython.int)
     rows: cython.int = marked.shape[0]
     columns: cython.int = marked.shape[1]
     far: cython.int = 2 * (rows + columns)
@@ -157,9 +146,7 @@ def find_nearest(marked: NDArray[np.uint8], square: Places, place: Places) -> No
 
 
 @cython.boundscheck(False)
-def find_distances(
-    marked: NDArray[np.uint8], lengths: Array, far: cython.short, out: Array
-) -> None:
+def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array) -> None:
     """Distances to marked points that are near, in two sweeps that take eight points at a time.
 
     Args:
@@ -169,13 +156,8 @@ def find_distances(
         far: Steps, 127 at the most: the sum of two squares fits into 16 bits.
         out: (ny, nx), set.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    z: cython.short
-    east: cython.short
-    away: cython.short
-    widest: cython.short
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t, z=cython.short)
+    cython.declare(east=cython.short, away=cython.short, widest=cython.short)
     most: cython.short = far
     rows: cython.Py_ssize_t = marked.shape[0]
     columns: cython.Py_ssize_t = marked.shape[1]
@@ -230,12 +212,10 @@ def score_density(
             beyond which it is of no more worth, m.
         out: (n, n), set.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     n: cython.Py_ssize_t = leaf.shape[0]
     lines = cython.declare(cython.double[:, ::1], np.empty((2, n + 1)))
-    south: cython.Py_ssize_t
-    north: cython.Py_ssize_t
+    cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
     with cython.nogil:
         for i in range(n + 1):
             north, south = i % 2, (i + 1) % 2

@@ -15,10 +15,8 @@ from enum import IntEnum
 from math import hypot
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from quadtree_lss.arrays import Array, Counts, Mask
 
 MAX_PLACES = 1000
 """Places that are remembered; of more the oldest are forgotten."""
@@ -108,7 +106,7 @@ class Places:
         for number in (*gone, *list(self._known)[:-MAX_PLACES]):
             self._known.pop(number, None)
 
-    def numbers(self, places: Array, reach: float) -> NDArray[np.uint32]:
+    def numbers(self, places: Array, reach: float) -> Counts:
         """Numbers (K,) of places (K, 2), in m: new ones where none is known within ``reach``."""
         return np.array([self.number(x, y, reach) for x, y in places.tolist()], dtype=np.uint32)
 

@@ -10,16 +10,12 @@ from dataclasses import dataclass
 from math import radians, tan
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Mask, Single
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing.lander import Lander, Limits
 from quadtree_lss.core.landing.raster import TerrainRaster
 from quadtree_lss.core.tree.domain import Domain
-
-Array = NDArray[np.float64]
-Single = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,16 @@
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import NDArray
+
+from quadtree_lss.arrays import Array, Bytes, Index, Places
 
 if not cython.compiled:
     from math import fabs, sqrt
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Bytes = NDArray[np.uint8]
-
 
 @cython.boundscheck(False)
 def greatest_in_zones(
-    cells: Array, leaf: NDArray[np.int32], of_leaf: Array, half: Index, places: Index, out: Array
+    cells: Array, leaf: Places, of_leaf: Array, half: Index, places: Index, out: Array
 ) -> None:
     """Greatest of some values of cells and of leaves in the discs about grid points.
 
@@ -28,12 +24,8 @@ def greatest_in_zones(
         places: (2, K) rows and columns of the grid points.
         out: (2, K), set: of the cells, of the leaves.
     """
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    row: cython.Py_ssize_t
-    west: cython.Py_ssize_t
-    east: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    cython.declare(row=cython.Py_ssize_t, west=cython.Py_ssize_t, east=cython.Py_ssize_t)
     last: cython.Py_ssize_t = cells.shape[0] - 1
     reach: cython.Py_ssize_t = half.shape[0] // 2
     with cython.nogil:
@@ -63,12 +55,8 @@ def lower_room(
         reach: How near the zone's centre may come, m.
         room: (K,) m, lowered.
     """
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    ring: cython.Py_ssize_t
-    row: cython.Py_ssize_t
-    column: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
     with cython.nogil:
         for k in range(x.shape[0]):
             u, v = x[k] / side, y[k] / side

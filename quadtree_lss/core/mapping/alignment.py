@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.tree.leaves import LeafTable
 
 if not cython.compiled:
     HINTS = 1
 
-Array = NDArray[np.float64]
 
 #: A cell that departs from the others by more than this many deviations counts less.
 HUBER = 2.0

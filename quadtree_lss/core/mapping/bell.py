@@ -84,9 +84,7 @@ def _linearise(
     measurements' part of it is system[30], all of it system[31].
     """
     row = cython.declare(cython.double[5])
-    i: cython.Py_ssize_t
-    j: cython.int
-    k: cython.int
+    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int)
     for j in range(32):
         system[j] = 0.0
     inverse = 1.0 / (state[4] * state[4])
@@ -127,9 +125,7 @@ def _linearise(
 def _solve(system: Vector, damping: float, step: Vector) -> cython.bint:
     """Step (5) of the damped normal equations by Cholesky; False if they are not definite."""
     lower = cython.declare(cython.double[25])
-    i: cython.int
-    j: cython.int
-    k: cython.int
+    cython.declare(i=cython.int, j=cython.int, k=cython.int)
     for i in range(5):
         for j in range(i + 1):
             total = system[6 * i + j]
@@ -185,8 +181,7 @@ def estimate(
     step = cython.declare(cython.double[5])
     system = cython.declare(cython.double[32])
     found = cython.declare(cython.double[32])
-    i: cython.int
-    j: cython.int
+    cython.declare(i=cython.int, j=cython.int)
     for i in range(5):
         mean[i] = state[i]
     state[4] = min(max(fabs(state[4]), finest), 4.0 * half)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from quadtree_lss.arrays import Array, Index
 from quadtree_lss.config.settings import LidarConfig
 from quadtree_lss.core.geometry.morton import squeezed
 from quadtree_lss.core.sensing.register import RegisteredScan
@@ -22,10 +22,6 @@ if not cython.compiled:
     from quadtree_lss.core.geometry.sphere import basis_at
     from quadtree_lss.core.mapping.division import mahalanobis_factor
     from quadtree_lss.core.mapping.measure import pose_variance, range_variance
-
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: Share of residuals outside the acceptance interval (alpha), half of them on either side.
 OUTSIDE = 0.05
@@ -188,10 +184,7 @@ def residuals(
     n = cython.declare(cython.double[3])
     r = cython.declare(cython.double[3])
     a = cython.declare(cython.double[3])
-    i: cython.Py_ssize_t
-    at: cython.Py_ssize_t
-    j: cython.int
-    k: cython.int
+    cython.declare(i=cython.Py_ssize_t, at=cython.Py_ssize_t, j=cython.int, k=cython.int)
     with cython.nogil:
         for i in range(points.shape[0]):
             at = leaf[i]

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 #: A scan contradicts the map if more than this share of its cells ...
 SHARE = 2.0 / 3.0

@@ -7,6 +7,7 @@ import cython
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.mapping.measure import Rules
 from quadtree_lss.core.tree.leaves import Record
@@ -22,7 +23,6 @@ if not cython.compiled:
 
     MEASURED = 3
 
-Array = NDArray[np.float64]
 
 #: Mean and standard deviation of chi_1, E = sqrt(2 / pi), and of chi_3, E = 2 sqrt(2 / pi)
 #: = sqrt(2) Gamma(2) / Gamma(3/2) of Eq. 47.
@@ -76,8 +76,7 @@ def mahalanobis_factor(
     total = cython.declare(cython.double[9])
     inverse = cython.declare(cython.double[9])
     ray = cython.declare(cython.double[3])
-    i: cython.int
-    j: cython.int
+    cython.declare(i=cython.int, j=cython.int)
     distance = sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2])
     for i in range(3):
         ray[i] = mean[i] / distance
@@ -131,8 +130,7 @@ def judge(
     basis = cython.declare(cython.double[6])
     through = cython.declare(cython.double[3])
     row = cython.declare(cython.double[3])
-    i: cython.int
-    j: cython.int
+    cython.declare(i=cython.int, j=cython.int)
     count = run.points
     if count <= 3.0:
         return

@@ -9,9 +9,8 @@ A + p exp(-r^2 / 2 sigma^2) with p = k^2 / (2 pi sigma^2) (`geometry.feature`).
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.mapping.bell import Heights
 from quadtree_lss.core.mapping.measure import Rules
@@ -24,7 +23,6 @@ if not cython.compiled:
 
     NAN = nan
 
-Array = NDArray[np.float64]
 
 PI = cython.declare(cython.double, 3.141592653589793)
 #: Points this many standard deviations above the plane make a cell a candidate.
@@ -80,8 +78,7 @@ def first_state(
         area: Of the cell, m^2.
         out: Written.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     best: cython.Py_ssize_t = 0
     width = max(1.5 * sqrt(area / count), 0.1)
     most = -1.0
@@ -142,9 +139,7 @@ def update_feature(
     high = cython.declare(cython.double[72])
     state = cython.declare(cython.double[5])
     information = cython.declare(cython.double[25])
-    i: cython.Py_ssize_t
-    k: cython.int
-    stride: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, k=cython.int, stride=cython.Py_ssize_t)
     inside: cython.Py_ssize_t = 0
     held: cython.Py_ssize_t = 0
     raised: cython.Py_ssize_t = 0

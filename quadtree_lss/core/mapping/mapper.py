@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Points
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.mapping.alignment import LEAST_LIFT, lift, offset_of
 from quadtree_lss.core.mapping.contradiction import Contradiction, Verdict, departs
@@ -15,7 +15,7 @@ from quadtree_lss.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS
-from quadtree_lss.core.sensing.register import Points, RegisteredScan, register
+from quadtree_lss.core.sensing.register import RegisteredScan, register
 from quadtree_lss.core.sensing.sweep import Sweep
 from quadtree_lss.core.tree import checkpoint
 from quadtree_lss.core.tree.cell_map import CellMap
@@ -23,8 +23,6 @@ from quadtree_lss.core.tree.checkpoint import State
 from quadtree_lss.core.tree.columns import fill_columns
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import LeafTable, unfold
-
-Array = NDArray[np.float64]
 
 #: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
 JUMP_NS = SECOND_NS

@@ -11,6 +11,7 @@ import cython
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadtree_lss.arrays import Array, Index
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.tree.leaves import LeafTable, Record
@@ -28,10 +29,6 @@ if not cython.compiled:
         slope_covariance,
     )
     from quadtree_lss.core.geometry.sphere import basis_at
-
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: |n.u| is taken to be at least this (grazing incidence).
 MIN_COSINE = cython.declare(cython.double, 0.05)
@@ -116,8 +113,7 @@ def range_variance(
 def pose_variance(normal: Vector, arm: Vector, sigma: Array) -> cython.double:
     """Variance that pose error gives n.r at a point ``arm`` (3) from the lidar, m^2 (Eq. 17)."""
     row = cython.declare(cython.double[6])
-    i: cython.int
-    j: cython.int
+    cython.declare(i=cython.int, j=cython.int)
     for i in range(3):
         row[i] = normal[i]
     row[3] = arm[1] * normal[2] - arm[2] * normal[1]
@@ -287,12 +283,8 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
     part = cython.declare(cython.double[9])
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    j: cython.int
-    first: cython.Py_ssize_t
-    number: cython.Py_ssize_t
-    seen: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, j=cython.int, first=cython.Py_ssize_t)
+    cython.declare(number=cython.Py_ssize_t, seen=cython.Py_ssize_t)
     observed = table.seen
     slope[1] = slope[2] = 0.0
     with cython.nogil:

@@ -4,16 +4,13 @@
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.mapping.measure import Rules
 from quadtree_lss.core.tree.leaves import Record
 
 if not cython.compiled:
     from math import erfc, fabs, sqrt
-
-Array = NDArray[np.float64]
 
 #: E[chi_1] = sqrt(2 / pi).
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.mapping.bell import Heights
 from quadtree_lss.core.mapping.measure import RUN, Rules
 from quadtree_lss.core.sensing.register import RegisteredScan
@@ -24,7 +24,6 @@ if not cython.compiled:
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
 
-Array = NDArray[np.float64]
 
 #: A slope less certain than this (rad, one sigma) is none.
 MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
@@ -140,10 +139,8 @@ class ScanUpdate:
 
     def settle(self) -> None:
         """Fuse, judge and divide until no cell asks for it; then count the residuals."""
-        i: cython.Py_ssize_t
-        begin: cython.Py_ssize_t
-        end: cython.Py_ssize_t
-        levels: cython.Py_ssize_t
+        cython.declare(i=cython.Py_ssize_t, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
+        cython.declare(levels=cython.Py_ssize_t)
         self.ratio = np.empty((2, len(self.key)))
         self.ratios, self.weights = self.ratio[0], self.ratio[1]
         with cython.nogil:
@@ -299,8 +296,7 @@ class ScanUpdate:
     ) -> None:
         """The quarters of a run go on in the leaves that their cell was divided into."""
         run = record(self.runs, self.cells + self.table.at(row).level)
-        child: cython.Py_ssize_t
-        stop: cython.Py_ssize_t
+        cython.declare(child=cython.Py_ssize_t, stop=cython.Py_ssize_t)
         while begin < end:
             child = self.table.over[self.key[begin]]
             stop = begin + 1

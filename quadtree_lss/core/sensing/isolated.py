@@ -17,14 +17,11 @@ from functools import lru_cache
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
+
+from quadtree_lss.arrays import Array, Places
 
 if not cython.compiled:
     from math import inf as INFINITY
-
-Array = NDArray[np.float64]
-Keys = NDArray[np.int64]
-Places = NDArray[np.int32]
 
 #: The gate is at least so many usual distances.
 WIDENING = 5.0
@@ -70,8 +67,7 @@ def spread_over(count: int, sample: int) -> Places:
 @cython.boundscheck(False)
 def pixels_with_few_links(ranges: Array, limit: float, pixels: Places) -> cython.Py_ssize_t:
     """Returns with fewer than two links: their places in (H, W) to ``pixels``, how many."""
-    row: cython.Py_ssize_t
-    column: cython.Py_ssize_t
+    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
     few: cython.Py_ssize_t = 0
     with cython.nogil:
         for row in range(ranges.shape[0]):
@@ -101,9 +97,7 @@ def pixel_holds(
 ) -> cython.bint:
     """True if a return is linked with two others, or with one that is linked with two."""
     links: cython.Py_ssize_t = 0
-    k: cython.Py_ssize_t
-    r: cython.Py_ssize_t
-    c: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, r=cython.Py_ssize_t, c=cython.Py_ssize_t)
     for k in range(4):
         if step_to(ranges, row, column, k) <= limit:
             links += 1
@@ -144,8 +138,7 @@ def step_to(
 def second_steps(ranges: Array, pixels: Places, steps: Array) -> cython.Py_ssize_t:
     """Second least step from each of ``pixels`` (M,) to those next to it, to ``steps`` (M,), m;
     how many of them have two neighbours."""
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
     known: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(pixels.shape[0]):

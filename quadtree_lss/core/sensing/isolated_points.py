@@ -9,18 +9,13 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Keys, Places
 from quadtree_lss.core.sensing.isolated import WIDENING, median, spread_over
 
 if not cython.compiled:
     from math import nan as NAN
     from math import sqrt
-
-Array = NDArray[np.float64]
-Keys = NDArray[np.int64]
-Places = NDArray[np.int32]
-Mask = NDArray[np.uint8]
 
 #: So many points tell the usual distance.
 SAMPLED = 256
@@ -72,8 +67,7 @@ def usual_distance(points: Array, ranges: Array, returns: int) -> float:
 @cython.boundscheck(False)
 def second_distances(points: Array, distances: Array) -> cython.void:
     """Distance (N,) of each point (N, 3) to the second nearest other, by looking at all."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     with cython.nogil:
         for i in range(points.shape[0]):
             least = 1e300
@@ -90,15 +84,13 @@ def second_distances(points: Array, distances: Array) -> cython.void:
 
 
 @cython.boundscheck(False)
-def linked_in_order(points: Array, ranges: Array, limit: float, sure: Mask) -> cython.Py_ssize_t:
+def linked_in_order(points: Array, ranges: Array, limit: float, sure: Bytes) -> cython.Py_ssize_t:
     """How many points (N, 3) are linked with two of the four that are next in the scan's order.
 
     Args:
         sure: (N,) for 1 where a point is, else 0.
     """
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    links: cython.int
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, links=cython.int)
     found: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(points.shape[0]):
@@ -193,15 +185,14 @@ def drop(
     before: Places,
     slots: Places,
     around: Keys,
-    sure: Mask,
+    sure: Bytes,
 ) -> cython.Py_ssize_t:
     """Make the ranges of isolated points NaN; how many. The table is that of `fill`.
 
     Args:
         sure: (N,) of `linked_in_order`.
     """
-    i: cython.Py_ssize_t
-    links: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, links=cython.Py_ssize_t)
     dropped: cython.Py_ssize_t = 0
     linked = cython.declare(cython.Py_ssize_t[1])
     other = cython.declare(cython.Py_ssize_t[1])
@@ -237,12 +228,9 @@ def point_links(
     Args:
         around: `AROUND`.
     """
-    k: cython.Py_ssize_t
-    slot: cython.Py_ssize_t
-    other: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, slot=cython.Py_ssize_t, other=cython.Py_ssize_t)
     links: cython.Py_ssize_t = 0
-    axis: cython.Py_ssize_t
-    step: cython.Py_ssize_t
+    cython.declare(axis=cython.Py_ssize_t, step=cython.Py_ssize_t)
     cube = cython.declare(cython.longlong[3])
     gap = cython.declare(cython.double[15])
     x = points[point, 0]

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from quadtree_lss.arrays import Array
 
 #: Variances (m^2, rad^2) above this say no more than this: nothing is known.
 MAX_VARIANCE = 1e6

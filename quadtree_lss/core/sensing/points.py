@@ -4,19 +4,14 @@
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import NDArray
+
+from quadtree_lss.arrays import Array, Keys, Places, Points
 
 if not cython.compiled:
     from math import nan as NAN
     from math import sqrt
 
     from quadtree_lss.core.geometry.morton import PLACE_BITS, PLACE_MASK
-
-Array = NDArray[np.float64]
-Points = NDArray[np.float32] | NDArray[np.float64]
-Keys = NDArray[np.int64]
-Places = NDArray[np.int32]
 
 
 @cython.boundscheck(False)
@@ -43,10 +38,7 @@ def turn(
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
     beyond: cython.longlong = 0
-    x: cython.double
-    y: cython.double
-    z: cython.double
-    k: cython.Py_ssize_t
+    cython.declare(x=cython.double, y=cython.double, z=cython.double, k=cython.Py_ssize_t)
     row: cython.Py_ssize_t = 0
     moving: cython.bint = offsets.shape[0] > 0
     r = cython.declare(cython.double[12])
@@ -125,8 +117,7 @@ def bin_runs(
     inside: cython.Py_ssize_t = 0
     run: cython.Py_ssize_t = -1
     first: cython.Py_ssize_t = 0
-    new: cython.Py_ssize_t
-    key: cython.longlong
+    cython.declare(new=cython.Py_ssize_t, key=cython.longlong)
     last: cython.longlong = -1
     sum_x = 0.0
     sum_y = 0.0
@@ -166,9 +157,7 @@ def arrange(points: Array, runs: Keys, spans: Places, arranged: Array, keys: Key
     Args:
         runs, spans: As of `bin_runs`, ``runs`` sorted.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    run: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
     to: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(runs.shape[0]):

@@ -7,8 +7,8 @@ import threading
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Keys, Points
 from quadtree_lss.config.settings import DomainConfig, LidarConfig
 from quadtree_lss.core.geometry.morton import SPREAD, sort_packed
 from quadtree_lss.core.sensing.isolated import isolated_in_image
@@ -16,10 +16,6 @@ from quadtree_lss.core.sensing.isolated_points import isolated_in_space
 from quadtree_lss.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.core.sensing.points import arrange, bin_runs, turn
 from quadtree_lss.core.sensing.sweep import Sweep, still
-
-Array = NDArray[np.float64]
-Points = NDArray[np.float32] | NDArray[np.float64]
-Keys = NDArray[np.int64]
 
 #: Of larger scans no memory is kept.
 KEPT_POINTS = 1 << 20

@@ -14,12 +14,10 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Places
 from quadtree_lss.core.geometry.rotations import exp, log
 from quadtree_lss.core.sensing.lidar import Pose
-
-Array = NDArray[np.float64]
 
 #: Angle between two rotations of the table, rad: a blend errs by its square over eight.
 STEP = 2e-3
@@ -49,7 +47,7 @@ class Sweep:
             axes, m.
     """
 
-    offsets: NDArray[np.int32]
+    offsets: Places
     times: Array
     motion: Array
 
@@ -61,7 +59,7 @@ def still(rotation_map_lidar: Array) -> Sweep:
     return Sweep(np.empty(0, dtype=np.int32), np.zeros(1), motion)
 
 
-def sweep(offsets: NDArray[np.int32], at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
+def sweep(offsets: Places, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
     """Motion through ``poses``, the first and last of which bound the points' times.
 
     Args:

@@ -8,14 +8,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from quadtree_lss.arrays import Array, Bytes, Counts, Mask, Places
 from quadtree_lss.core.geometry.heights import height_by_error
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import leaf_raster
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class Ground(NamedTuple):
@@ -76,14 +74,14 @@ class CellMap:
 
     stamp_ns: int
     domain: Domain
-    level: NDArray[np.uint8]
-    ix: NDArray[np.uint32]
-    iy: NDArray[np.uint32]
+    level: Bytes
+    ix: Counts
+    iy: Counts
     z: Array
     normal: Array
     covariance_range: Array
     covariance_pose: Array
-    count: NDArray[np.uint32]
+    count: Counts
     measured: Mask
     roughness: Array
     exception_fraction: Array
@@ -180,10 +178,10 @@ class CellMap:
         )
 
     @cached_property
-    def _leaves(self) -> NDArray[np.int32]:
+    def _leaves(self) -> Places:
         return self.leaf_raster()
 
-    def leaf_raster(self) -> NDArray[np.int32]:
+    def leaf_raster(self) -> Places:
         """(n, n) [iy, ix] row of the leaf that covers each finest cell."""
         out = np.zeros((self.domain.finest_count,) * 2, dtype=np.int32)
         leaf_raster(self.level, self.ix, self.iy, out)

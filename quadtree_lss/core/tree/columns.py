@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Bytes, Counts, Index
 from quadtree_lss.core.geometry import feature
 from quadtree_lss.core.tree.leaves import LeafTable
 
@@ -14,9 +13,6 @@ if not cython.compiled:
     from math import nan as NAN
 
     from quadtree_lss.core.tree.leaves import INHERITED, MEASURED
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.uint32]
 
 #: A bell fitted to a hemisphere (Eq. 53) by least squares peaks a quarter above it. Its volume is
 #: right; a sigma wider by this lowers the peak and keeps it.
@@ -26,10 +22,10 @@ WIDER = cython.declare(cython.double, feature.SHAPE**0.5)
 @cython.boundscheck(False)
 def fill_columns(
     table: LeafTable,
-    rows: NDArray[np.intp],
+    rows: Index,
     whole: tuple[Counts, Counts, Counts],
-    level: NDArray[np.uint8],
-    measured: NDArray[np.uint8],
+    level: Bytes,
+    measured: Bytes,
     single: Array,
     normal: Array,
     range_part: Array,
@@ -47,8 +43,7 @@ def fill_columns(
             it is added.
         bell: (M, 5).
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     ix = cython.declare(cython.uint[::1], whole[0])
     iy = cython.declare(cython.uint[::1], whole[1])
     count = cython.declare(cython.uint[::1], whole[2])

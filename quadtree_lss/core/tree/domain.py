@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.config.settings import DomainConfig
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

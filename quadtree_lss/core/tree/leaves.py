@@ -14,6 +14,7 @@ import cython
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Bytes, Counts, Index, Places
 from quadtree_lss.core.geometry.morton import SPREAD
 from quadtree_lss.core.tree.domain import Domain
 
@@ -29,7 +30,6 @@ if not cython.compiled:
         """Only a compiled program knows where its numbers lie."""
 
 
-Index = NDArray[np.intp]
 #: One record of a table: a pointer to a C structure, or a record of NumPy.
 Record: TypeAlias = Any
 
@@ -161,8 +161,7 @@ class LeafTable:
     def _place(
         self, row: cython.Py_ssize_t, level: cython.int, ix: cython.int, iy: cython.int
     ) -> None:
-        code: cython.Py_ssize_t
-        first: cython.Py_ssize_t
+        cython.declare(code=cython.Py_ssize_t, first=cython.Py_ssize_t)
         leaf = self.at(row)
         side = self.side(level)
         leaf.level = level
@@ -192,8 +191,7 @@ class LeafTable:
             in the table (`reserve`).
         """
         basis = cython.declare(cython.double[6])
-        child: cython.Py_ssize_t
-        at: cython.Py_ssize_t
+        cython.declare(child=cython.Py_ssize_t, at=cython.Py_ssize_t)
         parent = self.at(row)
         level: cython.int = parent.level
         ix: cython.int = 2 * parent.ix
@@ -246,10 +244,9 @@ class LeafTable:
 
 
 @cython.boundscheck(False)
-def unfold(values: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
+def unfold(values: Bytes, out: Bytes) -> None:
     """Values (n^2,) of finest cells in Morton order, laid out by row and column (n, n)."""
-    row: cython.Py_ssize_t
-    column: cython.Py_ssize_t
+    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
     places = cython.declare(cython.longlong[::1], SPREAD)
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
@@ -258,16 +255,14 @@ def unfold(values: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
 
 @cython.boundscheck(False)
 def leaf_raster(
-    level: NDArray[np.uint8],
-    ix: NDArray[np.uint32],
-    iy: NDArray[np.uint32],
-    out: NDArray[np.int32],
+    level: Bytes,
+    ix: Counts,
+    iy: Counts,
+    out: Places,
 ) -> None:
     """Which of the cells (level, ix, iy), each (M,), covers each finest cell (n, n) [iy, ix]."""
-    i: cython.Py_ssize_t
-    row: cython.Py_ssize_t
-    column: cython.Py_ssize_t
-    side: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    cython.declare(side=cython.Py_ssize_t)
     for i in range(len(level)):
         side = len(out) >> level[i]
         for row in range(iy[i] * side, (iy[i] + 1) * side):
