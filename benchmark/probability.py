@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -25,6 +26,7 @@ from quadtree_lss.evaluation.risk_flights import CASES, Conditions, Mapped
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 Flown = dict[str, list[list[Mapped]]]
 All = dict[str, list[list[Judged]]]
 
@@ -32,6 +34,15 @@ BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 FOUND = 0.996
 THRESHOLDS = np.geomspace(1e-4, 0.5, 120)
 TIMES = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)
+RESAMPLED = 1000
+
+
+class Sample(NamedTuple):
+    """Risks, failures and numbers of the tiles of ground, (K,) each."""
+
+    risk: Array
+    failed: Mask
+    tile: Index
 
 
 def main() -> None:
@@ -57,7 +68,8 @@ def main() -> None:
             [judge(one, model, own, one is maps[-1]) for one in maps] for maps in of_case
         ]
     of_all = {
-        name: joined([one for maps in of_case for one in maps]) for name, of_case in judged.items()
+        name: sampled([(number, one) for number, maps in enumerate(of_case) for one in maps])
+        for name, of_case in judged.items()
     }
     reliability_table("Truly unsafe over predicted, by predicted risk in %", of_all)
     score_table(judged)
@@ -75,13 +87,30 @@ def joined(found: list[Judged]) -> tuple[Array, Mask]:
     return np.concatenate([j.risk for j in found]), np.concatenate([j.failed for j in found])
 
 
-def ratios(risk: Array, failed: Mask) -> list[float]:
-    """Observed over predicted share in each of ``BINS``; NaN where fewer than 100 points are."""
-    out = []
+def sampled(found: list[tuple[int, Judged]]) -> Sample:
+    """Several maps, each with the number of its flight."""
+    tiles = [1_000_000 * number + one.tile for number, one in found]
+    return Sample(*joined([one for _, one in found]), np.concatenate(tiles))
+
+
+def ratios(of: Sample) -> list[tuple[float, float, float]]:
+    """Observed over predicted share in each of ``BINS``, and where 90 % of those lie that other
+    tiles of such ground would give (bootstrap over the tiles); NaN of fewer than 100 points."""
+    tiles, place = np.unique(of.tile, return_inverse=True)
+    rng, out = np.random.default_rng(1), []
+    times = rng.multinomial(len(tiles), np.full(len(tiles), 1.0 / len(tiles)), RESAMPLED)
     for low, high in zip(BINS, BINS[1:], strict=False):
-        here = (risk >= low) & (risk < high)
-        enough = here.sum() >= 100
-        out.append(float(failed[here].mean() / risk[here].mean()) if enough else float("nan"))
+        here = (of.risk >= low) & (of.risk < high)
+        if here.sum() < 100:
+            out.append((np.nan, np.nan, np.nan))
+            continue
+        failed, predicted = (
+            np.bincount(place[here], weights[here], len(tiles)) for weights in (of.failed, of.risk)
+        )
+        with np.errstate(invalid="ignore"):
+            others = (times @ failed) / (times @ predicted)
+        least, most = np.nanpercentile(others, (5.0, 95.0))
+        out.append((float(failed.sum() / predicted.sum()), float(least), float(most)))
     return out
 
 
@@ -90,13 +119,16 @@ def dashed(value: float, digits: str) -> str:
     return "-" if np.isnan(value) else format(value, digits)
 
 
-def reliability_table(title: str, rows: dict[str, tuple[Array, Mask]]) -> None:
+def reliability_table(title: str, rows: dict[str, Sample]) -> None:
     """A line for each case or way."""
     bins = [f"{100 * a:g}-{100 * b:g}" for a, b in zip(BINS, BINS[1:], strict=False)]
     lines = []
-    for name, (risk, failed) in rows.items():
-        numbers = [dashed(ratio, ".2f") for ratio in ratios(risk, failed)]
-        lines.append([name, *numbers, f"{risk.mean():.4f}", f"{failed.mean():.4f}"])
+    for name, of in rows.items():
+        numbers = [
+            "-" if np.isnan(ratio) else f"{ratio:.2f} ({least:.2f}-{most:.2f})"
+            for ratio, least, most in ratios(of)
+        ]
+        lines.append([name, *numbers, f"{of.risk.mean():.4f}", f"{of.failed.mean():.4f}"])
     table(title, ["case", *bins, "predicted", "unsafe"], lines)
 
 
@@ -200,21 +232,22 @@ def two_ways(flown: Flown, judged: All, config: Config, draws: int) -> None:
     for name, of_case in flown.items():
         own, one = CASES.get(name, Conditions()).mapping(config), judged[name][0][-1]
         by_draws = drawn(of_case[0][-1], own, draws, 1)
-        rows[f"{name}, draws"] = by_draws, one.failed
-        rows[f"{name}, fit"] = one.risk, one.failed
+        rows[f"{name}, draws"] = Sample(by_draws, one.failed, one.tile)
+        rows[f"{name}, fit"] = Sample(one.risk, one.failed, one.tile)
         pairs = [scores(by_draws, one.failed), scores(one.risk, one.failed)]
         lines.append([name, *[f"{pair[k]:.4f}" for k in (0, 1) for pair in pairs]])
     reliability_table(f"{draws} terrains drawn from the map against the fit, one flight", rows)
     table("Their scores", ["case", "Brier, draws", "fit", "log, draws", "fit"], lines)
 
 
-def draw(file: Path, of_all: dict[str, tuple[Array, Mask]], flown: Flown, judged: All, c: Config):
+def draw(file: Path, of_all: dict[str, Sample], flown: Flown, judged: All, c: Config):
     """Reliability of all cases, and what rules find and keep on the default field."""
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     edges = np.geomspace(3e-4, 0.9, 12)
-    for name, (risk, failed) in of_all.items():
+    for name, of in of_all.items():
+        risk, failed = of.risk, of.failed
         at = [(risk >= a) & (risk < b) for a, b in zip(edges, edges[1:], strict=False)]
         at = [here for here in at if here.sum() >= 300]
         x, y = [risk[here].mean() for here in at], [failed[here].mean() for here in at]

@@ -24,10 +24,13 @@ from quadtree_lss.evaluation.risk_fit import unfitted
 from quadtree_lss.evaluation.risk_flights import Landings, Mapped, land
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 RULES = ("paper", "touchdown", "probability")
 WIDE = unfitted()
+#: Side of the tiles, m, whose failures are independent: one rock spoils a hundred grid points.
+TILE = 8.0
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,7 @@ class Judged:
     Attributes:
         failed: (K,) truly unsafe.
         risk: (K,) by the model.
+        tile: (K,) number of the tile of the ground that it lies in.
         called: (K,) safe, by rule.
         first: By rule: clearance of the first site as a share of the best to be had; 0 if it is
             unsafe, NaN if there is none.
@@ -44,6 +48,7 @@ class Judged:
 
     failed: Mask
     risk: Array
+    tile: Index
     called: dict[str, Mask]
     first: dict[str, float]
 
@@ -65,7 +70,8 @@ def judge(mapped: Mapped, model: RiskModel, config: Config, sites: bool) -> Judg
         found = LandingSiteSelector(by_rule(config, rule)).assess(mapped.cells)
         called[rule] = found.safe[landings.counts]
         first[rule] = clearance(mapped, landings, found.sites.position)
-    return Judged(landings.failed, risk, called, first)
+    row, column = np.nonzero(landings.counts) // np.intp(TILE / mapped.cells.domain.finest_size)
+    return Judged(landings.failed, risk, 1000 * row + column, called, first)
 
 
 def looks(before: Mapped, after: Mapped, config: Config) -> dict[str, tuple[int, int, int, int]]:

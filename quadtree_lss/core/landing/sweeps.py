@@ -132,7 +132,9 @@ def find_nearest(marked: Bytes, square: Places, place: Places) -> None:
                     vertex[0] = j
                     continue
                 k = vertex[top]
-                x = 1 + (j * j - k * k + height[j] - height[k]) // (2 * (j - k))
+                x = 1 + (j + k) // 2  # where both are as high, without a long division
+                if height[j] != height[k]:
+                    x = 1 + (j * j - k * k + height[j] - height[k]) // (2 * (j - k))
                 if x < columns:
                     top += 1
                     vertex[top] = j
