@@ -13,10 +13,11 @@ Mask = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 #: Rows and places that arrays are indexed by.
 Index = NDArray[np.intp]
-#: The same in half the memory: a leaf's row for each cell.
-Places = NDArray[np.int32]
+#: The same in half the memory, and offsets in time, ns.
+Ints = NDArray[np.int32]
 #: Morton keys of cells.
 Keys = NDArray[np.int64]
-Counts = NDArray[np.uint32]
+#: Counts, numbers of places, indices of cells.
+Numbers = NDArray[np.uint32]
 #: As the lidar gives them.
 Points = Single | Array

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from quadtree_lss.arrays import Array, Bytes, Counts, Mask
+from quadtree_lss.arrays import Array, Bytes, Mask, Numbers
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing import hazards
 from quadtree_lss.core.landing.grid import GridSampler
@@ -48,7 +48,7 @@ class Sites:
     roughness: Array
     hazard_distance: Array
     subscale_height: Array
-    id: Counts
+    id: Numbers
     reasons: tuple[str, ...]
 
     def of(self, rows: slice) -> Sites:

@@ -9,7 +9,7 @@ from math import isqrt, sqrt
 
 import numpy as np
 
-from quadtree_lss.arrays import Array, Bytes, Index, Mask, Places
+from quadtree_lss.arrays import Array, Bytes, Index, Ints, Mask
 from quadtree_lss.core.landing.sweeps import disc_moments, find_distances, find_nearest
 
 FAR = 16
@@ -124,7 +124,7 @@ def distance_from(marked: Mask, side: float, limit: float = np.inf) -> Array:
     return out
 
 
-def nearest_marked(marked: Mask) -> tuple[Places, Places]:
+def nearest_marked(marked: Mask) -> tuple[Ints, Ints]:
     """Square of the distance of each point to the nearest marked one, in steps, and its place.
 
     Args:

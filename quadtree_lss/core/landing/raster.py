@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cython
 import numpy as np
 
-from quadtree_lss.arrays import Array, Index, Mask, Places
+from quadtree_lss.arrays import Array, Index, Ints, Mask
 from quadtree_lss.core.landing.lattice import grown, nearest_marked
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
@@ -41,7 +41,7 @@ class TerrainRaster:
     """
 
     domain: Domain
-    leaf: Places
+    leaf: Ints
     elevation: Array
     slope_x: Array
     slope_y: Array
@@ -99,7 +99,7 @@ def lay_out(
     normal: Array,
     feature: Array,
     side: float,
-    leaf: Places,
+    leaf: Ints,
     layers: Array,
 ) -> None:
     """Fill the finest cells under leaves (M).

@@ -34,7 +34,7 @@ class PointAssessment:
     Attributes:
         planes: Ground at the lander's scale.
         slope: Its angle, rad.
-        hazard: Bytes of ``hazards``.
+        hazard: Bits of ``hazards``.
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
         roughness: (M,) of the leaves, Eq. 55's volume over the area, m.

@@ -6,7 +6,7 @@ from __future__ import annotations
 import cython
 import numpy as np
 
-from quadtree_lss.arrays import Array, Bytes, Index, Places
+from quadtree_lss.arrays import Array, Bytes, Index, Ints
 
 
 @cython.boundscheck(False)
@@ -77,7 +77,7 @@ def disc_moments(
 
 
 @cython.boundscheck(False)
-def find_nearest(marked: Bytes, square: Places, place: Places) -> None:
+def find_nearest(marked: Bytes, square: Ints, place: Ints) -> None:
     """Exact distances in two sweeps (Meijster, Roerdink and Hesselink 2000).
 
     First the nearest marked point in each column; then along each row the lower envelope of the
@@ -198,7 +198,7 @@ def score_density(
     near: Array,
     inside: Array,
     subscale: Array,
-    leaf: Places,
+    leaf: Ints,
     of_leaf: Array,
     weights: Array,
     out: Array,

@@ -16,7 +16,7 @@ from math import hypot
 
 import numpy as np
 
-from quadtree_lss.arrays import Array, Counts, Mask
+from quadtree_lss.arrays import Array, Mask, Numbers
 
 MAX_PLACES = 1000
 """Places that are remembered; of more the oldest are forgotten."""
@@ -106,7 +106,7 @@ class Places:
         for number in (*gone, *list(self._known)[:-MAX_PLACES]):
             self._known.pop(number, None)
 
-    def numbers(self, places: Array, reach: float) -> Counts:
+    def numbers(self, places: Array, reach: float) -> Numbers:
         """Numbers (K,) of places (K, 2), in m: new ones where none is known within ``reach``."""
         return np.array([self.number(x, y, reach) for x, y in places.tolist()], dtype=np.uint32)
 

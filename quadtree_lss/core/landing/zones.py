@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import cython
 
-from quadtree_lss.arrays import Array, Bytes, Index, Places
+from quadtree_lss.arrays import Array, Bytes, Index, Ints
 
 if not cython.compiled:
     from math import fabs, sqrt
@@ -13,7 +13,7 @@ if not cython.compiled:
 
 @cython.boundscheck(False)
 def greatest_in_zones(
-    cells: Array, leaf: Places, of_leaf: Array, half: Index, places: Index, out: Array
+    cells: Array, leaf: Ints, of_leaf: Array, half: Index, places: Index, out: Array
 ) -> None:
     """Greatest of some values of cells and of leaves in the discs about grid points.
 

@@ -18,7 +18,7 @@ from functools import lru_cache
 import cython
 import numpy as np
 
-from quadtree_lss.arrays import Array, Places
+from quadtree_lss.arrays import Array, Ints
 
 if not cython.compiled:
     from math import inf as INFINITY
@@ -57,7 +57,7 @@ def median(values: Array) -> float:
 
 
 @lru_cache(maxsize=16)
-def spread_over(count: int, sample: int) -> Places:
+def spread_over(count: int, sample: int) -> Ints:
     """Places (sample,) among ``count``, ``sample`` at most, from all over them."""
     if sample == count:
         return np.arange(count, dtype=np.int32)
@@ -65,7 +65,7 @@ def spread_over(count: int, sample: int) -> Places:
 
 
 @cython.boundscheck(False)
-def pixels_with_few_links(ranges: Array, limit: float, pixels: Places) -> cython.Py_ssize_t:
+def pixels_with_few_links(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
     """Returns with fewer than two links: their places in (H, W) to ``pixels``, how many."""
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
     few: cython.Py_ssize_t = 0
@@ -79,7 +79,7 @@ def pixels_with_few_links(ranges: Array, limit: float, pixels: Places) -> cython
 
 
 @cython.boundscheck(False)
-def pixels_without_hold(ranges: Array, limit: float, pixels: Places) -> cython.Py_ssize_t:
+def pixels_without_hold(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
     """Those of ``pixels`` (M,) that are isolated, to the front of them; how many."""
     i: cython.Py_ssize_t
     lonely: cython.Py_ssize_t = 0
@@ -135,7 +135,7 @@ def step_to(
 
 
 @cython.boundscheck(False)
-def second_steps(ranges: Array, pixels: Places, steps: Array) -> cython.Py_ssize_t:
+def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t:
     """Second least step from each of ``pixels`` (M,) to those next to it, to ``steps`` (M,), m;
     how many of them have two neighbours."""
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cython
 import numpy as np
 
-from quadtree_lss.arrays import Array, Bytes, Keys, Places
+from quadtree_lss.arrays import Array, Bytes, Ints, Keys
 from quadtree_lss.core.sensing.isolated import WIDENING, median, spread_over
 
 if not cython.compiled:
@@ -135,9 +135,9 @@ def fill(
     ranges: Array,
     per_metre: float,
     cubes: Keys,
-    last: Places,
-    before: Places,
-    slots: Places,
+    last: Ints,
+    before: Ints,
+    slots: Ints,
 ) -> cython.void:
     """Sort points (N, 3) that have a range into cubes of side 1 / ``per_metre``.
 
@@ -181,9 +181,9 @@ def drop(
     limit: float,
     per_metre: float,
     cubes: Keys,
-    last: Places,
-    before: Places,
-    slots: Places,
+    last: Ints,
+    before: Ints,
+    slots: Ints,
     around: Keys,
     sure: Bytes,
 ) -> cython.Py_ssize_t:
@@ -218,10 +218,10 @@ def point_links(
     limit: float,
     per_metre: float,
     cubes: Keys,
-    last: Places,
-    before: Places,
+    last: Ints,
+    before: Ints,
     around: Keys,
-    linked: Places,
+    linked: Ints,
 ) -> cython.Py_ssize_t:
     """With how many others a point is linked, counted to two; ``linked`` (1,) is the first.
 

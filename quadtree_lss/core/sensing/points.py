@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import cython
 
-from quadtree_lss.arrays import Array, Keys, Places, Points
+from quadtree_lss.arrays import Array, Ints, Keys, Points
 
 if not cython.compiled:
     from math import nan as NAN
@@ -17,7 +17,7 @@ if not cython.compiled:
 @cython.boundscheck(False)
 def turn(
     points_lidar: Points,
-    offsets: Places,
+    offsets: Ints,
     times: Array,
     motion: Array,
     least: float,
@@ -95,7 +95,7 @@ def bin_runs(
     count: cython.longlong,
     spread: Keys,
     runs: Keys,
-    spans: Places,
+    spans: Ints,
     found: Keys,
     sums: Array,
 ) -> cython.void:
@@ -151,7 +151,7 @@ def bin_runs(
 
 
 @cython.boundscheck(False)
-def arrange(points: Array, runs: Keys, spans: Places, arranged: Array, keys: Keys) -> cython.void:
+def arrange(points: Array, runs: Keys, spans: Ints, arranged: Array, keys: Keys) -> cython.void:
     """Copy points run by run to ``arranged`` (M, 3), the key of each to ``keys`` (M,).
 
     Args:

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from quadtree_lss.arrays import Array, Places
+from quadtree_lss.arrays import Array, Ints
 from quadtree_lss.core.geometry.rotations import exp, log
 from quadtree_lss.core.sensing.lidar import Pose
 
@@ -47,7 +47,7 @@ class Sweep:
             axes, m.
     """
 
-    offsets: Places
+    offsets: Ints
     times: Array
     motion: Array
 
@@ -59,7 +59,7 @@ def still(rotation_map_lidar: Array) -> Sweep:
     return Sweep(np.empty(0, dtype=np.int32), np.zeros(1), motion)
 
 
-def sweep(offsets: Places, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
+def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
     """Motion through ``poses``, the first and last of which bound the points' times.
 
     Args:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.arrays import Array, Bytes, Counts, Mask, Places
+from quadtree_lss.arrays import Array, Bytes, Ints, Mask, Numbers
 from quadtree_lss.core.geometry.heights import height_by_error
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import leaf_raster
@@ -75,13 +75,13 @@ class CellMap:
     stamp_ns: int
     domain: Domain
     level: Bytes
-    ix: Counts
-    iy: Counts
+    ix: Numbers
+    iy: Numbers
     z: Array
     normal: Array
     covariance_range: Array
     covariance_pose: Array
-    count: Counts
+    count: Numbers
     measured: Mask
     roughness: Array
     exception_fraction: Array
@@ -122,7 +122,7 @@ class CellMap:
         belongs to the cell north and east of it, as measurements do.
 
         Args:
-            x, y: Places in the map frame, m, of any shape; they broadcast.
+            x, y: Ints in the map frame, m, of any shape; they broadcast.
         """
         at_x, at_y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         place_x, place_y = at_x.ravel(), at_y.ravel()
@@ -178,10 +178,10 @@ class CellMap:
         )
 
     @cached_property
-    def _leaves(self) -> Places:
+    def _leaves(self) -> Ints:
         return self.leaf_raster()
 
-    def leaf_raster(self) -> Places:
+    def leaf_raster(self) -> Ints:
         """(n, n) [iy, ix] row of the leaf that covers each finest cell."""
         out = np.zeros((self.domain.finest_count,) * 2, dtype=np.int32)
         leaf_raster(self.level, self.ix, self.iy, out)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import cython
 
-from quadtree_lss.arrays import Array, Bytes, Counts, Index
+from quadtree_lss.arrays import Array, Bytes, Index, Numbers
 from quadtree_lss.core.geometry import feature
 from quadtree_lss.core.tree.leaves import LeafTable
 
@@ -23,7 +23,7 @@ WIDER = cython.declare(cython.double, feature.SHAPE**0.5)
 def fill_columns(
     table: LeafTable,
     rows: Index,
-    whole: tuple[Counts, Counts, Counts],
+    whole: tuple[Numbers, Numbers, Numbers],
     level: Bytes,
     measured: Bytes,
     single: Array,

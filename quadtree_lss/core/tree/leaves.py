@@ -14,7 +14,7 @@ import cython
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.arrays import Bytes, Counts, Index, Places
+from quadtree_lss.arrays import Bytes, Index, Ints, Numbers
 from quadtree_lss.core.geometry.morton import SPREAD
 from quadtree_lss.core.tree.domain import Domain
 
@@ -256,9 +256,9 @@ def unfold(values: Bytes, out: Bytes) -> None:
 @cython.boundscheck(False)
 def leaf_raster(
     level: Bytes,
-    ix: Counts,
-    iy: Counts,
-    out: Places,
+    ix: Numbers,
+    iy: Numbers,
+    out: Ints,
 ) -> None:
     """Which of the cells (level, ix, iy), each (M,), covers each finest cell (n, n) [iy, ix]."""
     cython.declare(i=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
