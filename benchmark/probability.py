@@ -16,17 +16,14 @@ from common.risk import flights
 from common.rules import RULES, Judged, drawn, judge, looks, stricter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from quadtree_lss.arrays import Array, Index, Mask
 from quadtree_lss.campaign.study import parse_seeds
 from quadtree_lss.config.risk import risk_model
 from quadtree_lss.config.settings import Config
 from quadtree_lss.evaluation.reliability import scores
 from quadtree_lss.evaluation.risk_flights import CASES, Conditions, Mapped
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 Flown = dict[str, list[list[Mapped]]]
 All = dict[str, list[list[Judged]]]
 

@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import Recording, configuration, machine, recording, table
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.core.landing.target import Reason
@@ -26,8 +26,6 @@ from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.evaluation.results import Truth, load_truth
 from quadtree_lss.messages.maps import round_trip
 from quadtree_lss.replay.steps import scans
-
-Array = NDArray[np.float64]
 
 #: Scans between the maps of a flight: 20 Hz mapped, 4 Hz assessed.
 EVERY = 5

@@ -16,13 +16,12 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binned_statistic_2d
 
+from quadtree_lss.arrays import Array
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.tree.domain import Domain
 
-Array = NDArray[np.float64]
 Heights = Callable[[Array, Pose], Array]
 """From points (…, 3), float64, in lidar axes and the pose to mean heights (n, n) [iy, ix], m."""
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from quadtree_lss.arrays import Array, Index, Mask
 from quadtree_lss.config.risk import RiskModel
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.geometry.heights import height_by_error
@@ -23,13 +23,9 @@ from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.evaluation.risk_fit import unfitted
 from quadtree_lss.evaluation.risk_flights import Landings, Mapped, land
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
-
 RULES = ("paper", "touchdown", "probability")
 WIDE = unfitted()
-#: Side of the tiles, m, whose failures are independent: one rock spoils a hundred grid points.
+#: Side of the tiles, m, whose failures are taken for independent: a rock spoils many grid points.
 TILE = 8.0
 
 
@@ -70,7 +66,8 @@ def judge(mapped: Mapped, model: RiskModel, config: Config, sites: bool) -> Judg
         found = LandingSiteSelector(by_rule(config, rule)).assess(mapped.cells)
         called[rule] = found.safe[landings.counts]
         first[rule] = clearance(mapped, landings, found.sites.position)
-    row, column = np.nonzero(landings.counts) // np.intp(TILE / mapped.cells.domain.finest_size)
+    side = round(TILE / mapped.cells.domain.finest_size)
+    row, column = np.argwhere(landings.counts).T // side
     return Judged(landings.failed, risk, 1000 * row + column, called, first)
 
 

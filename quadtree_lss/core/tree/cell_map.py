@@ -122,7 +122,7 @@ class CellMap:
         belongs to the cell north and east of it, as measurements do.
 
         Args:
-            x, y: Ints in the map frame, m, of any shape; they broadcast.
+            x, y: Places in the map frame, m, of any shape; they broadcast.
         """
         at_x, at_y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         place_x, place_y = at_x.ravel(), at_y.ravel()
