@@ -16,7 +16,8 @@ def test_beyond_the_edge_the_ground_goes_on():
     """Level, at the height of the edge: half of the disc of a point there has no slope."""
     config = configured(lidar={"range_noise": 0.01})
     cells = mapped(config, slope(0.2, 0.0), density=60.0).snapshot()
-    found = ground_planes(rasterise(cells, 0.6).elevation, cells.domain.finest_size, 1.5)
+    raster = rasterise(cells, 0.6)
+    found = ground_planes(raster.elevation, raster.seen, cells.domain.finest_size, 1.5)
     middle = len(found.slope_x) // 2
     assert found.slope_x[middle, middle] == pytest.approx(0.2, abs=0.01)
     assert found.slope_x[middle, 0] == pytest.approx(0.5 * 0.2, abs=0.03)
@@ -33,7 +34,8 @@ def test_slope_is_that_of_three_quarters_of_the_landers_radius():
     cells = mapped(config, waves, density=60.0).snapshot()
     found = LandingSiteSelector(config).assess(cells)
     side = cells.domain.finest_size
-    planes = ground_planes(rasterise(cells, config.lss.max_gap).elevation, side, 0.75 * 0.5 * 1.9)
+    raster = rasterise(cells, config.lss.max_gap)
+    planes = ground_planes(raster.elevation, raster.seen, side, 0.75 * 0.5 * 1.9)
     slope = np.degrees(np.arctan(np.hypot(planes.slope_x, planes.slope_y)))
     np.testing.assert_allclose(found.slope_deg, slope, rtol=1e-12)
     np.testing.assert_array_equal(found.plane_elevation, planes.elevation)
@@ -44,7 +46,8 @@ def test_planes_and_means_are_those_of_the_cells_in_the_disc(radius):
     """Against a least-squares fit to each disc, within the domain."""
     side, n = 0.5, 16
     z = 1000.0 + np.random.default_rng(3).normal(size=(n, n))
-    planes, means = ground_planes(z, side, radius), disc_means(z, disc(radius, side))
+    seen = np.ones((n, n), dtype=np.bool_)
+    planes, means = ground_planes(z, seen, side, radius), disc_means(z, disc(radius, side), seen)
     row, column = np.indices((n, n))
     for i in range(5, n - 4):
         for j in range(5, n - 4):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 from libc.math cimport hypot, sqrt
-from quadtree_lss.core.geometry.sphere cimport basis_at, change_of_tangent, minus_at, plus_at
+from quadtree_lss.core.geometry.sphere cimport basis_at, minus_at, plus_at
 
 cdef void multiply(double* a, double* b, double* out) noexcept nogil
 cdef void congruent(double* a, double* c, double* out) noexcept nogil

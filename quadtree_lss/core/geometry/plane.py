@@ -20,7 +20,7 @@ from quadtree_lss.core.geometry.sphere import Vector, tangent_basis
 if not cython.compiled:
     from math import hypot, sqrt
 
-    from quadtree_lss.core.geometry.sphere import basis_at, change_of_tangent, minus_at, plus_at
+    from quadtree_lss.core.geometry.sphere import basis_at, minus_at, plus_at
 
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (75.5 deg).
 MIN_UP = cython.declare(cython.double, 0.25)
@@ -79,7 +79,7 @@ def inverse_symmetric(c: Vector, out: Vector) -> None:
 
 
 def turn_tangent(c: Vector, change: Vector) -> None:
-    """Covariance (9) in place, its dphi mapped by `change_of_tangent` (4)."""
+    """Covariance (9) in place, its dphi mapped by the ``change`` (4) of `minus_at`."""
     x = change[0] * c[0] + change[1] * c[3]
     y = change[0] * c[1] + change[1] * c[4]
     z = change[2] * c[1] + change[3] * c[4]
@@ -372,10 +372,9 @@ def fuse(
     shift_origin(pose_part, first, second)
     error[0] = error[1] = 0.0
     if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
-        change_of_tangent(prior_normal, normal, change)
+        minus_at(prior_normal, normal, error, change)
         turn_tangent(prior_range, change)
         turn_tangent(prior_pose, change)
-        minus_at(prior_normal, normal, error)
     error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     for i in range(9):
         one[i] = prior_range[i] + (1.0 - common) * prior_pose[i]

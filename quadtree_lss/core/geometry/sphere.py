@@ -44,14 +44,6 @@ def exp_at(tangent: Vector, out: Vector) -> None:
     out[2] = cos(angle)
 
 
-def log_at(normal: Vector, out: Vector) -> None:
-    """Eq. 4: angle from the z axis along kappa, n (3) to (2)."""
-    sine = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
-    share = atan2(sine, normal[2]) / sine if sine > 1e-12 else 1.0
-    out[0] = share * normal[0]
-    out[1] = share * normal[1]
-
-
 def exp_jacobian_at(tangent: Vector, out: Vector) -> None:
     """Eq. 5, Eq. 6, Eq. 7 (bottom row -sinc(phi) phi^T): d exp / d phi, phi (2) to (3, 2)."""
     x, y = tangent[0], tangent[1]
@@ -65,21 +57,24 @@ def exp_jacobian_at(tangent: Vector, out: Vector) -> None:
     out[5] = -sinc * y
 
 
-def log_jacobian_at(normal: Vector, out: Vector) -> None:
-    """d log / d n for changes of n along the sphere: n (3) to (2, 3).
+def log_at(normal: Vector, out: Vector, jacobian: Vector) -> None:
+    """Eq. 4: angle from the z axis along kappa, n (3) to (2), and d log / d n (2, 3).
 
-    With unit direction k = kappa / |kappa| and angle phi, a change dn turns the angle by
-    lambda k.dkappa - |kappa| dlambda and moves across k by (phi / sin phi) of dkappa.
+    The latter for changes of n along the sphere: with unit direction k = kappa / |kappa| and angle
+    phi, a change dn turns the angle by lambda k.dkappa - |kappa| dlambda and moves across k by
+    (phi / sin phi) of dkappa.
     """
     sine = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
     x = normal[0] / sine if sine > 1e-9 else 1.0
     y = normal[1] / sine if sine > 1e-9 else 0.0
     across = atan2(sine, normal[2]) / sine if sine > 1e-9 else 1.0
-    out[0] = normal[2] * x * x + across * y * y
-    out[1] = out[3] = (normal[2] - across) * x * y
-    out[2] = -sine * x
-    out[4] = normal[2] * y * y + across * x * x
-    out[5] = -sine * y
+    out[0] = across * normal[0]
+    out[1] = across * normal[1]
+    jacobian[0] = normal[2] * x * x + across * y * y
+    jacobian[1] = jacobian[3] = (normal[2] - across) * x * y
+    jacobian[2] = -sine * x
+    jacobian[4] = normal[2] * y * y + across * x * x
+    jacobian[5] = -sine * y
 
 
 def seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
@@ -105,34 +100,27 @@ def plus_at(normal: Vector, tangent: Vector, out: Vector) -> None:
         out[i] = step[0] * basis[i] + step[1] * basis[3 + i] + step[2] * normal[i]
 
 
-def minus_at(normal: Vector, reference: Vector, out: Vector) -> None:
-    """Eq. 9 and Eq. 12, n [-] m in the tangent at m, both up: n (3), m (3) to (2)."""
-    seen = cython.declare(cython.double[3])
-    seen_from(normal, reference, seen)
-    log_at(seen, out)
+def minus_at(normal: Vector, reference: Vector, out: Vector, change: Vector) -> None:
+    """Eq. 9 and Eq. 12, n [-] m in the tangent at m, both up: n (3), m (3) to (2).
 
-
-def change_of_tangent(of: Vector, to: Vector, out: Vector) -> None:
-    """Linear map (4) of errors in the tangent at n to the tangent at m, n (3), m (3).
-
-    With w = R_m^T n, the error of (n [-] m) is dlog(w) R_m^T B_n dphi.
+    And the linear map (4) of errors in the tangent at n to the tangent at m: with w = R_m^T n, the
+    error of (n [-] m) is dlog(w) R_m^T B_n dphi.
     """
     seen = cython.declare(cython.double[3])
     basis = cython.declare(cython.double[6])
     axis = cython.declare(cython.double[3])
-    moved = cython.declare(cython.double[3])
     slope = cython.declare(cython.double[6])
     cython.declare(i=cython.int, k=cython.int)
-    seen_from(of, to, seen)
-    log_jacobian_at(seen, slope)
-    basis_at(of, basis)
+    seen_from(normal, reference, seen)
+    log_at(seen, out, slope)
+    basis_at(normal, basis)
     for i in range(2):
         for k in range(3):
             axis[k] = basis[3 * i + k]
-        seen_from(axis, to, moved)
+        seen_from(axis, reference, seen)
         for k in range(2):
-            out[2 * k + i] = (
-                slope[3 * k] * moved[0] + slope[3 * k + 1] * moved[1] + slope[3 * k + 2] * moved[2]
+            change[2 * k + i] = (
+                slope[3 * k] * seen[0] + slope[3 * k + 1] * seen[1] + slope[3 * k + 2] * seen[2]
             )
 
 
@@ -161,7 +149,8 @@ def log(normal: ArrayLike) -> Array:
     """Eq. 4: (3,) to (2,)."""
     n: cython.double[3] = normal  # type: ignore[valid-type]
     out = cython.declare(cython.double[2])
-    log_at(n, out)
+    jacobian = cython.declare(cython.double[6])
+    log_at(n, out, jacobian)
     return np.array(out)
 
 
@@ -176,8 +165,9 @@ def exp_jacobian(tangent: ArrayLike) -> Array:
 def log_jacobian(normal: ArrayLike) -> Array:
     """d log / d n: (3,) to (2, 3)."""
     n: cython.double[3] = normal  # type: ignore[valid-type]
+    tangent = cython.declare(cython.double[2])
     out = cython.declare(cython.double[6])
-    log_jacobian_at(n, out)
+    log_at(n, tangent, out)
     return np.array(out).reshape(2, 3)
 
 
@@ -202,7 +192,8 @@ def minus(normal: ArrayLike, reference: ArrayLike) -> Array:
     n: cython.double[3] = one  # type: ignore[valid-type]
     m: cython.double[3] = other  # type: ignore[valid-type]
     out = cython.declare(cython.double[2])
-    minus_at(n, m, out)
+    change = cython.declare(cython.double[4])
+    minus_at(n, m, out, change)
     return np.array(out)
 
 
@@ -210,6 +201,7 @@ def tangent_change(of: ArrayLike, to: ArrayLike) -> Array:
     """Linear map of errors in the tangent at n to the tangent at m: (3,), (3,) to (2, 2)."""
     n: cython.double[3] = of  # type: ignore[valid-type]
     m: cython.double[3] = to  # type: ignore[valid-type]
+    apart = cython.declare(cython.double[2])
     out = cython.declare(cython.double[4])
-    change_of_tangent(n, m, out)
+    minus_at(n, m, apart, out)
     return np.array(out).reshape(2, 2)

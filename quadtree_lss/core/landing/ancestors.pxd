@@ -1,6 +1,6 @@
 from libc.math cimport sqrt
 from quadtree_lss.core.geometry.plane cimport inverse_symmetric, keep_up, shift_origin, turn_tangent
-from quadtree_lss.core.geometry.sphere cimport basis_at, change_of_tangent, minus_at, plus_at
+from quadtree_lss.core.geometry.sphere cimport basis_at, minus_at, plus_at
 
 cpdef void fuse_leaves(
     Py_ssize_t[::1] ancestor,

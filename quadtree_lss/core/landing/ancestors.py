@@ -20,7 +20,7 @@ if not cython.compiled:
         shift_origin,
         turn_tangent,
     )
-    from quadtree_lss.core.geometry.sphere import basis_at, change_of_tangent, minus_at, plus_at
+    from quadtree_lss.core.geometry.sphere import basis_at, minus_at, plus_at
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def fuse_leaves(
                     if with_pose:
                         poses[3 * i + j] = pose_part[k, i, j]
             basis_at(own, basis)
-            change_of_tangent(own, mean, turn)
+            minus_at(own, mean, error, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
             second = basis[3] * arm[0] + basis[4] * arm[1] + basis[5] * arm[2]
             shift_origin(ranges, first, second)
@@ -172,7 +172,6 @@ def fuse_leaves(
             if with_pose:
                 shift_origin(poses, first, second)
                 turn_tangent(poses, turn)
-            minus_at(own, mean, error)
             error[2] = -(own[0] * arm[0] + own[1] * arm[1] + own[2] * arm[2])
             inverse_symmetric(ranges, information)
             for i in range(3):

@@ -51,13 +51,11 @@ def ground_covariance(
     heights = height_by_error(
         normal[of_cell], x + over.x - middle_x[of_cell], y + over.y - middle_y[of_cell]
     )
-    of_leaf = np.zeros((len(leaf), 3, 3))
-    np.add.at(of_leaf, of_cell, share.T[:, :, None] * heights[:, None, :])
-    of_leaf = of_leaf[known]
+    of_leaf = (of_cell == np.flatnonzero(known)[:, None])[:, None] * share @ heights
     out = np.sum(of_leaf @ cells.covariance_range[leaf[known]] @ of_leaf.swapaxes(1, 2), axis=0)
     nearest = of_cell[np.argmin(np.where(known[of_cell], np.hypot(over.x, over.y), np.inf))]
     across = x + over.x - middle_x[nearest], y + over.y - middle_y[nearest]
-    common = share @ height_by_error(np.tile(normal[nearest], (len(over.x), 1)), *across)
+    common = share @ height_by_error(normal[nearest, None], *across)
     out += common @ cells.covariance_pose[leaf[nearest]] @ common.T
     # Ground that rises along y is turned about x, ground that rises along x about -y.
     turn = np.zeros((6, 3))

@@ -42,7 +42,7 @@ def best_points(
         last: The last ranking: each keeps its rank ...
         hysteresis: ... unless another scores better by more than this.
     """
-    left = np.where(np.isnan(score), np.inf, score)
+    left = np.fmin(score, np.inf)
     far = separation * (1.0 + 1e-9)
     rows: list[int] = []
     columns: list[int] = []

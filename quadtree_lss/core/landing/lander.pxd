@@ -33,6 +33,7 @@ cdef class Lander:
         double[:, ::1] slope_x,
         double[:, ::1] slope_y,
         double[:, ::1] subscale,
+        unsigned char[:, ::1] changed,
     )
     cpdef void judge(
         self,

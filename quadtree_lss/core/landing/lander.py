@@ -143,31 +143,35 @@ class Lander:
         self.least_x = self.most_x = self.least_y = self.most_y = self.least_z = 0.0
         self.plane_x = self.plane_y = 0.0
 
-    def stand_on(self, elevation: Array, slope_x: Array, slope_y: Array, subscale: Array) -> None:
-        """Take the ground of a map, (n, n) each: height, slopes and features of finest cells."""
+    def stand_on(
+        self, elevation: Array, slope_x: Array, slope_y: Array, subscale: Array, changed: Bytes
+    ) -> None:
+        """Take the ground of a map, (n, n) each: height, slopes and features of finest cells.
+
+        Marks in ``changed`` (n, n) where it is not that of the map before.
+        """
         cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, r=cython.Py_ssize_t)
-        cython.declare(c=cython.Py_ssize_t)
+        cython.declare(c=cython.Py_ssize_t, same=cython.bint)
         n: cython.Py_ssize_t = elevation.shape[0]
         first: cython.Py_ssize_t = self.reach
         after: cython.Py_ssize_t = self.reach + n
-        # In variables: the compiler takes two at a time of what cannot change under its hands.
-        half, pad, shape = 0.5 * self.side, self.pad_radius, 1.0 * SHAPE
+        half, ground = 0.5 * self.side, self.ground
         with cython.nogil:
-            for i in range(self.ground.shape[1]):
+            for i in range(ground.shape[1]):
                 r = min(max(i - first, 0), n - 1)
                 for c in range(n):
-                    x, y = slope_x[r, c], slope_y[r, c]
-                    self.ground[0, i, first + c] = elevation[r, c] + pad * sqrt(x * x + y * y)
-                for c in range(n):
-                    rise = half * (fabs(slope_x[r, c]) + fabs(slope_y[r, c]))
-                    self.ground[3, i, first + c] = elevation[r, c] + rise + shape * subscale[r, c]
-                for c in range(n):
-                    self.ground[1, i, first + c] = slope_x[r, c]
-                for c in range(n):
-                    self.ground[2, i, first + c] = slope_y[r, c]
+                    k = first + c
+                    x, y, z = slope_x[r, c], slope_y[r, c], elevation[r, c]
+                    pad = z + self.pad_radius * sqrt(x * x + y * y)
+                    top = z + half * (fabs(x) + fabs(y)) + SHAPE * subscale[r, c]
+                    same = ground[0, i, k] == pad and ground[3, i, k] == top
+                    if not (same and ground[1, i, k] == x and ground[2, i, k] == y):
+                        ground[0, i, k], ground[3, i, k] = pad, top
+                        ground[1, i, k], ground[2, i, k] = x, y
+                        changed[r, c] = True
                 for k in range(4):
-                    self.ground[k, i, :first] = self.ground[k, i, first]
-                    self.ground[k, i, after:] = self.ground[k, i, after - 1]
+                    ground[k, i, :first] = ground[k, i, first]
+                    ground[k, i, after:] = ground[k, i, after - 1]
 
     def judge(self, due: Bytes, changed: Bytes, rest: Single, block: cython.Py_ssize_t) -> None:
         """Bring the worst rests of a row of blocks up to date after ``stand_on``.

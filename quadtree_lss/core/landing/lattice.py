@@ -51,10 +51,10 @@ def disc(radius: float, side: float) -> Disc:
     return Disc(reach, row[inside], column[inside], x[inside], y[inside], half)
 
 
-def disc_means(values: Array, over: Disc) -> Array:
-    """Means over the disc of each grid point: (n, n) cells to (n + 1, n + 1)."""
+def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
+    """Means over the disc of each grid point at the ``seen`` ones of the cells (n, n)."""
     out, none = np.empty((len(values) + 1,) * 2), np.empty((0, 0))
-    disc_moments(values, 0.0, over.half, out, none, none)
+    disc_moments(values, 0.0, over.half, seen.view(np.uint8), out, none, none)
     out /= len(over.x)
     return out
 
@@ -73,8 +73,10 @@ class GroundPlanes:
     slope_y: Array
 
 
-def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
+def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> GroundPlanes:
     """Planes at the lander's scale, of the height (n, n) of finest cells of side ``side`` m.
+
+    They are those of the ground at grid points at ``seen`` cells.
 
     A disc about a grid point is symmetric, so the normal equations are diagonal:
     slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z). Outside the domain the ground
@@ -83,8 +85,9 @@ def ground_planes(elevation: Array, side: float, radius: float) -> GroundPlanes:
     over = disc(radius, side)
     level = float(np.mean(elevation))
     height, slope_x, slope_y = np.empty((3, len(elevation) + 1, len(elevation) + 1))
-    disc_moments(elevation, level, over.half, height, slope_x, slope_y)
-    for slope in (slope_x, slope_y):
+    sums = height, slope_x, slope_y
+    disc_moments(elevation, level, over.half, seen.view(np.uint8), *sums)
+    for slope in sums[1:]:
         slope /= side * np.sum((over.x / side) ** 2)
     height /= len(over.x)
     height += level

@@ -83,7 +83,8 @@ def assess_points(
     bits *= raster.seen.view(np.uint8)
     # No zone fits a domain smaller than itself: none needs sums over more than that.
     widest = 0.5 * cells.domain.size
-    planes = ground_planes(raster.elevation, side, min(ground_radius(lss), widest))
+    radius_below = min(ground_radius(lss), widest)
+    planes = ground_planes(raster.elevation, raster.seen, side, radius_below)
     slope = planes.slope_x * planes.slope_x
     slope += planes.slope_y * planes.slope_y
     np.arctan(np.sqrt(slope, out=slope), out=slope)
@@ -132,7 +133,7 @@ def assess_points(
         slope,
         hazard,
         safe,
-        disc_means(density, over),
+        disc_means(density, over, raster.seen),
         rough,
         raster,
         over,

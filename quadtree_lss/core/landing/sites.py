@@ -128,7 +128,8 @@ class LandingSiteSelector:
         # What sites are ranked by: the less the better.
         cost = unsafe + TIE * score / (1.0 + score) if judged.ranks else score
         unknown = wanted.apply(cost, x, y, lss)
-        np.copyto(score, np.nan, where=np.isnan(cost))
+        if judged.ranks:
+            np.copyto(score, np.nan, where=np.isnan(cost))
         landable = bool(np.isfinite(cost).any())
         probability = 1.0 - unsafe
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"

@@ -1,7 +1,12 @@
+cdef enum:
+    #: Points of a row of which distances are looked for together.
+    SPAN = 64
+
 cpdef void disc_moments(
     double[:, ::1] cells,
     double level,
     Py_ssize_t[::1] half,
+    const unsigned char[:, ::1] seen,
     double[:, ::1] total,
     double[:, ::1] along_x,
     double[:, ::1] along_y,

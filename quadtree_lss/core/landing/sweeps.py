@@ -8,10 +8,19 @@ import numpy as np
 
 from quadtree_lss.arrays import Array, Bytes, Index, Ints
 
+if not cython.compiled:  # otherwise from the .pxd
+    SPAN = 64
+
 
 @cython.boundscheck(False)
 def disc_moments(
-    cells: Array, level: float, half: Index, total: Array, along_x: Array, along_y: Array
+    cells: Array,
+    level: float,
+    half: Index,
+    seen: Bytes,
+    total: Array,
+    along_x: Array,
+    along_y: Array,
 ) -> None:
     """Sums of z, x z and y z over the disc of each grid point, x and y from it in cells.
 
@@ -22,10 +31,13 @@ def disc_moments(
         cells: (n, n).
         level: What the z are over.
         half: (2 reach,) half width of the disc in each row, in cells.
-        total, along_x, along_y: (n + 1, n + 1), set; of the last two none if they are empty.
+        seen: (n, n), the points from the first to the last at such cells in a row need sums.
+        total, along_x, along_y: (n + 1, n + 1), set, 0 where no sums are needed; of the last two
+            none if they are empty.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(row=cython.Py_ssize_t, east=cython.Py_ssize_t, west=cython.Py_ssize_t)
+    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
     n: cython.Py_ssize_t = cells.shape[0]
     rows: cython.Py_ssize_t = half.shape[0]
     reach: cython.Py_ssize_t = rows // 2
@@ -49,6 +61,16 @@ def disc_moments(
             if slopes:
                 along_x[row, :] = 0.0
                 along_y[row, :] = 0.0
+            first, after = n, 0
+            for k in range(max(row - 1, 0), min(row + 1, n)):
+                j = 0
+                while j < first and not seen[k, j]:
+                    j += 1
+                first, j = j, n
+                while j > after and not seen[k, j - 1]:
+                    j -= 1
+                after = j
+            after = after + 1 if first < n else first
             # The row as far to the north has a run as wide.
             for k in range(reach):
                 east, west = reach + half[k], reach - half[k]
@@ -58,21 +80,21 @@ def disc_moments(
                 north: cython.Py_ssize_t = (row + rows - 1 - k) % rows
                 y = reach - k - 0.5
                 if not slopes:
-                    for j in range(n + 1):
+                    for j in range(first, after):
                         z = sums[0, south, j + east] - sums[0, south, j + west]
                         total[row, j] += z + (sums[0, north, j + east] - sums[0, north, j + west])
                     continue
                 # Two loops: the compiler leaves one over all arrays as it is.
-                for j in range(n + 1):
+                for j in range(first, after):
                     z = sums[0, south, j + east] - sums[0, south, j + west]
                     up = sums[0, north, j + east] - sums[0, north, j + west]
                     total[row, j] += z + up
                     along_y[row, j] += y * (up - z)
-                for j in range(n + 1):
+                for j in range(first, after):
                     z = sums[1, south, j + east] - sums[1, south, j + west]
                     along_x[row, j] += z + (sums[1, north, j + east] - sums[1, north, j + west])
             if slopes:
-                for j in range(n + 1):
+                for j in range(first, after):
                     along_x[row, j] -= (j + reach) * total[row, j]
 
 
@@ -88,7 +110,7 @@ def find_nearest(marked: Bytes, square: Ints, place: Ints) -> None:
         square, place: (ny, nx), set; a place outside the lattice if none is marked.
     """
     cython.declare(i=cython.int, j=cython.int, k=cython.int, top=cython.int, last=cython.int)
-    cython.declare(x=cython.int)
+    cython.declare(x=cython.int, first=cython.int)
     rows: cython.int = marked.shape[0]
     columns: cython.int = marked.shape[1]
     far: cython.int = 2 * (rows + columns)
@@ -109,47 +131,52 @@ def find_nearest(marked: Bytes, square: Ints, place: Ints) -> None:
                 # Of two alike the southern one; far ones lie below the lattice.
                 near[i, j] = last if last >= i and last - i < i - k else k
         for i in range(rows):
-            last = 0
             for j in range(columns):
                 height[j] = (i - near[i, j]) * (i - near[i, j])
-                last |= height[j]
-            if last == 0:
-                for j in range(columns):
-                    square[i, j], place[i, j] = 0, i * columns + j
-                continue
-            top = 0
-            vertex[0] = 0
-            begin[0] = 0
-            for j in range(1, columns):
-                while top >= 0:
+                square[i, j], place[i, j] = 0, i * columns + j
+            last = -1
+            while True:
+                first = last + 1
+                while first < columns and height[first] == 0:
+                    first += 1
+                if first == columns:
+                    break
+                # From a column that is marked in this row to the next: none beyond is nearer.
+                last = first
+                while last < columns - 1 and height[last] != 0:
+                    last += 1
+                first = max(first - 1, 0)
+                top, vertex[0], begin[0] = 0, first, first
+                for j in range(first + 1, last + 1):
+                    while top >= 0:
+                        k = vertex[top]
+                        x = begin[top]
+                        if (x - k) * (x - k) + height[k] <= (x - j) * (x - j) + height[j]:
+                            break
+                        top -= 1
+                    if top < 0:
+                        top, vertex[0] = 0, j
+                        continue
                     k = vertex[top]
-                    x = begin[top]
-                    if (x - k) * (x - k) + height[k] <= (x - j) * (x - j) + height[j]:
-                        break
-                    top -= 1
-                if top < 0:
-                    top = 0
-                    vertex[0] = j
-                    continue
-                k = vertex[top]
-                x = 1 + (j + k) // 2  # where both are as high, without a long division
-                if height[j] != height[k]:
-                    x = 1 + (j * j - k * k + height[j] - height[k]) // (2 * (j - k))
-                if x < columns:
-                    top += 1
-                    vertex[top] = j
-                    begin[top] = x
-            for j in range(columns - 1, -1, -1):
-                k = vertex[top]
-                square[i, j] = (j - k) * (j - k) + height[k]
-                place[i, j] = near[i, k] * columns + k
-                if j == begin[top]:
-                    top -= 1
+                    x = 1 + (j + k) // 2  # where both are as high, without a long division
+                    if height[j] != height[k]:
+                        x = 1 + (j * j - k * k + height[j] - height[k]) // (2 * (j - k))
+                    if x <= last:
+                        top += 1
+                        vertex[top], begin[top] = j, x
+                for j in range(last, first - 1, -1):
+                    k = vertex[top]
+                    square[i, j] = (j - k) * (j - k) + height[k]
+                    place[i, j] = near[i, k] * columns + k
+                    if j == begin[top]:
+                        top -= 1
 
 
 @cython.boundscheck(False)
 def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array) -> None:
     """Distances to marked points that are near, in two sweeps that take eight points at a time.
+
+    Along a row it looks as far as some point of a ``SPAN`` needs it.
 
     Args:
         marked: (ny, nx).
@@ -160,12 +187,13 @@ def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array)
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t, z=cython.short)
     cython.declare(east=cython.short, away=cython.short, widest=cython.short)
+    cython.declare(nearest=cython.short, west=cython.Py_ssize_t, count=cython.Py_ssize_t)
     most: cython.short = far
     rows: cython.Py_ssize_t = marked.shape[0]
     columns: cython.Py_ssize_t = marked.shape[1]
     near = cython.declare(cython.short[:, ::1], np.full((rows, columns), far, dtype=np.int16))
     height = cython.declare(cython.short[::1], np.full(columns + 2 * far, far**2, dtype=np.int16))
-    least = cython.declare(cython.short[::1], np.empty(columns, dtype=np.int16))
+    least = cython.declare(cython.short[::1], np.empty(SPAN, dtype=np.int16))
     with cython.nogil:
         for i in range(rows):
             for j in range(columns):
@@ -177,19 +205,31 @@ def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array)
                 z = near[i + 1, j] + 1
                 near[i, j] = z if z < near[i, j] else near[i, j]
         for i in range(rows):
-            widest = 0
             for j in range(columns):
-                z = near[i, j]
-                widest = z if z > widest else widest
-                least[j] = height[j + most] = z * z
-            for k in range(1, widest):
-                away = k * k
-                for j in range(columns):
-                    z, east = height[j + most - k], height[j + most + k]
-                    z = (z if z < east else east) + away
-                    least[j] = z if z < least[j] else least[j]
-            for j in range(columns):
-                out[i, j] = lengths[least[j]]
+                height[j + most] = near[i, j] * near[i, j]
+            west = 0
+            while west < columns:
+                count = min(SPAN, columns - west)
+                nearest, widest = most * most, 0
+                for j in range(count + 2 * most):
+                    z = height[west + j]
+                    nearest = z if z < nearest else nearest
+                for j in range(count):
+                    z = least[j] = height[west + most + j]
+                    widest = z if z > widest else widest
+                k = 1
+                # Columns so far away are no nearer than what is found, or as far as all others.
+                while k * k < widest and nearest < most * most:
+                    away, widest = k * k, 0
+                    for j in range(count):
+                        z, east = height[west + most + j - k], height[west + most + j + k]
+                        z = (z if z < east else east) + away
+                        z = least[j] = z if z < least[j] else least[j]
+                        widest = z if z > widest else widest
+                    k += 1
+                for j in range(count):
+                    out[i, west + j] = lengths[least[j]]
+                west += SPAN
 
 
 @cython.boundscheck(False)

@@ -9,6 +9,7 @@ the target only if the assessment before found it safe, too.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -164,11 +165,11 @@ class TargetKeeper:
             why_none: Reason to be given if landing is permitted nowhere.
         """
         self.places.forget(ground)
-        best = self._best(ground)
+        permitted = np.isfinite(ground.merit)
+        best = self._best(ground, permitted)
         held, released = self._held, self._released
         self._held, self._released = None, False
         reason = Reason.FIRST if held is None else Reason.RELEASED
-        permitted = np.isfinite(ground.merit)
         if not permitted.any():
             lost = None if held is None or released else ground.at(*held)
             return Choice(None, 0, why_none if lost is None else why_not(*lost))
@@ -189,18 +190,19 @@ class TargetKeeper:
         self.places.pin(self._id, *self._held)
         return Choice(best, self._id, reason)
 
-    def _best(self, ground: Ground) -> tuple[int, int] | None:
+    def _best(self, ground: Ground, permitted: Mask) -> tuple[int, int] | None:
         """The best grid point of those that were safe in the last assessment, too."""
         before, self._before = self._before, ground
         if before is None or not ground.same_grid(before):
             return None
-        merit = np.where(before.safe & np.isfinite(ground.merit), ground.merit, -np.inf)
-        row, column = divmod(int(np.argmax(merit)), len(ground.x))
-        return (row, column) if np.isfinite(merit[row, column]) else None
+        again = np.flatnonzero(before.safe & permitted)
+        if not len(again):
+            return None
+        return divmod(int(again[np.argmax(ground.merit.take(again))]), len(ground.x))
 
 
 def grid_point(x: Array, y: Array, place_x: float, place_y: float) -> tuple[int, int] | None:
     """Row and column of the grid point at a place, None if there is none."""
-    row, column = int(np.searchsorted(y, place_y)), int(np.searchsorted(x, place_x))
+    row, column = bisect_left(y, place_y), bisect_left(x, place_x)
     found = row < len(y) and column < len(x) and y[row] == place_y and x[column] == place_x
     return (row, column) if found else None

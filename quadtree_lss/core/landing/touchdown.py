@@ -11,7 +11,7 @@ from math import radians, tan
 
 import numpy as np
 
-from quadtree_lss.arrays import Array, Mask, Single
+from quadtree_lss.arrays import Mask, Single
 from quadtree_lss.config.settings import LssConfig
 from quadtree_lss.core.landing.lander import Lander, Limits
 from quadtree_lss.core.landing.raster import TerrainRaster
@@ -51,7 +51,6 @@ class TouchdownCheck:
         rise, slope = config.touchdown_roughness, tan(radians(config.touchdown_slope_deg))
         self.limits = limits or Limits((rise, rise), (slope, slope))
         self._domain: Domain | None = None
-        self._layers: tuple[Array, ...] = ()
 
     def worst(self, raster: TerrainRaster, candidates: Mask) -> WorstRest:
         """The worst rest at grid points.
@@ -64,19 +63,15 @@ class TouchdownCheck:
         """
         if not candidates.any():  # of a lander wider than the domain the window would be wider, too
             return WorstRest(*np.full((2, *candidates.shape), np.nan, dtype=np.float32))
-        layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
         if raster.domain != self._domain:
-            self._domain, self._layers = raster.domain, ()
+            self._domain = raster.domain
             self._lander = Lander(self.config, self.limits, raster.domain, self.heading)
             self._rest = np.full((2, *candidates.shape), np.nan, dtype=np.float32)
-        changed = np.zeros(raster.leaf.shape, dtype=np.bool_)
-        for layer, before in zip(layers, self._layers, strict=False):
-            changed |= layer != before
-        self._layers = layers
-        self._lander.stand_on(*layers)
-        due, other = candidates.view(np.uint8), changed.view(np.uint8)
+        due, changed = candidates.view(np.uint8), np.zeros(raster.leaf.shape, dtype=np.uint8)
+        layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
+        self._lander.stand_on(*layers, changed)
         for block in range(self._lander.blocks):  # between them a signal can end it
-            self._lander.judge(due, other, self._rest, block)
+            self._lander.judge(due, changed, self._rest, block)
         return WorstRest(*self._rest)
 
     def unsafe(self, raster: TerrainRaster, candidates: Mask) -> Mask:
