@@ -13,7 +13,7 @@ import warnings
 import numpy as np
 import pytest
 from core.builders import configured, random_covariances
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.core.geometry.rotations import exp
@@ -206,6 +206,7 @@ EXAMPLES = given(
 
 @settings(deadline=None, max_examples=250)
 @EXAMPLES
+@example(277841, ("ml", "common", "lack_of_fit"), "far", ["zero", "one axis"])
 def test_no_geometry_and_no_covariance_breaks_the_map(seed, method, lidar, poses):
     """8,000 cells and more."""
     try_scans(seed, method, lidar, poses)

@@ -26,7 +26,7 @@ def ground(merit, safe=None, axis=AXIS):
     """A grid of one row."""
     merit = np.array([merit], dtype=np.float64)
     return Ground(
-        axis, np.zeros(1), np.isfinite(merit) if safe is None else np.array([safe]), merit
+        axis, np.zeros(1), np.isfinite(merit) if safe is None else np.array([safe]), -merit
     )
 
 

@@ -353,7 +353,7 @@ def fuse(
     one = cython.declare(cython.double[9])
     two = cython.declare(cython.double[9])
     fused = cython.declare(cython.double[3])
-    i: cython.int
+    cython.declare(i=cython.int, k=cython.int)
     square = prior_range[0] * prior_range[4]
     share = square - prior_range[1] * prior_range[1]
     share = 1.0 / share if share > 1e-9 * square else 0.0
@@ -411,7 +411,11 @@ def fuse(
     shift_origin(prior_range, first, second)
     shift_origin(prior_pose, first, second)
     for i in range(3):
-        prior_range[4 * i] = max(prior_range[4 * i], SURE)
+        if prior_range[4 * i] < SURE:
+            # Lost to round-off, and with it what it has in common with the others.
+            for k in range(3):
+                prior_range[3 * i + k] = prior_range[3 * k + i] = 0.0
+            prior_range[4 * i] = SURE
     out_rise[0] = rise
 
 

@@ -159,7 +159,7 @@ class LandingAssessment:
     @cached_property
     def slope_deg(self) -> Array:
         """(ny, nx) slope at the lander's scale, NaN if unseen."""
-        return self._layer(lambda at, _, points: np.degrees(at.nearest(points.slope)))
+        return self._layer(lambda at, _, points: np.degrees(at.nearest(points.planes.slope)))
 
 
 def with_reasons(sites: Sites, lss: LssConfig, remainders: Sequence[Remainder]) -> Sites:

@@ -18,6 +18,7 @@ if not cython.compiled:
 
 
 SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN, UNSEEN = 1, 2, 4, 8, 16, 128
+FEATURE = SLOPE | ELEVATION | EXCEPTION
 
 
 def slope(normal: Array) -> Array:
@@ -78,8 +79,8 @@ def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
     """Bits (M,) of the avoided features each leaf contains; unmeasured leaves have none."""
     level = reference_level(cells, config.elevation_reference_size)
     with np.errstate(invalid="ignore"):
-        limit = tan(radians(config.max_slope_deg)) * cells.normal[:, 2]
-        steep = np.hypot(cells.normal[:, 0], cells.normal[:, 1]) > limit
+        east, north, up = cells.normal.T
+        steep = east * east + north * north > (tan(radians(config.max_slope_deg)) * up) ** 2
         raised = elevation_deviation(cells, level) > config.max_roughness
         excepted = cells.exception_fraction > config.max_exception_fraction
     bits = SLOPE * steep + ELEVATION * raised + EXCEPTION * excepted

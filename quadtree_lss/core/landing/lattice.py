@@ -54,8 +54,7 @@ def disc(radius: float, side: float) -> Disc:
 def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
     """Means over the disc of each grid point at the ``seen`` ones of the cells (n, n)."""
     out, none = np.empty((len(values) + 1,) * 2), np.empty((0, 0))
-    disc_moments(values, 0.0, over.half, seen.view(np.uint8), out, none, none)
-    out /= len(over.x)
+    disc_moments(values, 0.0, over.half, seen.view(np.uint8), 1.0, out, *(none,) * 3)
     return out
 
 
@@ -66,11 +65,13 @@ class GroundPlanes:
     Attributes:
         elevation: Height at the grid point, m.
         slope_x, slope_y: dz/dx, dz/dy.
+        slope: Angle to the horizontal, rad.
     """
 
     elevation: Array
     slope_x: Array
     slope_y: Array
+    slope: Array
 
 
 def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> GroundPlanes:
@@ -84,14 +85,11 @@ def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> G
     """
     over = disc(radius, side)
     level = float(np.mean(elevation))
-    height, slope_x, slope_y = np.empty((3, len(elevation) + 1, len(elevation) + 1))
-    sums = height, slope_x, slope_y
-    disc_moments(elevation, level, over.half, seen.view(np.uint8), *sums)
-    for slope in sums[1:]:
-        slope /= side * np.sum((over.x / side) ** 2)
-    height /= len(over.x)
-    height += level
-    return GroundPlanes(height, slope_x, slope_y)
+    square = side * float(np.mean((over.x / side) ** 2))
+    height, along_x, along_y, steep = np.empty((4, len(elevation) + 1, len(elevation) + 1))
+    found = height, along_x, along_y, steep
+    disc_moments(elevation, level, over.half, seen.view(np.uint8), square, *found)
+    return GroundPlanes(height, along_x, along_y, np.arctan(steep, out=steep))
 
 
 def touching(cells: Bytes) -> Bytes:

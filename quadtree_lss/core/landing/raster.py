@@ -83,10 +83,7 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
         leaf,
         layers,
     )
-    measured = np.isfinite(elevation)
-    gaps = np.flatnonzero(~measured)
-    if len(gaps):
-        elevation.ravel()[gaps] = elevation.take(nearest_marked(measured)[1].take(gaps))
+    elevation = elevation.take(nearest_marked(np.isfinite(elevation))[1])
     return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, peak, seen, firm)
 
 

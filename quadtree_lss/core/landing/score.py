@@ -33,7 +33,6 @@ class PointAssessment:
 
     Attributes:
         planes: Ground at the lander's scale.
-        slope: Its angle, rad.
         hazard: Bits of ``hazards``.
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
@@ -47,7 +46,6 @@ class PointAssessment:
     """
 
     planes: GroundPlanes
-    slope: Array
     hazard: Bytes
     safe: Mask
     score: Array
@@ -81,17 +79,15 @@ def assess_points(
     zone = radius + lss.margin
     bits = features.take(raster.leaf)
     bits *= raster.seen.view(np.uint8)
+    bits |= ~raster.seen * np.uint8(hazards.UNSEEN)
     # No zone fits a domain smaller than itself: none needs sums over more than that.
     widest = 0.5 * cells.domain.size
     radius_below = min(ground_radius(lss), widest)
     planes = ground_planes(raster.elevation, raster.seen, side, radius_below)
-    slope = planes.slope_x * planes.slope_x
-    slope += planes.slope_y * planes.slope_y
-    np.arctan(np.sqrt(slope, out=slope), out=slope)
     hazard = touching(bits)
     if lss.assessment != "paper":
         landable = inside >= radius - 1e-9
-        excepted = touching(bits & np.uint8(hazards.EXCEPTION)) > 0
+        excepted = hazard & hazards.EXCEPTION > 0
         spoiled = fails | (landable & grown(excepted, radius, side))
         if lss.assessment == "touchdown":
             # Rounded outwards: a map that may be off at all is off by a grid point.
@@ -104,12 +100,12 @@ def assess_points(
         near += radius
         of_slope, of_leaves = lss.weight_slope, np.zeros(len(cells.level))
     else:
-        spoiled = bits > 0
-        safe = ~grown(hazard > 0, zone, side)
-        near, reach = distance_from(hazard > 0, side, lss.hazard_distance_cap), zone
+        spoiled = bits & hazards.FEATURE > 0
+        near_feature = hazard & hazards.FEATURE > 0
+        safe = ~grown(near_feature, zone, side)
+        near, reach = distance_from(near_feature, side, lss.hazard_distance_cap), zone
         of_slope, of_leaves = 0.0, np.nan_to_num(lss.weight_slope * hazards.slope(cells.normal))
     safe &= inside >= zone - 1e-9
-    hazard |= (touching((~raster.seen).view(np.uint8)) > 0) * np.uint8(hazards.UNSEEN)
     over = disc(min(zone, widest), side)
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
@@ -119,7 +115,7 @@ def assess_points(
     density = np.empty(raster.leaf.shape)
     weights = of_slope, lss.weight_hazard_distance, lss.weight_subscale, lss.hazard_distance_cap
     score_density(
-        slope,
+        planes.slope,
         near,
         inside,
         raster.subscale,
@@ -130,7 +126,6 @@ def assess_points(
     )
     return PointAssessment(
         planes,
-        slope,
         hazard,
         safe,
         disc_means(density, over, raster.seen),
@@ -153,8 +148,9 @@ def seen_about(raster: TerrainRaster, lss: LssConfig) -> Array:
     limit = max(0.5 * lss.vehicle_diameter + lss.margin, lss.hazard_distance_cap)
     n, side = raster.domain.finest_count, raster.domain.finest_size
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
-    unseen = touching((~raster.firm).view(np.uint8)) > 0
-    return np.minimum(np.minimum(border[:, None], border), distance_from(unseen, side, limit))
+    out = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
+    np.minimum(out, border, out=out)
+    return np.minimum(out, border[:, None], out=out)
 
 
 def room_about(points: PointAssessment, domain: Domain, zone: float, x: Array, y: Array) -> Array:

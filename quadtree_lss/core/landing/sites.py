@@ -149,7 +149,7 @@ class LandingSiteSelector:
             return Reason.UNSEEN if room < 0.5 * lss.vehicle_diameter - 1e-9 else Reason.HAZARD
 
         none = Reason.WITHHELD if unknown else Reason.NO_SITE
-        choice = self._choose(Ground(x, y, safe, -cost), why_not, none)
+        choice = self._choose(Ground(x, y, safe, cost), why_not, none)
         ranked = self._rank(cost, x, y)
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, judged, domain, at, (score, probability), places)
@@ -248,7 +248,7 @@ class LandingSiteSelector:
             normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
             score=layers[0][where],
             probability=layers[1][where],
-            slope_deg=np.degrees(points.slope[centre]),
+            slope_deg=np.degrees(planes.slope[centre]),
             roughness=rough,
             hazard_distance=room_about(points, domain, zone, place[:, 0], place[:, 1]),
             subscale_height=raised,

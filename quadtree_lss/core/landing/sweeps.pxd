@@ -1,3 +1,5 @@
+from libc.math cimport sqrt
+
 cdef enum:
     #: Points of a row of which distances are looked for together.
     SPAN = 64
@@ -7,9 +9,11 @@ cpdef void disc_moments(
     double level,
     Py_ssize_t[::1] half,
     const unsigned char[:, ::1] seen,
-    double[:, ::1] total,
+    double square,
+    double[:, ::1] mean,
     double[:, ::1] along_x,
     double[:, ::1] along_y,
+    double[:, ::1] steep,
 )
 cpdef void find_nearest(
     const unsigned char[:, ::1] marked, int[:, ::1] square, int[:, ::1] place

@@ -9,6 +9,8 @@ import numpy as np
 from quadtree_lss.arrays import Array, Bytes, Index, Ints
 
 if not cython.compiled:  # otherwise from the .pxd
+    from math import sqrt
+
     SPAN = 64
 
 
@@ -18,22 +20,28 @@ def disc_moments(
     level: float,
     half: Index,
     seen: Bytes,
-    total: Array,
+    square: float,
+    mean: Array,
     along_x: Array,
     along_y: Array,
+    steep: Array,
 ) -> None:
-    """Sums of z, x z and y z over the disc of each grid point, x and y from it in cells.
+    """Means over the disc of each grid point of z, and of x z and y z over ``square``.
+
+    Here x and y are those from the grid point, in cells.
 
     A disc is a stack of centred runs of cells, and the sum of a run is a difference of sums from
     the west. Outside the lattice the cells at its edge go on.
 
     Args:
         cells: (n, n).
-        level: What the z are over.
+        level: Sums are of z over this, which keeps them small.
         half: (2 reach,) half width of the disc in each row, in cells.
-        seen: (n, n), the points from the first to the last at such cells in a row need sums.
-        total, along_x, along_y: (n + 1, n + 1), set, 0 where no sums are needed; of the last two
+        seen: (n, n), the points from the first to the last at such cells in a row need means.
+        square: What moments are divided by, beside the number of cells.
+        mean, along_x, along_y: (n + 1, n + 1), set, 0 where no means are needed; of the last two
             none if they are empty.
+        steep: Alike, length of the vector of those two.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(row=cython.Py_ssize_t, east=cython.Py_ssize_t, west=cython.Py_ssize_t)
@@ -42,6 +50,8 @@ def disc_moments(
     rows: cython.Py_ssize_t = half.shape[0]
     reach: cython.Py_ssize_t = rows // 2
     slopes: cython.bint = along_x.shape[0] > 0
+    share: cython.double = 0.5 / np.sum(half)
+    moment: cython.double = share / square
     # Of the rows in reach alone: each takes the place of the one that went out of it.
     sums = cython.declare(cython.double[:, :, ::1], np.zeros((2, rows, n + rows + 1)))
     with cython.nogil:
@@ -57,10 +67,11 @@ def disc_moments(
             row = i + 1 - rows
             if row < 0:
                 continue
-            total[row, :] = 0.0
+            mean[row, :] = 0.0
             if slopes:
                 along_x[row, :] = 0.0
                 along_y[row, :] = 0.0
+                steep[row, :] = 0.0
             first, after = n, 0
             for k in range(max(row - 1, 0), min(row + 1, n)):
                 j = 0
@@ -82,20 +93,28 @@ def disc_moments(
                 if not slopes:
                     for j in range(first, after):
                         z = sums[0, south, j + east] - sums[0, south, j + west]
-                        total[row, j] += z + (sums[0, north, j + east] - sums[0, north, j + west])
+                        mean[row, j] += z + (sums[0, north, j + east] - sums[0, north, j + west])
                     continue
                 # Two loops: the compiler leaves one over all arrays as it is.
                 for j in range(first, after):
                     z = sums[0, south, j + east] - sums[0, south, j + west]
                     up = sums[0, north, j + east] - sums[0, north, j + west]
-                    total[row, j] += z + up
+                    mean[row, j] += z + up
                     along_y[row, j] += y * (up - z)
                 for j in range(first, after):
                     z = sums[1, south, j + east] - sums[1, south, j + west]
                     along_x[row, j] += z + (sums[1, north, j + east] - sums[1, north, j + west])
             if slopes:
                 for j in range(first, after):
-                    along_x[row, j] -= (j + reach) * total[row, j]
+                    along_x[row, j] -= (j + reach) * mean[row, j]
+                    along_x[row, j] *= moment
+                for j in range(first, after):
+                    along_y[row, j] *= moment
+                for j in range(first, after):
+                    x, y = along_x[row, j], along_y[row, j]
+                    steep[row, j] = sqrt(x * x + y * y)
+            for j in range(first, after):
+                mean[row, j] = level + share * mean[row, j]
 
 
 @cython.boundscheck(False)

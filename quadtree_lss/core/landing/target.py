@@ -2,7 +2,7 @@
 """The one target that holds, and numbers for places that last as long as the ground does.
 
 The target is a grid point. It stays while landing there is permitted, whatever else the map offers,
-until a grid point of better merit than it by a margin is permitted, or somebody asks for another.
+until a grid point that is better by a margin is permitted, or somebody asks for another.
 Ground that was just seen for the first time often looks different after the next scans: it becomes
 the target only if the assessment before found it safe, too.
 """
@@ -13,7 +13,7 @@ from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from math import hypot
+from math import dist
 
 import numpy as np
 
@@ -56,14 +56,14 @@ class Ground:
     Attributes:
         x, y: (nx,), (ny,) of the grid points, m.
         safe: (ny, nx) landing is allowed by the ground.
-        merit: (ny, nx) how good it is, greater is better; NaN where it is not permitted, be it for
-            the ground or for where landing is wanted.
+        cost: (ny, nx) how bad it is, less is better; NaN where it is not permitted, be it for the
+            ground or for where landing is wanted.
     """
 
     x: Array
     y: Array
     safe: Mask
-    merit: Array
+    cost: Array
 
     def at(self, x: float, y: float) -> tuple[int, int] | None:
         """Row and column of the grid point at a place, None if there is none."""
@@ -113,9 +113,8 @@ class Places:
 
     def number(self, x: float, y: float, reach: float) -> int:
         """Number of one place."""
-        away = {k: hypot(place[0] - x, place[1] - y) for k, place in self._known.items()}
-        nearest = min(away, key=lambda k: away[k], default=0)
-        if not nearest or away[nearest] > reach:
+        nearest = min(self._known, key=lambda k: dist(self._known[k], (x, y)), default=0)
+        if not nearest or dist(self._known[nearest], (x, y)) > reach:
             self._last = nearest = self._last + 1
             self._known[nearest] = (x, y)
         return nearest
@@ -159,13 +158,13 @@ class TargetKeeper:
 
         Args:
             ground: What was assessed.
-            margin: By how much another must be better, in the unit of ``merit``.
+            margin: By how much another must be better, in the unit of ``cost``.
             reach: Places no farther from each other are the same one, m.
             why_not: Tells of a row and column why landing is not permitted there.
             why_none: Reason to be given if landing is permitted nowhere.
         """
         self.places.forget(ground)
-        permitted = np.isfinite(ground.merit)
+        permitted = np.isfinite(ground.cost)
         best = self._best(ground, permitted)
         held, released = self._held, self._released
         self._held, self._released = None, False
@@ -180,7 +179,7 @@ class TargetKeeper:
             if not permitted[place]:
                 return Choice(None, 0, why_not(*place))
             reason = Reason.BETTER
-            if best is None or ground.merit[best] - ground.merit[place] <= margin:
+            if best is None or ground.cost[place] - ground.cost[best] <= margin:
                 best, reason = place, Reason.HOLDS
         if best is None:
             return Choice(None, 0, Reason.UNCONFIRMED)
@@ -198,7 +197,7 @@ class TargetKeeper:
         again = np.flatnonzero(before.safe & permitted)
         if not len(again):
             return None
-        return divmod(int(again[np.argmax(ground.merit.take(again))]), len(ground.x))
+        return divmod(int(again[np.argmin(ground.cost.take(again))]), len(ground.x))
 
 
 def grid_point(x: Array, y: Array, place_x: float, place_y: float) -> tuple[int, int] | None:

@@ -90,17 +90,17 @@ class CellMap:
     offset_z: float = float("nan")
     offset_variance: float = float("nan")
 
-    @property
+    @cached_property
     def size(self) -> Array:
         """(M,) side of each leaf, m."""
         return self.domain.cell_size(self.level)
 
-    @property
+    @cached_property
     def x(self) -> Array:
         """(M,) cell centre, m."""
         return self.domain.xmin + (self.ix + 0.5) * self.size
 
-    @property
+    @cached_property
     def y(self) -> Array:
         """(M,) cell centre, m."""
         return self.domain.ymin + (self.iy + 0.5) * self.size
