@@ -32,13 +32,21 @@ class RiskModel:
 
         p = 1 - 1 / ((1 + exp a(r)) (1 + exp b(s))),    l = log(p / (1 - p)).
 
-    Then what lies about it, for a map misplaces things: with d by how much l is greater at the
-    worst of the four neighbours, the log odds are c(l, d), bilinear between its knots.
+    Then what lies about it, for a map misplaces things: d is by how much l is greater at the worst
+    of the four neighbours. And what ground it is, for where rocks are seen there are some that are
+    not: of all ground that is judged let b be the share on which the lander rests too steeply, and
+    a that on which it rests level enough, but for what rises under it; then
+
+        g = log((a + 0.0005) / (1.02 - b)),
+
+    how much of the level ground has something on it. The log odds of failing are c(g, l, d),
+    straight between their knots along each of the three.
 
     Attributes:
         rise: (K,) knots of r, m; rise_odds: (K,) a there.
         slope: (L,) knots of s, rise over run; slope_odds: (L,) b there.
-        own: (I,) knots of l; about: (J,) knots of d; odds: (I, J) c there.
+        own: (I,) knots of l; about: (J,) knots of d; rocks: (G,) knots of g; odds: (G, I, J) c
+            there.
         provenance: What it was fitted to, and how well it does.
     """
 
@@ -48,22 +56,27 @@ class RiskModel:
     slope_odds: Row
     own: Row
     about: Row
-    odds: tuple[Row, ...]
+    rocks: Row
+    odds: tuple[tuple[Row, ...], ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, knots, values in (
             ("rise", self.rise, self.rise_odds),
             ("slope", self.slope, self.slope_odds),
-            ("own", self.own, self.odds),
+            *(("own", self.own, table) for table in self.odds),
         ):
             if len(knots) < 2 or len(knots) != len(values):
                 msg = f"{name} has {len(knots)} knots and {len(values)} values"
                 raise ConfigError(msg)
-        if len(self.about) < 2 or any(len(row) != len(self.about) for row in self.odds):
+        rows = [row for table in self.odds for row in table]
+        if len(self.about) < 2 or any(len(row) != len(self.about) for row in rows):
             msg = f"odds has not {len(self.about)} values in each row"
             raise ConfigError(msg)
-        for name in ("rise", "slope", "own", "about"):
+        if not self.rocks or len(self.rocks) != len(self.odds):
+            msg = f"rocks has {len(self.rocks)} knots and odds {len(self.odds)} tables"
+            raise ConfigError(msg)
+        for name in ("rise", "slope", "own", "about", "rocks"):
             knots = getattr(self, name)
             if any(not b > a for a, b in zip(knots, knots[1:], strict=False)):
                 msg = f"the knots of {name} do not ascend"
@@ -129,9 +142,11 @@ def risk_model_text(model: RiskModel) -> str:
     def line(row: Row) -> str:
         return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
 
-    names = ("rise", "rise_odds", "slope", "slope_odds", "own", "about")
+    names = ("rise", "rise_odds", "slope", "slope_odds", "own", "about", "rocks")
     lines = [f"{name}: {line(getattr(model, name))}" for name in names]
-    lines += ["odds:", *(f"  - {line(row)}" for row in model.odds)]
+    lines.append("odds:")
+    for table in model.odds:
+        lines += ["  -", *(f"    - {line(row)}" for row in table)]
     origin = {"provenance": dict(model.provenance)}
     told = yaml.safe_dump(origin, sort_keys=False, width=96, default_flow_style=None)
     return "\n".join(lines) + "\n" + str(told)
@@ -141,6 +156,8 @@ def _from_values(values: Any) -> RiskModel:
     def row(given: Any) -> Row:
         return tuple(float(value) for value in given)
 
+    # A file of the first version has one table for all ground.
+    tables = values["odds"] if "rocks" in values else [values["odds"]]
     return RiskModel(
         rise=row(values["rise"]),
         rise_odds=row(values["rise_odds"]),
@@ -148,6 +165,7 @@ def _from_values(values: Any) -> RiskModel:
         slope_odds=row(values["slope_odds"]),
         own=row(values["own"]),
         about=row(values["about"]),
-        odds=tuple(row(line) for line in values["odds"]),
+        rocks=row(values.get("rocks", [0.0])),
+        odds=tuple(tuple(row(line) for line in table) for table in tables),
         provenance=dict(values.get("provenance") or {}),
     )

@@ -12,21 +12,24 @@ from scipy.optimize import minimize
 from quadtree_lss.arrays import Array
 from quadtree_lss.config.risk import RiskModel, Row
 
-#: Knots of r, m; of s, rise over run; of l and d (see ``RiskModel``).
+#: Knots of r, m; of s, rise over run; of l, d and g (see ``RiskModel``).
 RISE = (-0.15, -0.12, -0.09, -0.06, -0.04, -0.02, 0.0) + (
     *(0.02, 0.04, 0.06, 0.09, 0.12, 0.16, 0.22, 0.35),
 )
 SLOPE = (-0.08, -0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06, 0.08, 0.1)
 OWN = (-10.0, -8.0, -6.5, -5.0, -4.0, -3.0, -2.0, -1.0, 0.0, 2.0, 4.0, 6.0)
 ABOUT = (0.0, 0.5, 1.0, 2.0, 3.5, 6.0)
+ROCKS = (-6.6, -3.8, -2.0, -1.1)
 #: Centres of the bins that landings are counted in.
 RISE_BINS = np.linspace(RISE[0], RISE[-1], 201)
 SLOPE_BINS = np.linspace(SLOPE[0], SLOPE[-1], 73)
 OWN_BINS = np.linspace(OWN[0], OWN[-1], 65)
 ABOUT_BINS = np.linspace(ABOUT[0], ABOUT[-1], 25)
+ROCK_BINS = np.linspace(ROCKS[0], ROCKS[-1], 56)
 
-#: Weights against the mean log score: of second differences, and of what does not ascend.
-SMOOTH, ASCENDING = 2e-6, 1e-3
+#: Weights against the mean log score: of second differences of curves and of tables, of what does
+#: not ascend, and of differences between one kind of ground and the next.
+SMOOTH, SMOOTH_TABLES, ASCENDING, ALIKE = 2e-6, 2.5e-7, 1e-3, 1e-8
 #: Least and greatest of what a curve may begin with.
 LEAST, MOST = -16.0, -2.0
 
@@ -35,7 +38,7 @@ def unfitted() -> RiskModel:
     """Knots without a fit: curves that fail nowhere, and a second step that changes nothing."""
     table = tuple((own,) * len(ABOUT) for own in OWN)
     flat = (LEAST,) * len(RISE), (LEAST,) * len(SLOPE)
-    return RiskModel(RISE, flat[0], SLOPE, flat[1], OWN, ABOUT, table)
+    return RiskModel(RISE, flat[0], SLOPE, flat[1], OWN, ABOUT, ROCKS, (table,) * len(ROCKS))
 
 
 def counted(
@@ -95,34 +98,50 @@ def fit_curves(counts: Array) -> tuple[Row, Row]:
     return _row(np.cumsum(steps[: len(RISE)])), _row(np.cumsum(steps[len(RISE) :]))
 
 
-def fit_table(counts: Array) -> tuple[Row, ...]:
-    """Second step: c at the knots of l (rows) and d (columns), which ascend as good as always.
+def fit_tables(counts: Array) -> tuple[tuple[Row, ...], ...]:
+    """Second step: c at the knots of g (tables), l (rows) and d (columns).
+
+    They ascend with l and d as good as always.
 
     Args:
-        counts: (2, L, D) weights of the landings tried and failed, over the bins of l and d.
+        counts: (2, G, L, D) weights of the landings tried and failed, over the bins of g, l and d.
     """
     tried, failed = (counts / counts[0].sum()).reshape(2, -1)
-    hats = np.kron(_hats(OWN_BINS, OWN), _hats(ABOUT_BINS, ABOUT))[tried > 0.0]
-    tried, failed = tried[tried > 0.0], failed[tried > 0.0]
-    rows, columns = np.eye(len(OWN)), np.eye(len(ABOUT))
-    bends = np.kron(np.diff(rows, 2, axis=0), columns), np.kron(rows, np.diff(columns, 2, axis=0))
-    rises = np.kron(np.diff(rows, 1, axis=0), columns), np.kron(rows, np.diff(columns, 1, axis=0))
+    here = tried > 0.0
+    of = np.unravel_index(np.flatnonzero(here), counts.shape[1:])
+    knots = ((ROCK_BINS, ROCKS), (OWN_BINS, OWN), (ABOUT_BINS, ABOUT))
+    rock, own, about = (_hats(*pair)[at] for pair, at in zip(knots, of, strict=True))
+    hats = np.einsum("ng,ni,nj->ngij", rock, own, about).reshape(len(rock), -1)
+    tried, failed = tried[here], failed[here]
+    ones = [np.eye(len(values)) for _, values in knots]
+
+    def differences(axis: int, order: int) -> Array:
+        by = [np.diff(one, order, axis=0) if k == axis else one for k, one in enumerate(ones)]
+        return np.kron(np.kron(by[0], by[1]), by[2])
+
+    squares = [
+        (SMOOTH_TABLES, differences(1, 2)),
+        (SMOOTH_TABLES, differences(2, 2)),
+        (ALIKE, differences(0, 1)),
+    ]
+    rises = [differences(1, 1), differences(2, 1)]
 
     def cost(odds: Array) -> tuple[float, Array]:
         at = hats @ odds
         value = float(np.sum(tried * np.logaddexp(0.0, at) - failed * at))
         by = hats.T @ (tried / (1.0 + np.exp(-at)) - failed)
-        for matrix in bends:
+        for weight, matrix in squares:
             bent = matrix @ odds
-            value, by = value + SMOOTH * float(bent @ bent), by + 2.0 * SMOOTH * matrix.T @ bent
+            value, by = value + weight * float(bent @ bent), by + 2.0 * weight * matrix.T @ bent
         for matrix in rises:
             down = np.minimum(matrix @ odds, 0.0)
             value += ASCENDING * float(down @ down)
             by = by + 2.0 * ASCENDING * matrix.T @ down
         return value, by
 
-    odds = _least(cost, np.repeat(OWN, len(ABOUT)), None)
-    return tuple(_row(line) for line in odds.reshape(len(OWN), len(ABOUT)))
+    begin = np.tile(np.repeat(OWN, len(ABOUT)), len(ROCKS))
+    odds = _least(cost, begin, None).reshape(len(ROCKS), len(OWN), len(ABOUT))
+    return tuple(tuple(_row(line) for line in table) for table in odds)
 
 
 def _least(

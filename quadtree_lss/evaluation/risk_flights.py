@@ -26,10 +26,11 @@ from quadtree_lss.evaluation.risk_fit import (
     ABOUT_BINS,
     OWN_BINS,
     RISE_BINS,
+    ROCK_BINS,
     SLOPE_BINS,
     counted,
     fit_curves,
-    fit_table,
+    fit_tables,
     unfitted,
 )
 from quadtree_lss.messages.maps import round_trip
@@ -236,9 +237,12 @@ def fitted(flown: dict[str, list[Landings]], config: Config) -> RiskModel:
 
     def second(one: Landings) -> Array:
         own, about = (odds[one.counts] for odds in table.log_odds(one.worst, one.judged))
-        return counted(own, about, one.failed, (OWN_BINS, ABOUT_BINS))
+        out = np.zeros((2, ROCK_BINS.size, OWN_BINS.size, ABOUT_BINS.size))
+        ground = np.argmin(np.abs(ROCK_BINS - table.rocks(one.worst, one.judged)))
+        out[:, ground] = counted(own, about, one.failed, (OWN_BINS, ABOUT_BINS))
+        return out
 
-    return replace(model, odds=fit_table(_evenly(flown, second)))
+    return replace(model, odds=fit_tables(_evenly(flown, second)))
 
 
 def _evenly(flown: dict[str, list[Landings]], count: Callable[[Landings], Array]) -> Array:

@@ -36,7 +36,11 @@ MODEL = RiskModel(
     slope_odds=(-7.0, 0.0, 4.0),
     own=(-10.0, 0.0, 6.0),
     about=(0.0, 2.0, 6.0),
-    odds=((-10.0, -9.0, -4.0), (0.0, 0.5, 1.0), (6.0, 6.0, 6.0)),
+    rocks=(-4.0, 1.0),
+    odds=(
+        ((-10.0, -9.5, -8.0), (-1.0, -0.5, -0.2), (5.0, 6.0, 6.0)),
+        ((-10.0, -9.0, -4.0), (0.0, 0.5, 1.0), (6.0, 6.0, 6.0)),
+    ),
 )
 
 
@@ -60,19 +64,27 @@ def by_hand(rise: Array, slope: Array, judged: NDArray[np.bool_], lss: LssConfig
         p = 1.0 - 1.0 / ((1.0 + np.exp(a)) * (1.0 + np.exp(b)))
         own[place] = np.clip(log_odds(p), MODEL.own[0], MODEL.own[-1])
     padded = np.pad(own, 1, constant_values=-np.inf)
+    too_steep = slope[judged] > steep
+    raised = (rise[judged] > lss.max_roughness) & ~too_steep
+    rocks = np.log((raised.mean() + 0.0005) / (1.02 - too_steep.mean()))
+    share = np.clip((rocks - MODEL.rocks[0]) / (MODEL.rocks[1] - MODEL.rocks[0]), 0.0, 1.0)
+    few, many = np.array(MODEL.odds)
+    table = (1.0 - share) * few + share * many
     for i, j in zip(*np.nonzero(judged), strict=True):
         four = padded[i, j + 1], padded[i + 2, j + 1], padded[i + 1, j], padded[i + 1, j + 2]
         d = max(max(four) - own[i, j], 0.0)
-        rows = [np.interp(d, MODEL.about, row) for row in MODEL.odds]
+        rows = [np.interp(d, MODEL.about, row) for row in table]
         out[i, j] = 1.0 / (1.0 + np.exp(-np.interp(own[i, j], MODEL.own, rows)))
     return out
 
 
-def test_the_fit_is_looked_up_as_its_equations_say():
+@pytest.mark.parametrize("most", [0.302, 0.32, 0.6])
+def test_the_fit_is_looked_up_as_its_equations_say(most):
+    """On ground that is rocky and less so."""
     lss = LssConfig()
     rng = np.random.default_rng(3)
     shape = (40, 40)
-    rise = rng.uniform(0.1, 0.6, shape).astype(np.float32)
+    rise = rng.uniform(0.1, most, shape).astype(np.float32)
     slope = rng.uniform(0.05, 0.3, shape).astype(np.float32)
     judged = rng.random(shape) < 0.8
     found = RiskTable(MODEL, lss).risk(WorstRest(rise, slope), judged)
@@ -227,6 +239,7 @@ def test_a_model_is_read_back(tmp_path):
         (("rise: [-0.1, 0, 0.2]\n", ""), "'rise' is missing"),
         (("rise: [-0.1, 0, 0.2]", "rise: [-0.1, 0.2]"), "2 knots and 3 values"),
         (("about: [0, 2, 6]", "about: [0, 2]"), "2 values in each row"),
+        (("rocks: [-4, 1]", "rocks: [-4]"), "rocks has 1 knots and odds 2 tables"),
         (("own: [", "own: ["), None),
     ],
 )
@@ -240,6 +253,15 @@ def test_a_file_that_is_no_model_is_refused(tmp_path, change, said):
         return
     with pytest.raises(ConfigError, match=said):
         risk_model(str(path))
+
+
+def test_a_file_of_the_first_version_has_one_table_for_all_ground(tmp_path):
+    path = tmp_path / "model.yaml"
+    text, rows = risk_model_text(MODEL).replace("rocks: [-4, 1]\n", ""), "    - "
+    head, _, last = text.partition("odds:\n  -\n")
+    lines = [line for line in last.splitlines() if line.startswith(rows)][:3]
+    path.write_text("\n".join([head + "odds:", *lines, "provenance: {}"]))
+    assert risk_model(str(path)) == replace(MODEL, rocks=(0.0,), odds=MODEL.odds[:1])
 
 
 def test_the_shipped_model_grows_with_what_is_over_the_limits():

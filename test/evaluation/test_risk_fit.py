@@ -24,11 +24,13 @@ from quadtree_lss.evaluation.risk_fit import (
     OWN_BINS,
     RISE,
     RISE_BINS,
+    ROCK_BINS,
+    ROCKS,
     SLOPE,
     SLOPE_BINS,
     counted,
     fit_curves,
-    fit_table,
+    fit_tables,
     unfitted,
 )
 from quadtree_lss.evaluation.risk_flights import Landings, fit_risk, fitted
@@ -64,15 +66,16 @@ def test_curves_ascend_where_chance_does_not():
         assert (np.diff(odds) >= 0.0).all()
 
 
-def test_table_is_found_again_and_ascends():
-    own, about = OWN_BINS[:, None], ABOUT_BINS
-    odds = np.clip(0.9 * own + 0.4 * about, -9.0, None)
+def test_tables_are_found_again_and_ascend():
+    rock, own, about = ROCK_BINS[:, None, None], OWN_BINS[:, None], ABOUT_BINS
+    odds = np.clip(0.9 * own + 0.4 * about + 0.3 * rock, -9.0, None)
     risk = 1.0 / (1.0 + np.exp(-odds))
-    table = np.array(fit_table(np.stack([np.ones(risk.shape), risk])))
-    expected = np.clip(0.9 * np.array(OWN)[:, None] + 0.4 * np.array(ABOUT), -9.0, None)
-    inner = np.s_[3:-1]  # where a failure is rare the penalty decides
-    assert np.abs(table - expected)[inner].max() < 0.4
-    assert np.diff(table, axis=0).min() > -0.05 and np.diff(table, axis=1).min() > -0.05
+    tables = np.array(fit_tables(np.stack([np.ones(risk.shape), risk])))
+    expected = 0.9 * np.array(OWN)[:, None] + 0.4 * np.array(ABOUT)
+    expected = np.clip(expected + 0.3 * np.array(ROCKS)[:, None, None], -9.0, None)
+    inner = np.s_[:, 3:-1]  # where a failure is rare the penalty decides
+    assert np.abs(tables - expected)[inner].max() < 0.5
+    assert np.diff(tables, axis=1).min() > -0.05 and np.diff(tables, axis=2).min() > -0.05
 
 
 def test_a_model_of_made_up_landings_is_calibrated():
@@ -171,7 +174,7 @@ def test_the_model_is_no_configuration():
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [(["--cases", "moon"], "there is no case 'moon'"), (["--seeds", "1,2"], "too few for 7 cases")],
+    [(["--cases", "moon"], "there is no case 'moon'"), (["--seeds", "1,2"], "too few for 8 cases")],
 )
 def test_a_fit_that_cannot_be_is_told(tmp_path, capsys, options, said):
     assert main(["fit-risk", "--out", str(tmp_path / "m.yaml"), *options]) == 1

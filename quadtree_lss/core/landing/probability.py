@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, exp, isnan, radians, tan
+from math import ceil, exp, isnan, log, radians, tan
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +27,7 @@ from quadtree_lss.core.landing.risks import blur, look_up, set_odds
 from quadtree_lss.core.landing.touchdown import WorstRest
 
 #: Steps between entries of the tables, in m, rise over run, and of the log odds.
-FINE, FINE_ODDS = 2e-4, 0.02
+FINE, FINE_ODDS = 2e-4, 0.04
 #: A normal distribution is cut off at so many deviations.
 TAIL = 4.0
 #: The greatest deviation that is taken, m.
@@ -98,10 +98,11 @@ class RiskTable:
         self._slope_odds = np.exp(np.interp(slope, model.slope, model.slope_odds))
         self._within = np.array([model.own[0], model.own[-1]])
         own, about = _steps(model.own, FINE_ODDS), _steps((0.0, *model.about[1:]), FINE_ODDS)
+        self._knots = model.rocks
         # Not by BLAS: its threads go on waiting for more, and take a core for as long.
-        at_own = np.einsum("ni,ij->nj", _shares(own, model.own), np.array(model.odds))
-        odds = np.einsum("nj,mj->nm", at_own, _shares(about, model.about))
-        self._risk = 1.0 / (1.0 + np.exp(-odds))
+        at_own = np.einsum("ni,gij->gnj", _shares(own, model.own), np.array(model.odds))
+        self._odds = np.einsum("gnj,mj->gnm", at_own, _shares(about, model.about))
+        self._limits = lss.max_roughness, tan(radians(lss.max_slope_deg))
 
     def risk(self, worst: WorstRest, judged: Mask) -> Array:
         """P(unsafe) of landing at each grid point, (n + 1, n + 1); 1 where it is not judged.
@@ -112,8 +113,18 @@ class RiskTable:
         """
         own, about = self.log_odds(worst, judged)
         out, least = np.empty(own.shape), float(self._within[0])
-        look_up(own, about, judged.view(np.uint8), self._risk, least, FINE_ODDS, out)
+        share = _shares(np.array([self.rocks(worst, judged)]), self._knots)[0]
+        table = 1.0 / (1.0 + np.exp(-np.einsum("g,gnm->nm", share, self._odds)))
+        look_up(own, about, judged.view(np.uint8), table, least, FINE_ODDS, out)
         return out
+
+    def rocks(self, worst: WorstRest, judged: Mask) -> float:
+        """How rocky the ground is: g of ``RiskModel``."""
+        rise, slope = self._limits
+        steep = judged & (worst.slope > slope)
+        raised = judged & ~steep & (worst.rise > rise)
+        a, b = (np.count_nonzero(of) / max(np.count_nonzero(judged), 1) for of in (raised, steep))
+        return log((a + 5e-4) / (1.02 - b))
 
     def log_odds(self, worst: WorstRest, judged: Mask) -> tuple[Array, Array]:
         """What the second step goes by, (n + 1, n + 1) each: l and d of ``RiskModel``."""
