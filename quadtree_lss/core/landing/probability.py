@@ -123,7 +123,8 @@ class RiskTable:
         rise, slope = self._limits
         steep = judged & (worst.slope > slope)
         raised = judged & ~steep & (worst.rise > rise)
-        a, b = (np.count_nonzero(of) / max(np.count_nonzero(judged), 1) for of in (raised, steep))
+        count = max(int(np.count_nonzero(judged)), 1)
+        a, b = (int(np.count_nonzero(of)) / count for of in (raised, steep))
         return log((a + 5e-4) / (1.02 - b))
 
     def log_odds(self, worst: WorstRest, judged: Mask) -> tuple[Array, Array]:
