@@ -35,15 +35,12 @@ def ground_covariance(
     side, last = domain.finest_size, domain.finest_count - 1
     over = disc(radius, side)
     at_x, at_y = (x - domain.xmin) / side, (y - domain.ymin) / side
-    row = np.clip(int(np.rint(at_y)) + over.row, 0, last)
-    column = np.clip(int(np.rint(at_x)) + over.column, 0, last)
+    row = (round(at_y) + over.row).clip(0, last)
+    column = (round(at_x) + over.column).clip(0, last)
     leaf, of_cell = np.unique(raster.leaf[row, column], return_inverse=True)
     known = cells.measured[leaf]
     if not known.any():
         return np.full((6, 6), np.nan)
-    # Height, dz/dx and dz/dy of the plane from the heights in the disc.
-    share = np.stack([np.full(len(over.x), 1.0 / len(over.x)), over.x, over.y])
-    share[1:] /= np.sum(over.x**2)
     size = domain.cell_size(cells.level[leaf])
     middle_x = domain.xmin + (cells.ix[leaf] + 0.5) * size
     middle_y = domain.ymin + (cells.iy[leaf] + 0.5) * size
@@ -51,11 +48,11 @@ def ground_covariance(
     heights = height_by_error(
         normal[of_cell], x + over.x - middle_x[of_cell], y + over.y - middle_y[of_cell]
     )
-    of_leaf = (of_cell == np.flatnonzero(known)[:, None])[:, None] * share @ heights
+    of_leaf = (of_cell == np.flatnonzero(known)[:, None])[:, None] * over.to_plane @ heights
     out = np.sum(of_leaf @ cells.covariance_range[leaf[known]] @ of_leaf.swapaxes(1, 2), axis=0)
     nearest = of_cell[np.argmin(np.where(known[of_cell], np.hypot(over.x, over.y), np.inf))]
     across = x + over.x - middle_x[nearest], y + over.y - middle_y[nearest]
-    common = share @ height_by_error(normal[nearest, None], *across)
+    common = over.to_plane @ height_by_error(normal[nearest, None], *across)
     out += common @ cells.covariance_pose[leaf[nearest]] @ common.T
     # Ground that rises along y is turned about x, ground that rises along x about -y.
     turn = np.zeros((6, 3))

@@ -36,14 +36,14 @@ def best_points(
 
     Args:
         score: (ny, nx), NaN where excluded; of equal ones the south-western comes first.
-        x, y: (nx,), (ny,) of the grid points, m.
+        x, y: (nx,), (ny,) of the grid points, evenly spaced, alike in x and y, m.
         count: Most points wanted.
         separation: Least distance of any two, m.
         last: The last ranking: each keeps its rank ...
         hysteresis: ... unless another scores better by more than this.
     """
     left = np.fmin(score, np.inf)
-    far = separation * (1.0 + 1e-9)
+    reach = int(separation / (x[1] - x[0])) + 1 if len(x) > 1 else 0
     rows: list[int] = []
     columns: list[int] = []
     while len(rows) < count:
@@ -54,8 +54,8 @@ def best_points(
             row, column = last[len(rows)]
         rows.append(row)
         columns.append(column)
-        in_y = slice(*np.searchsorted(y, (y[row] - far, y[row] + far)))
-        in_x = slice(*np.searchsorted(x, (x[column] - far, x[column] + far)))
+        in_y = slice(max(row - reach, 0), row + reach + 1)
+        in_x = slice(max(column - reach, 0), column + reach + 1)
         square = (y[in_y] - y[row])[:, None] ** 2 + (x[in_x] - x[column]) ** 2
         left[in_y, in_x][square < separation**2] = np.inf
         left[row, column] = np.inf

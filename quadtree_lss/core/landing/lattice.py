@@ -28,6 +28,8 @@ class Disc:
         row, column: (K,) index offset of each cell from the grid point's (the cell to its
             north-east).
         x, y: (K,) offset of each cell's centre from the grid point, m.
+        to_plane: (3, K) what the height of each cell weighs in the height, dz/dx and dz/dy of their
+            least-squares plane (see ``ground_planes``).
         half: (2 reach,) half width of the disc in each row, from the southernmost, in cells.
     """
 
@@ -36,6 +38,7 @@ class Disc:
     column: Index
     x: Array
     y: Array
+    to_plane: Array
     half: Index
 
 
@@ -48,7 +51,9 @@ def disc(radius: float, side: float) -> Disc:
     x, y = (column + 0.5) * side, (row + 0.5) * side
     inside = np.hypot(x, y) <= max(radius, 0.75 * side)
     half = np.count_nonzero(inside.reshape(2 * reach, 2 * reach), axis=1) // 2
-    return Disc(reach, row[inside], column[inside], x[inside], y[inside], half)
+    x, y = x[inside], y[inside]
+    to_plane = np.stack([np.full(len(x), 1.0 / len(x)), x / np.sum(x**2), y / np.sum(y**2)])
+    return Disc(reach, row[inside], column[inside], x, y, to_plane, half)
 
 
 def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
