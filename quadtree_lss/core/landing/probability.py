@@ -119,7 +119,11 @@ class RiskTable:
         return out
 
     def rocks(self, worst: WorstRest, judged: Mask) -> float:
-        """How rocky the ground is: g of ``RiskModel``."""
+        """How rocky the ground is: g of ``RiskModel``, log((a + 0.0005) / (1.02 - b)).
+
+        Of the grid points that are judged, both (n + 1, n + 1), b is the share at which the lander
+        rests too steeply, and a that at which it would rest level, but for what rises under it.
+        """
         rise, slope = self._limits
         steep = judged & (worst.slope > slope)
         raised = judged & ~steep & (worst.rise > rise)
