@@ -23,6 +23,7 @@ from quadtree_lss.config.risk import risk_model
 from quadtree_lss.config.settings import Config
 from quadtree_lss.evaluation.reliability import scores
 from quadtree_lss.evaluation.risk_flights import CASES, Conditions, Mapped
+from quadtree_lss.simulation.hazard_field import FIELDS
 
 Flown = dict[str, list[list[Mapped]]]
 All = dict[str, list[list[Judged]]]
@@ -68,7 +69,9 @@ def main() -> None:
         name: sampled([(number, one) for number, maps in enumerate(of_case) for one in maps])
         for name, of_case in judged.items()
     }
-    reliability_table("Truly unsafe over predicted, by predicted risk in %", of_all)
+    reliability_table(
+        "Truly unsafe over predicted, by predicted risk in %", of_all | pooled(of_all)
+    )
     score_table(judged)
     rules_table(judged, config.lss.max_risk)
     sites_table(judged)
@@ -88,6 +91,21 @@ def sampled(found: list[tuple[int, Judged]]) -> Sample:
     """Several maps, each with the number of its flight."""
     tiles = [1_000_000 * number + one.tile for number, one in found]
     return Sample(*joined([one for _, one in found]), np.concatenate(tiles))
+
+
+def pooled(of_case: dict[str, Sample]) -> dict[str, Sample]:
+    """What is alike taken together: the fields, the noise cases, the real terrains."""
+    groups: dict[str, list[Sample]] = {"all fields": [], "all noise": [], "all terrains": []}
+    for name, of in of_case.items():
+        kind = "all terrains" if name not in CASES else "all noise"
+        groups["all fields" if name in FIELDS else kind].append(of)
+    out = {}
+    for name, found in groups.items():
+        if len(found) > 1:
+            tile = np.concatenate([of.tile + 10**9 * k for k, of in enumerate(found)])
+            risk, failed = (np.concatenate([one[k] for one in found]) for k in (0, 1))
+            out[name] = Sample(risk, failed, tile)
+    return out
 
 
 def ratios(of: Sample) -> list[tuple[float, float, float]]:

@@ -60,7 +60,8 @@ def by_rule(config: Config, rule: str, **changes: object) -> Config:
 def judge(mapped: Mapped, model: RiskModel, config: Config, sites: bool) -> Judged:
     """Risk; with ``sites`` what the rules say as well."""
     landings = land(mapped, model, config)
-    risk = RiskTable(model, config.lss).risk(landings.worst, landings.judged)[landings.counts]
+    table = RiskTable(model, config.lss, landings.noise)
+    risk = table.risk(landings.worst, landings.judged)[landings.counts]
     called, first = {}, {}
     for rule in RULES if sites else ():
         found = LandingSiteSelector(by_rule(config, rule)).assess(mapped.cells)

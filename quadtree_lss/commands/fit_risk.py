@@ -28,7 +28,7 @@ It flies the morpheus scenario of `simulate` over simulated fields, with the lan
 noise of the configuration (default: morpheus), and takes truth from the simulation alone. Seeds
 are dealt to the cases in turn, a flight each, about 5 s.
 """
-SEEDS = "20000-20063"
+SEEDS = "20000-20197"
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

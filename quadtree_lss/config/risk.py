@@ -34,19 +34,21 @@ class RiskModel:
 
     Then what lies about it, for a map misplaces things: d is by how much l is greater at the worst
     of the four neighbours. And what ground it is, for where rocks are seen there are some that are
-    not: of all ground that is judged let b be the share on which the lander rests too steeply, and
-    a that on which it rests level enough, but for what rises under it; then
+    not. Of the ground that is judged and on which the lander rests level enough let a be the share
+    where something rises under it by more than ``lss.max_roughness``, and s that where it rises by
+    more than 0.12 m less. Rocks rise much or not at all, the rims of craters mostly a little:
 
-        g = log((a + 0.0005) / (1.02 - b)),
+        g = log(a (a / s)^3 + 0.00003).
 
-    how much of the level ground has something on it. The log odds of failing are c(g, l, d),
-    straight between their knots along each of the three.
+    The log odds of failing are c(g, l, d) + t n(l, d), each straight between its knots, where t
+    ascends from 0 to 1 between two deviations of the range noise that the mapping is told.
 
     Attributes:
         rise: (K,) knots of r, m; rise_odds: (K,) a there.
         slope: (L,) knots of s, rise over run; slope_odds: (L,) b there.
         own: (I,) knots of l; about: (J,) knots of d; rocks: (G,) knots of g; odds: (G, I, J) c
             there.
+        noise: (2,) range noise where t is 0 and 1, m; noisy: (I, J) n at the knots of l and d.
         provenance: What it was fitted to, and how well it does.
     """
 
@@ -58,25 +60,28 @@ class RiskModel:
     about: Row
     rocks: Row
     odds: tuple[tuple[Row, ...], ...]
+    noise: Row
+    noisy: tuple[Row, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, knots, values in (
             ("rise", self.rise, self.rise_odds),
             ("slope", self.slope, self.slope_odds),
-            *(("own", self.own, table) for table in self.odds),
+            *(("own", self.own, table) for table in (*self.odds, self.noisy)),
+            ("noise", self.noise, (0.0, 1.0)),
         ):
             if len(knots) < 2 or len(knots) != len(values):
                 msg = f"{name} has {len(knots)} knots and {len(values)} values"
                 raise ConfigError(msg)
-        rows = [row for table in self.odds for row in table]
+        rows = [row for table in (*self.odds, self.noisy) for row in table]
         if len(self.about) < 2 or any(len(row) != len(self.about) for row in rows):
             msg = f"odds has not {len(self.about)} values in each row"
             raise ConfigError(msg)
         if not self.rocks or len(self.rocks) != len(self.odds):
             msg = f"rocks has {len(self.rocks)} knots and odds {len(self.odds)} tables"
             raise ConfigError(msg)
-        for name in ("rise", "slope", "own", "about", "rocks"):
+        for name in ("rise", "slope", "own", "about", "rocks", "noise"):
             knots = getattr(self, name)
             if any(not b > a for a, b in zip(knots, knots[1:], strict=False)):
                 msg = f"the knots of {name} do not ascend"
@@ -142,11 +147,12 @@ def risk_model_text(model: RiskModel) -> str:
     def line(row: Row) -> str:
         return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
 
-    names = ("rise", "rise_odds", "slope", "slope_odds", "own", "about", "rocks")
+    names = ("rise", "rise_odds", "slope", "slope_odds", "own", "about", "rocks", "noise")
     lines = [f"{name}: {line(getattr(model, name))}" for name in names]
     lines.append("odds:")
     for table in model.odds:
         lines += ["  -", *(f"    - {line(row)}" for row in table)]
+    lines += ["noisy:", *(f"  - {line(row)}" for row in model.noisy)]
     origin = {"provenance": dict(model.provenance)}
     told = yaml.safe_dump(origin, sort_keys=False, width=96, default_flow_style=None)
     return "\n".join(lines) + "\n" + str(told)
@@ -156,16 +162,21 @@ def _from_values(values: Any) -> RiskModel:
     def row(given: Any) -> Row:
         return tuple(float(value) for value in given)
 
-    # A file of the first version has one table for all ground.
-    tables = values["odds"] if "rocks" in values else [values["odds"]]
+    own, about = row(values["own"]), row(values["about"])
+    if "rocks" not in values:  # a file of the first version has one table for all ground and noise
+        flat = [[0.0] * len(about)] * len(own)
+        values = {"rocks": [0.0], "noise": [0.0, 1.0], "noisy": flat, **values}
+        values["odds"] = [values["odds"]]
     return RiskModel(
         rise=row(values["rise"]),
         rise_odds=row(values["rise_odds"]),
         slope=row(values["slope"]),
         slope_odds=row(values["slope_odds"]),
-        own=row(values["own"]),
-        about=row(values["about"]),
-        rocks=row(values.get("rocks", [0.0])),
-        odds=tuple(tuple(row(line) for line in table) for table in tables),
+        own=own,
+        about=about,
+        rocks=row(values["rocks"]),
+        odds=tuple(tuple(row(line) for line in table) for table in values["odds"]),
+        noise=row(values["noise"]),
+        noisy=tuple(row(line) for line in values["noisy"]),
         provenance=dict(values.get("provenance") or {}),
     )

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
+from scipy.sparse import csr_array, kron
 
 from quadtree_lss.arrays import Array
 from quadtree_lss.config.risk import RiskModel, Row
@@ -19,17 +20,17 @@ RISE = (-0.15, -0.12, -0.09, -0.06, -0.04, -0.02, 0.0) + (
 SLOPE = (-0.08, -0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06, 0.08, 0.1)
 OWN = (-10.0, -8.0, -6.5, -5.0, -4.0, -3.0, -2.0, -1.0, 0.0, 2.0, 4.0, 6.0)
 ABOUT = (0.0, 0.5, 1.0, 2.0, 3.5, 6.0)
-ROCKS = (-6.6, -3.8, -2.0, -1.1)
+ROCKS = (-10.4, -7.1, -4.9, -2.8)
 #: Centres of the bins that landings are counted in.
 RISE_BINS = np.linspace(RISE[0], RISE[-1], 201)
 SLOPE_BINS = np.linspace(SLOPE[0], SLOPE[-1], 73)
 OWN_BINS = np.linspace(OWN[0], OWN[-1], 65)
 ABOUT_BINS = np.linspace(ABOUT[0], ABOUT[-1], 25)
-ROCK_BINS = np.linspace(ROCKS[0], ROCKS[-1], 56)
+ROCK_BINS = np.linspace(ROCKS[0], ROCKS[-1], 77)
 
 #: Weights against the mean log score: of second differences of curves and of tables, of what does
-#: not ascend, and of differences between one kind of ground and the next.
-SMOOTH, SMOOTH_TABLES, ASCENDING, ALIKE = 2e-6, 2.5e-7, 1e-3, 1e-8
+#: not ascend, of differences between one kind of ground and the next, and of what noise adds.
+SMOOTH, SMOOTH_TABLES, ASCENDING, ALIKE, SMALL = 2e-6, 5e-8, 1e-3, 1e-9, 1e-8
 #: Least and greatest of what a curve may begin with.
 LEAST, MOST = -16.0, -2.0
 
@@ -37,8 +38,19 @@ LEAST, MOST = -16.0, -2.0
 def unfitted() -> RiskModel:
     """Knots without a fit: curves that fail nowhere, and a second step that changes nothing."""
     table = tuple((own,) * len(ABOUT) for own in OWN)
-    flat = (LEAST,) * len(RISE), (LEAST,) * len(SLOPE)
-    return RiskModel(RISE, flat[0], SLOPE, flat[1], OWN, ABOUT, ROCKS, (table,) * len(ROCKS))
+    none = ((0.0,) * len(ABOUT),) * len(OWN)
+    return RiskModel(
+        rise=RISE,
+        rise_odds=(LEAST,) * len(RISE),
+        slope=SLOPE,
+        slope_odds=(LEAST,) * len(SLOPE),
+        own=OWN,
+        about=ABOUT,
+        rocks=ROCKS,
+        odds=(table,) * len(ROCKS),
+        noise=(0.0, 1.0),
+        noisy=none,
+    )
 
 
 def counted(
@@ -98,33 +110,38 @@ def fit_curves(counts: Array) -> tuple[Row, Row]:
     return _row(np.cumsum(steps[: len(RISE)])), _row(np.cumsum(steps[len(RISE) :]))
 
 
-def fit_tables(counts: Array) -> tuple[tuple[Row, ...], ...]:
-    """Second step: c at the knots of g (tables), l (rows) and d (columns).
+def fit_tables(counts: Array) -> tuple[tuple[tuple[Row, ...], ...], tuple[Row, ...]]:
+    """Second step: c at the knots of g (tables), l (rows) and d (columns), and n at those of l, d.
 
-    They ascend with l and d as good as always.
+    Tables c ascend with l and d as good as always.
 
     Args:
-        counts: (2, G, L, D) weights of the landings tried and failed, over the bins of g, l and d.
+        counts: (2, 2, G, L, D) weights of the landings tried and failed, with the usual noise and
+            with more, over the bins of g, l and d.
     """
     tried, failed = (counts / counts[0].sum()).reshape(2, -1)
-    here = tried > 0.0
-    of = np.unravel_index(np.flatnonzero(here), counts.shape[1:])
-    knots = ((ROCK_BINS, ROCKS), (OWN_BINS, OWN), (ABOUT_BINS, ABOUT))
-    rock, own, about = (_hats(*pair)[at] for pair, at in zip(knots, of, strict=True))
-    hats = np.einsum("ng,ni,nj->ngij", rock, own, about).reshape(len(rock), -1)
-    tried, failed = tried[here], failed[here]
-    ones = [np.eye(len(values)) for _, values in knots]
+    here = np.flatnonzero(tried)
+    tried, failed, kinds = tried[here], failed[here], len(ROCKS)
+    more = np.repeat([[0.0], [1.0]], ROCK_BINS.size, axis=0)
+    share = np.hstack([np.tile(_hats(ROCK_BINS, ROCKS), (2, 1)), more])
+    place = kron(_hats(OWN_BINS, OWN), _hats(ABOUT_BINS, ABOUT))
+    hats = csr_array(kron(share, place, "csr"))[here]
+    tables = np.eye(kinds + 1)
+    alike = np.vstack(
+        [np.sqrt(ALIKE) * np.diff(tables[:kinds], axis=0), np.sqrt(SMALL) * tables[kinds:]]
+    )
 
-    def differences(axis: int, order: int) -> Array:
-        by = [np.diff(one, order, axis=0) if k == axis else one for k, one in enumerate(ones)]
-        return np.kron(np.kron(by[0], by[1]), by[2])
+    def differences(axis: int, order: int, of: Array) -> csr_array:
+        by = [np.eye(len(OWN)), np.eye(len(ABOUT))]
+        by[axis] = np.diff(by[axis], order, axis=0)
+        return csr_array(kron(of, kron(by[0], by[1])))
 
     squares = [
-        (SMOOTH_TABLES, differences(1, 2)),
-        (SMOOTH_TABLES, differences(2, 2)),
-        (ALIKE, differences(0, 1)),
+        (SMOOTH_TABLES, differences(0, 2, tables)),
+        (SMOOTH_TABLES, differences(1, 2, tables)),
+        (1.0, csr_array(kron(alike, np.eye(len(OWN) * len(ABOUT))))),
     ]
-    rises = [differences(1, 1), differences(2, 1)]
+    rises = [differences(axis, 1, tables[:kinds]) for axis in (0, 1)]
 
     def cost(odds: Array) -> tuple[float, Array]:
         at = hats @ odds
@@ -139,9 +156,10 @@ def fit_tables(counts: Array) -> tuple[tuple[Row, ...], ...]:
             by = by + 2.0 * ASCENDING * matrix.T @ down
         return value, by
 
-    begin = np.tile(np.repeat(OWN, len(ABOUT)), len(ROCKS))
-    odds = _least(cost, begin, None).reshape(len(ROCKS), len(OWN), len(ABOUT))
-    return tuple(tuple(_row(line) for line in table) for table in odds)
+    begin = np.append(np.tile(np.repeat(OWN, len(ABOUT)), kinds), np.zeros(len(OWN) * len(ABOUT)))
+    found = _least(cost, begin, None).reshape(kinds + 1, len(OWN), len(ABOUT))
+    *odds, noisy = (tuple(_row(line) for line in table) for table in found)
+    return tuple(odds), noisy
 
 
 def _least(

@@ -69,10 +69,12 @@ class Conditions:
         return replace(config, lidar=replace(config.lidar, range_noise=noise))
 
 
+#: The greater range noise that is flown with, as a multiple of the usual one.
+NOISIER = 4.0 / 3.0
 CASES = {
     **{name: Conditions(name) for name in FIELDS},
-    "told": Conditions(noise=4.0 / 3.0, outliers=0.02),
-    "untold": Conditions(noise=4.0 / 3.0, outliers=0.02, told=False),
+    "told": Conditions(noise=NOISIER, outliers=0.02),
+    "untold": Conditions(noise=NOISIER, outliers=0.02, told=False),
 }
 
 
@@ -155,12 +157,14 @@ class Landings:
         judged: (n + 1, n + 1) where all ground under the lander is seen.
         counts: (n + 1, n + 1) of these, where the truth is known.
         failed: (K,) of ``counts``: whether the lander fails there.
+        noise: Range noise that the mapping was told, m.
     """
 
     worst: WorstRest
     judged: Mask
     counts: Mask
     failed: Mask
+    noise: float
 
 
 def land(mapped: Mapped, model: RiskModel, config: Config) -> Landings:
@@ -170,7 +174,7 @@ def land(mapped: Mapped, model: RiskModel, config: Config) -> Landings:
     judged = seen_about(raster, lss) >= 0.5 * lss.vehicle_diameter - 1e-9
     worst = TouchdownCheck(lss, limits(model, lss)).worst(raster, judged)
     counts = judged & mapped.known
-    return Landings(worst, judged, counts, ~mapped.safe[counts])
+    return Landings(worst, judged, counts, ~mapped.safe[counts], config.lidar.range_noise)
 
 
 Progress = Callable[[int, int], None]
@@ -207,7 +211,8 @@ def fit_risk(
         name = names[done % len(names)]
         terrain = hazard_field(np.random.default_rng([seed, 1]), FIELDS[CASES[name].field])
         maps = fly(terrain, seed, CASES[name], config, PARTS)
-        flown[name] += [land(mapped, unfitted(), config) for mapped in maps]
+        own = CASES[name].mapping(config)
+        flown[name] += [land(mapped, unfitted(), own) for mapped in maps]
         of_seed[name].append(seed)
         if progress is not None:
             progress(done + 1, len(seeds))
@@ -233,16 +238,20 @@ def fitted(flown: dict[str, list[Landings]], config: Config) -> RiskModel:
 
     rise_odds, slope_odds = fit_curves(_evenly(flown, first))
     model = replace(model, rise_odds=rise_odds, slope_odds=slope_odds)
-    table = RiskTable(model, lss)
+    usual = max(config.lidar.range_noise, 1e-6)
+    noise = usual, NOISIER * usual
+    table = RiskTable(model, lss, usual)
 
     def second(one: Landings) -> Array:
         own, about = (odds[one.counts] for odds in table.log_odds(one.worst, one.judged))
-        out = np.zeros((2, ROCK_BINS.size, OWN_BINS.size, ABOUT_BINS.size))
+        out = np.zeros((2, 2, ROCK_BINS.size, OWN_BINS.size, ABOUT_BINS.size))
         ground = np.argmin(np.abs(ROCK_BINS - table.rocks(one.worst, one.judged)))
-        out[:, ground] = counted(own, about, one.failed, (OWN_BINS, ABOUT_BINS))
+        more = round(float(np.interp(one.noise, noise, (0.0, 1.0))))
+        out[:, more, ground] = counted(own, about, one.failed, (OWN_BINS, ABOUT_BINS))
         return out
 
-    return replace(model, odds=fit_tables(_evenly(flown, second)))
+    odds, noisy = fit_tables(_evenly(flown, second))
+    return replace(model, odds=odds, noise=noise, noisy=noisy)
 
 
 def _evenly(flown: dict[str, list[Landings]], count: Callable[[Landings], Array]) -> Array:
@@ -257,8 +266,9 @@ def _provenance(
     seeds: dict[str, list[int]],
     config: Config,
 ) -> dict[str, Any]:
-    table, cases = RiskTable(model, config.lss), {}
+    cases = {}
     for name, landings in flown.items():
+        table = RiskTable(model, config.lss, landings[0].noise)
         risk = [table.risk(one.worst, one.judged)[one.counts] for one in landings]
         failed = np.concatenate([one.failed for one in landings])
         brier, log = scores(np.concatenate(risk), failed)

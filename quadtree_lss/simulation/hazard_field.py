@@ -44,6 +44,7 @@ FIELDS = {
     "rocky": HazardField(rock_abundance=0.10, piles=6e-3),
     "sparse": HazardField(rock_abundance=0.02, piles=1e-3),
     "steep": HazardField(slope_rms_deg=4.0, craters=12e-3),
+    "broken": HazardField(slope_rms_deg=6.0, craters=12e-3),
     "rough": HazardField(rock_abundance=0.10, slope_rms_deg=3.0, texture=0.02),
     "smooth": HazardField(rock_abundance=0.0, slope_rms_deg=6.0, craters=12e-3),
 }

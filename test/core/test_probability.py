@@ -41,6 +41,8 @@ MODEL = RiskModel(
         ((-10.0, -9.5, -8.0), (-1.0, -0.5, -0.2), (5.0, 6.0, 6.0)),
         ((-10.0, -9.0, -4.0), (0.0, 0.5, 1.0), (6.0, 6.0, 6.0)),
     ),
+    noise=(0.05, 0.08),
+    noisy=((0.0, 0.5, 1.0), (0.4, 0.0, -0.6), (-0.5, 0.0, 0.5)),
 )
 
 
@@ -53,7 +55,9 @@ def log_odds(p: float) -> float:
     return float(np.log(p / (1.0 - p)))
 
 
-def by_hand(rise: Array, slope: Array, judged: NDArray[np.bool_], lss: LssConfig) -> Array:
+def by_hand(
+    rise: Array, slope: Array, judged: NDArray[np.bool_], lss: LssConfig, noise: float
+) -> Array:
     """The equations of ``RiskModel``, point by point."""
     out = np.ones(rise.shape)
     own = np.full(rise.shape, MODEL.own[0])
@@ -64,12 +68,13 @@ def by_hand(rise: Array, slope: Array, judged: NDArray[np.bool_], lss: LssConfig
         p = 1.0 - 1.0 / ((1.0 + np.exp(a)) * (1.0 + np.exp(b)))
         own[place] = np.clip(log_odds(p), MODEL.own[0], MODEL.own[-1])
     padded = np.pad(own, 1, constant_values=-np.inf)
-    too_steep = slope[judged] > steep
-    raised = (rise[judged] > lss.max_roughness) & ~too_steep
-    rocks = np.log((raised.mean() + 0.0005) / (1.02 - too_steep.mean()))
+    level = rise[judged & (slope <= steep)]
+    much, some = ((level > lss.max_roughness - less).mean() for less in (0.0, 0.12))
+    rocks = np.log(much * (much / some) ** 3 + 3e-5)
     share = np.clip((rocks - MODEL.rocks[0]) / (MODEL.rocks[1] - MODEL.rocks[0]), 0.0, 1.0)
     few, many = np.array(MODEL.odds)
-    table = (1.0 - share) * few + share * many
+    more = min(max((noise - 0.05) / 0.03, 0.0), 1.0)
+    table = (1.0 - share) * few + share * many + more * np.array(MODEL.noisy)
     for i, j in zip(*np.nonzero(judged), strict=True):
         four = padded[i, j + 1], padded[i + 2, j + 1], padded[i + 1, j], padded[i + 1, j + 2]
         d = max(max(four) - own[i, j], 0.0)
@@ -78,17 +83,17 @@ def by_hand(rise: Array, slope: Array, judged: NDArray[np.bool_], lss: LssConfig
     return out
 
 
-@pytest.mark.parametrize("most", [0.302, 0.32, 0.6])
-def test_the_fit_is_looked_up_as_its_equations_say(most):
-    """On ground that is rocky and less so."""
+@pytest.mark.parametrize(("most", "noise"), [(0.302, 0.03), (0.45, 0.06), (0.6, 0.2)])
+def test_the_fit_is_looked_up_as_its_equations_say(most, noise):
+    """On ground that is rocky and less so, by lidars that are noisy and less so."""
     lss = LssConfig()
     rng = np.random.default_rng(3)
     shape = (40, 40)
     rise = rng.uniform(0.1, most, shape).astype(np.float32)
     slope = rng.uniform(0.05, 0.3, shape).astype(np.float32)
     judged = rng.random(shape) < 0.8
-    found = RiskTable(MODEL, lss).risk(WorstRest(rise, slope), judged)
-    expected = by_hand(rise.astype(float), slope.astype(float), judged, lss)
+    found = RiskTable(MODEL, lss, noise).risk(WorstRest(rise, slope), judged)
+    expected = by_hand(rise.astype(float), slope.astype(float), judged, lss, noise)
     odds, wanted = (np.log(p[judged] / (1.0 - p[judged])) for p in (found, expected))
     np.testing.assert_allclose(odds, wanted, atol=0.1)
     assert (found[~judged] == 1.0).all()
@@ -257,11 +262,14 @@ def test_a_file_that_is_no_model_is_refused(tmp_path, change, said):
 
 def test_a_file_of_the_first_version_has_one_table_for_all_ground(tmp_path):
     path = tmp_path / "model.yaml"
-    text, rows = risk_model_text(MODEL).replace("rocks: [-4, 1]\n", ""), "    - "
+    text, rows = risk_model_text(MODEL), "    - "
+    for newer in ("rocks: [-4, 1]\n", "noise: [0.05, 0.08]\n"):
+        text = text.replace(newer, "")
     head, _, last = text.partition("odds:\n  -\n")
     lines = [line for line in last.splitlines() if line.startswith(rows)][:3]
     path.write_text("\n".join([head + "odds:", *lines, "provenance: {}"]))
-    assert risk_model(str(path)) == replace(MODEL, rocks=(0.0,), odds=MODEL.odds[:1])
+    old = replace(MODEL, rocks=(0.0,), odds=MODEL.odds[:1])
+    assert risk_model(str(path)) == replace(old, noise=(0.0, 1.0), noisy=((0.0,) * 3,) * 3)
 
 
 def test_the_shipped_model_grows_with_what_is_over_the_limits():

@@ -68,14 +68,23 @@ def test_curves_ascend_where_chance_does_not():
 
 def test_tables_are_found_again_and_ascend():
     rock, own, about = ROCK_BINS[:, None, None], OWN_BINS[:, None], ABOUT_BINS
-    odds = np.clip(0.9 * own + 0.4 * about + 0.3 * rock, -9.0, None)
+    odds = np.clip(0.9 * own + 0.4 * about + 0.2 * rock, -9.0, None)
+    odds = np.stack([odds, odds + 0.5 + 0.1 * own])  # usual noise, and more
     risk = 1.0 / (1.0 + np.exp(-odds))
-    tables = np.array(fit_tables(np.stack([np.ones(risk.shape), risk])))
+    tables, noisy = map(np.array, fit_tables(np.stack([np.ones(risk.shape), risk])))
     expected = 0.9 * np.array(OWN)[:, None] + 0.4 * np.array(ABOUT)
-    expected = np.clip(expected + 0.3 * np.array(ROCKS)[:, None, None], -9.0, None)
-    inner = np.s_[:, 3:-1]  # where a failure is rare the penalty decides
+    expected = np.clip(expected + 0.2 * np.array(ROCKS)[:, None, None], -9.0, None)
+    more = np.tile(0.5 + 0.1 * np.array(OWN)[:, None], len(ABOUT))
+    inner = np.s_[..., 3:-1, :]  # where a failure is rare the penalty decides
     assert np.abs(tables - expected)[inner].max() < 0.5
+    assert np.abs(noisy - more)[inner].max() < 0.3
     assert np.diff(tables, axis=1).min() > -0.05 and np.diff(tables, axis=2).min() > -0.05
+
+
+def test_what_noise_adds_is_nothing_where_no_landing_tells():
+    counts = np.zeros((2, 2, ROCK_BINS.size, OWN_BINS.size, ABOUT_BINS.size))
+    counts[:, 0] = np.array([1.0, 0.1])[:, None, None, None]
+    assert np.abs(fit_tables(counts)[1]).max() == 0.0
 
 
 def test_a_model_of_made_up_landings_is_calibrated():
@@ -88,8 +97,10 @@ def test_a_model_of_made_up_landings_is_calibrated():
     worst = WorstRest(rise.astype(np.float32), slope.astype(np.float32))
     judged = np.ones(shape, dtype=bool)
     failed = (true > lss.max_roughness).ravel()
-    model = fitted({"made up": [Landings(worst, judged, judged, failed)]}, config)
-    risk = RiskTable(model, config.lss).risk(worst, judged).ravel()
+    landings = Landings(worst, judged, judged, failed, config.lidar.range_noise)
+    model = fitted({"made up": [landings]}, config)
+    noise = config.lidar.range_noise
+    risk = RiskTable(model, config.lss, noise).risk(worst, judged).ravel()
     for low, high in ((0.01, 0.1), (0.1, 0.5), (0.5, 0.95)):
         here = (risk >= low) & (risk < high)
         assert failed[here].mean() == pytest.approx(risk[here].mean(), rel=0.4)
@@ -116,6 +127,8 @@ def test_what_is_written_is_read_again(tmp_path):
         ({"slope_odds": [0.0]}, "slope has 12 knots and 1 values"),
         ({"about": [0.0, 1.0]}, "2 values in each row"),
         ({"own": "text"}, "risk model"),
+        ({"noise": [0.08, 0.06]}, "noise do not ascend"),
+        ({"noisy": [[0.0]]}, "own has 12 knots and 1 values"),
     ],
 )
 def test_a_file_that_holds_no_model_is_one_clear_error(tmp_path, change, said):
@@ -174,7 +187,7 @@ def test_the_model_is_no_configuration():
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [(["--cases", "moon"], "there is no case 'moon'"), (["--seeds", "1,2"], "too few for 8 cases")],
+    [(["--cases", "moon"], "there is no case 'moon'"), (["--seeds", "1,2"], "too few for 9 cases")],
 )
 def test_a_fit_that_cannot_be_is_told(tmp_path, capsys, options, said):
     assert main(["fit-risk", "--out", str(tmp_path / "m.yaml"), *options]) == 1

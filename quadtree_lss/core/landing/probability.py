@@ -26,6 +26,8 @@ from quadtree_lss.core.landing.lander import Limits
 from quadtree_lss.core.landing.risks import blur, look_up, set_odds
 from quadtree_lss.core.landing.touchdown import WorstRest
 
+#: Ground that rises by so much less than the limit still rises, m; what is added to g's share.
+LOWER, NO_ROCKS = 0.12, 3e-5
 #: Steps between entries of the tables, in m, rise over run, and of the log odds.
 FINE, FINE_ODDS = 2e-4, 0.04
 #: A normal distribution is cut off at so many deviations.
@@ -86,9 +88,10 @@ class RiskTable:
     Args:
         model: The fit.
         lss: Limits of the lander.
+        noise: Range noise that the mapping is told, one deviation, m.
     """
 
-    def __init__(self, model: RiskModel, lss: LssConfig) -> None:
+    def __init__(self, model: RiskModel, lss: LssConfig, noise: float) -> None:
         self._low = np.array(
             [lss.max_roughness + model.rise[0], tan(radians(lss.max_slope_deg)) + model.slope[0]]
         )
@@ -100,7 +103,8 @@ class RiskTable:
         own, about = _steps(model.own, FINE_ODDS), _steps((0.0, *model.about[1:]), FINE_ODDS)
         self._knots = model.rocks
         # Not by BLAS: its threads go on waiting for more, and take a core for as long.
-        at_own = np.einsum("ni,gij->gnj", _shares(own, model.own), np.array(model.odds))
+        noisy = np.interp(noise, model.noise, (0.0, 1.0)) * np.array(model.noisy)
+        at_own = np.einsum("ni,gij->gnj", _shares(own, model.own), np.array(model.odds) + noisy)
         self._odds = np.einsum("gnj,mj->gnm", at_own, _shares(about, model.about))
         self._limits = lss.max_roughness, tan(radians(lss.max_slope_deg))
 
@@ -119,17 +123,15 @@ class RiskTable:
         return out
 
     def rocks(self, worst: WorstRest, judged: Mask) -> float:
-        """How rocky the ground is: g of ``RiskModel``, log((a + 0.0005) / (1.02 - b)).
+        """How rocky the ground is: g of ``RiskModel``, log(a (a / s)^3 + 0.00003).
 
-        Of the grid points that are judged, both (n + 1, n + 1), b is the share at which the lander
-        rests too steeply, and a that at which it would rest level, but for what rises under it.
+        Of the judged grid points, (n + 1, n + 1), at which the lander rests level enough, a is the
+        share at which something rises under it beyond the limit, and s at which it nearly does.
         """
         rise, slope = self._limits
-        steep = judged & (worst.slope > slope)
-        raised = judged & ~steep & (worst.rise > rise)
-        count = max(int(np.count_nonzero(judged)), 1)
-        a, b = (int(np.count_nonzero(of)) / count for of in (raised, steep))
-        return log((a + 5e-4) / (1.02 - b))
+        rises = worst.rise[judged & (worst.slope <= slope)]
+        much, some = (int(np.count_nonzero(rises > at)) for at in (rise, rise - LOWER))
+        return log(much / max(len(rises), 1) * (much / max(some, 1)) ** 3 + NO_ROCKS)
 
     def log_odds(self, worst: WorstRest, judged: Mask) -> tuple[Array, Array]:
         """What the second step goes by, (n + 1, n + 1) each: l and d of ``RiskModel``."""

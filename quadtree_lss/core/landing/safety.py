@@ -63,10 +63,11 @@ class Judgement:
 class SafetyJudge:
     """Judges maps of a growing terrain; sets the lander down again only where ground changed."""
 
-    def __init__(self, lss: LssConfig) -> None:
+    def __init__(self, lss: LssConfig, noise: float) -> None:
+        """With the lander's limits and the range noise that the mapping is told, m."""
         self.lss = lss
         self._probable = "probability" in (lss.assessment, lss.ranking)
-        self._table = RiskTable(risk_model(lss.risk_model), lss) if self._probable else None
+        self._table = RiskTable(risk_model(lss.risk_model), lss, noise) if self._probable else None
         self._heading: float | None = None
         self._check = self._new_check(None)
 

@@ -70,7 +70,7 @@ class LandingSiteSelector:
     def configure(self, config: Config) -> None:
         """Go by these limits from now on; what was found by others is forgotten."""
         self.config = config
-        self._judge = SafetyJudge(config.lss)
+        self._judge = SafetyJudge(config.lss, config.lidar.range_noise)
 
     def release(self) -> None:
         """Give the target up: the next assessment chooses as if none had been held."""
