@@ -120,9 +120,10 @@ def doubt(config: Config) -> str:
     Raises:
         ConfigError: as of `risk_model`.
     """
-    lss, origin = config.lss, risk_model(config.lss.risk_model).provenance
+    lss, model = config.lss, risk_model(config.lss.risk_model)
     if "probability" not in (lss.assessment, lss.ranking):
         return ""
+    origin = model.provenance
     fitted = dict(origin.get("lander") or {}) | {"finest_cell": origin.get("finest_cell")}
     used = {
         "diameter": ("a lander of {:g} m", lss.vehicle_diameter),
@@ -135,6 +136,9 @@ def doubt(config: Config) -> str:
         given = fitted.get(name)
         if isinstance(given, (int, float)) and abs(value - given) > NEAR * given:
             far.append(f"{text.format(given)}, not {value:g}")
+    (quiet, noisy), noise = model.noise, config.lidar.range_noise
+    if not (1.0 - NEAR) * quiet <= noise <= (1.0 + NEAR) * noisy:
+        far.append(f"a range noise of {quiet:g} to {noisy:g} m, not {noise:g}")
     if not far:
         return ""
     name = lss.risk_model or SHIPPED

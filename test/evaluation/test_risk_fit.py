@@ -166,6 +166,8 @@ def test_the_shipped_model_says_what_it_was_fitted_to():
         ({"lss.vehicle_diameter": 5.0}, "fitted for a lander of 3.7 m, not 5"),
         ({"lss.max_roughness": 0.2}, "a clearance of 0.3 m, not 0.2"),
         ({"domain.max_level": 7}, "cells of 0.25 m, not 0.5"),
+        ({"lidar.range_noise": 0.1}, ""),
+        ({"lidar.range_noise": 0.2}, "a range noise of 0.06 to 0.08 m, not 0.2"),
         ({"domain.max_level": 7, "lss.assessment": "paper", "lss.ranking": "score"}, ""),
     ],
 )
