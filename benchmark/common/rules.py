@@ -61,7 +61,7 @@ def judge(mapped: Mapped, model: RiskModel, config: Config, sites: bool) -> Judg
     """Risk; with ``sites`` what the rules say as well."""
     landings = land(mapped, model, config)
     table = RiskTable(model, config.lss, landings.noise)
-    risk = table.risk(landings.worst, landings.judged)[landings.counts]
+    risk = table.risk(landings.worst, landings.judged, landings.slope)[landings.counts]
     called, first = {}, {}
     for rule in RULES if sites else ():
         found = LandingSiteSelector(by_rule(config, rule)).assess(mapped.cells)

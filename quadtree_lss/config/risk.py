@@ -40,14 +40,18 @@ class RiskModel:
 
         g = log(a (a / s)^3 + 0.00003).
 
-    The log odds of failing are c(g, l, d) + t n(l, d), each straight between its knots, where t
-    ascends from 0 to 1 between two deviations of the range noise that the mapping is told.
+    On flat ground what rises is rocks, of which a map shows a part; where the ground undulates it
+    is its form as well, which a map shows whole: h is the mean slope of that level ground. The log
+    odds of failing are c(g, l, d) + m(h, l, d) + t n(l, d), each straight between its knots, where
+    t ascends from 0 to 1 between two deviations of the range noise that the mapping is told.
 
     Attributes:
         rise: (K,) knots of r, m; rise_odds: (K,) a there.
         slope: (L,) knots of s, rise over run; slope_odds: (L,) b there.
         own: (I,) knots of l; about: (J,) knots of d; rocks: (G,) knots of g; odds: (G, I, J) c
             there.
+        undulation: (H,) knots of h, rad; undulating: (H - 1, I, J) m there, but at the first, where
+            it is 0.
         noise: (2,) range noise where t is 0 and 1, m; noisy: (I, J) n at the knots of l and d.
         provenance: What it was fitted to, and how well it does.
     """
@@ -60,28 +64,36 @@ class RiskModel:
     about: Row
     rocks: Row
     odds: tuple[tuple[Row, ...], ...]
+    undulation: Row
+    undulating: tuple[tuple[Row, ...], ...]
     noise: Row
     noisy: tuple[Row, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def tables(self) -> tuple[tuple[Row, ...], ...]:
+        """(G + H, I, J) all of what the log odds are a weighted sum of: c, m and n."""
+        return (*self.odds, *self.undulating, self.noisy)
 
     def __post_init__(self) -> None:
         for name, knots, values in (
             ("rise", self.rise, self.rise_odds),
             ("slope", self.slope, self.slope_odds),
-            *(("own", self.own, table) for table in (*self.odds, self.noisy)),
+            *(("own", self.own, table) for table in self.tables),
+            ("undulation", self.undulation, (None, *self.undulating)),
             ("noise", self.noise, (0.0, 1.0)),
         ):
             if len(knots) < 2 or len(knots) != len(values):
                 msg = f"{name} has {len(knots)} knots and {len(values)} values"
                 raise ConfigError(msg)
-        rows = [row for table in (*self.odds, self.noisy) for row in table]
+        rows = [row for table in self.tables for row in table]
         if len(self.about) < 2 or any(len(row) != len(self.about) for row in rows):
             msg = f"odds has not {len(self.about)} values in each row"
             raise ConfigError(msg)
         if not self.rocks or len(self.rocks) != len(self.odds):
             msg = f"rocks has {len(self.rocks)} knots and odds {len(self.odds)} tables"
             raise ConfigError(msg)
-        for name in ("rise", "slope", "own", "about", "rocks", "noise"):
+        for name in ("rise", "slope", "own", "about", "rocks", "undulation", "noise"):
             knots = getattr(self, name)
             if any(not b > a for a, b in zip(knots, knots[1:], strict=False)):
                 msg = f"the knots of {name} do not ascend"
@@ -151,11 +163,12 @@ def risk_model_text(model: RiskModel) -> str:
     def line(row: Row) -> str:
         return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
 
-    names = ("rise", "rise_odds", "slope", "slope_odds", "own", "about", "rocks", "noise")
+    names = "rise rise_odds slope slope_odds own about rocks undulation noise".split()
     lines = [f"{name}: {line(getattr(model, name))}" for name in names]
-    lines.append("odds:")
-    for table in model.odds:
-        lines += ["  -", *(f"    - {line(row)}" for row in table)]
+    for name in ("odds", "undulating"):
+        lines.append(f"{name}:")
+        for table in getattr(model, name):
+            lines += ["  -", *(f"    - {line(row)}" for row in table)]
     lines += ["noisy:", *(f"  - {line(row)}" for row in model.noisy)]
     origin = {"provenance": dict(model.provenance)}
     told = yaml.safe_dump(origin, sort_keys=False, width=96, default_flow_style=None)
@@ -166,11 +179,14 @@ def _from_values(values: Any) -> RiskModel:
     def row(given: Any) -> Row:
         return tuple(float(value) for value in given)
 
+    def tables(given: Any) -> tuple[tuple[Row, ...], ...]:
+        return tuple(tuple(row(line) for line in table) for table in given)
+
     own, about = row(values["own"]), row(values["about"])
-    if "rocks" not in values:  # a file of the first version has one table for all ground and noise
-        flat = [[0.0] * len(about)] * len(own)
-        values = {"rocks": [0.0], "noise": [0.0, 1.0], "noisy": flat, **values}
-        values["odds"] = [values["odds"]]
+    if "rocks" not in values:  # a file of the first version has one table for all ground
+        values = values | {"rocks": [0.0], "odds": [values["odds"]]}
+    flat, at = [[0.0] * len(about)] * len(own), [0.0, 1.0]  # and nothing is added to it
+    values = {"undulation": at, "undulating": [flat], "noise": at, "noisy": flat} | values
     return RiskModel(
         rise=row(values["rise"]),
         rise_odds=row(values["rise_odds"]),
@@ -179,8 +195,10 @@ def _from_values(values: Any) -> RiskModel:
         own=own,
         about=about,
         rocks=row(values["rocks"]),
-        odds=tuple(tuple(row(line) for line in table) for table in values["odds"]),
+        odds=tables(values["odds"]),
+        undulation=row(values["undulation"]),
+        undulating=tables(values["undulating"]),
         noise=row(values["noise"]),
-        noisy=tuple(row(line) for line in values["noisy"]),
+        noisy=tables([values["noisy"]])[0],
         provenance=dict(values.get("provenance") or {}),
     )

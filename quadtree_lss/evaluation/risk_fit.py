@@ -12,8 +12,9 @@ from scipy.sparse import csr_array, kron
 
 from quadtree_lss.arrays import Array
 from quadtree_lss.config.risk import RiskModel, Row
+from quadtree_lss.core.landing.probability import hats
 
-#: Knots of r, m; of s, rise over run; of l, d and g (see ``RiskModel``).
+#: Knots of r, m; of s, rise over run; of l, d and g; of h, rad (see ``RiskModel``).
 RISE = (-0.15, -0.12, -0.09, -0.06, -0.04, -0.02, 0.0) + (
     *(0.02, 0.04, 0.06, 0.09, 0.12, 0.16, 0.22, 0.35),
 )
@@ -21,15 +22,15 @@ SLOPE = (-0.08, -0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06, 0.0
 OWN = (-10.0, -8.0, -6.5, -5.0, -4.0, -3.0, -2.0, -1.0, 0.0, 2.0, 4.0, 6.0)
 ABOUT = (0.0, 0.5, 1.0, 2.0, 3.5, 6.0)
 ROCKS = (-10.4, -7.1, -4.9, -2.8)
+UNDULATION = (0.026, 0.06, 0.08)
 #: Centres of the bins that landings are counted in.
 RISE_BINS = np.linspace(RISE[0], RISE[-1], 201)
 SLOPE_BINS = np.linspace(SLOPE[0], SLOPE[-1], 73)
 OWN_BINS = np.linspace(OWN[0], OWN[-1], 65)
 ABOUT_BINS = np.linspace(ABOUT[0], ABOUT[-1], 25)
-ROCK_BINS = np.linspace(ROCKS[0], ROCKS[-1], 77)
 
 #: Weights against the mean log score: of second differences of curves and of tables, of what does
-#: not ascend, of differences between one kind of ground and the next, and of what noise adds.
+#: not ascend, of differences between one kind of ground and the next, and of what is added to it.
 SMOOTH, SMOOTH_TABLES, ASCENDING, ALIKE, SMALL = 2e-6, 5e-8, 1e-3, 1e-9, 1e-8
 #: Least and greatest of what a curve may begin with.
 LEAST, MOST = -16.0, -2.0
@@ -48,6 +49,8 @@ def unfitted() -> RiskModel:
         about=ABOUT,
         rocks=ROCKS,
         odds=(table,) * len(ROCKS),
+        undulation=UNDULATION,
+        undulating=(none,) * (len(UNDULATION) - 1),
         noise=(0.0, 1.0),
         noisy=none,
     )
@@ -81,7 +84,7 @@ def fit_curves(counts: Array) -> tuple[Row, Row]:
         counts: (2, R, S) weights of the landings tried and failed, over the bins of r and s.
     """
     tried, failed = counts / counts[0].sum()
-    hats_r, hats_s = _hats(RISE_BINS, RISE), _hats(SLOPE_BINS, SLOPE)
+    hats_r, hats_s = hats(RISE_BINS, RISE), hats(SLOPE_BINS, SLOPE)
     # What is sought are steps from knot to knot, none of them down.
     up_r, up_s = hats_r @ _sums(len(RISE)), hats_s @ _sums(len(SLOPE))
     bend_r = np.diff(_sums(len(RISE)), 2, axis=0)
@@ -107,26 +110,24 @@ def fit_curves(counts: Array) -> tuple[Row, Row]:
     bounds = [(LEAST, MOST), *[(0.0, None)] * (len(RISE) - 1)]
     bounds += [(LEAST, MOST), *[(0.0, None)] * (len(SLOPE) - 1)]
     steps = _least(cost, begin, bounds)
-    return _row(np.cumsum(steps[: len(RISE)])), _row(np.cumsum(steps[len(RISE) :]))
+    return rounded(np.cumsum(steps[: len(RISE)])), rounded(np.cumsum(steps[len(RISE) :]))
 
 
-def fit_tables(counts: Array) -> tuple[tuple[tuple[Row, ...], ...], tuple[Row, ...]]:
-    """Second step: c at the knots of g (tables), l (rows) and d (columns), and n at those of l, d.
+def fit_tables(shares: Array, counts: Array) -> Array:
+    """Second step: tables (G + H, I, J) of the log odds at the knots of l and d, c, m and n.
 
     Tables c ascend with l and d as good as always.
 
     Args:
-        counts: (2, 2, G, L, D) weights of the landings tried and failed, with the usual noise and
-            with more, over the bins of g, l and d.
+        shares: (M, G + H) what the tables weigh on each map (see ``RiskTable.shares``).
+        counts: (M, 2, L, D) weights of its landings tried and failed, over the bins of l and d.
     """
-    tried, failed = (counts / counts[0].sum()).reshape(2, -1)
-    here = np.flatnonzero(tried)
-    tried, failed, kinds = tried[here], failed[here], len(ROCKS)
-    more = np.repeat([[0.0], [1.0]], ROCK_BINS.size, axis=0)
-    share = np.hstack([np.tile(_hats(ROCK_BINS, ROCKS), (2, 1)), more])
-    place = kron(_hats(OWN_BINS, OWN), _hats(ABOUT_BINS, ABOUT))
-    hats = csr_array(kron(share, place, "csr"))[here]
-    tables = np.eye(kinds + 1)
+    maps, kinds, size = len(shares), len(ROCKS), len(OWN) * len(ABOUT)
+    tried, failed = np.swapaxes(counts, 0, 1).reshape(2, maps, -1) / counts[:, 0].sum()
+    here = tried > 0.0
+    tried, failed = tried[here], failed[here]
+    place = np.kron(hats(OWN_BINS, OWN), hats(ABOUT_BINS, ABOUT))
+    tables = np.eye(shares.shape[1])
     alike = np.vstack(
         [np.sqrt(ALIKE) * np.diff(tables[:kinds], axis=0), np.sqrt(SMALL) * tables[kinds:]]
     )
@@ -139,14 +140,16 @@ def fit_tables(counts: Array) -> tuple[tuple[tuple[Row, ...], ...], tuple[Row, .
     squares = [
         (SMOOTH_TABLES, differences(0, 2, tables)),
         (SMOOTH_TABLES, differences(1, 2, tables)),
-        (1.0, csr_array(kron(alike, np.eye(len(OWN) * len(ABOUT))))),
+        (1.0, csr_array(kron(alike, np.eye(size)))),
     ]
     rises = [differences(axis, 1, tables[:kinds]) for axis in (0, 1)]
+    more = np.zeros(here.shape)
 
     def cost(odds: Array) -> tuple[float, Array]:
-        at = hats @ odds
+        at = (shares @ odds.reshape(-1, size) @ place.T)[here]
         value = float(np.sum(tried * np.logaddexp(0.0, at) - failed * at))
-        by = hats.T @ (tried / (1.0 + np.exp(-at)) - failed)
+        more[here] = tried / (1.0 + np.exp(-at)) - failed
+        by = np.ravel(shares.T @ more @ place)
         for weight, matrix in squares:
             bent = matrix @ odds
             value, by = value + weight * float(bent @ bent), by + 2.0 * weight * matrix.T @ bent
@@ -156,10 +159,9 @@ def fit_tables(counts: Array) -> tuple[tuple[tuple[Row, ...], ...], tuple[Row, .
             by = by + 2.0 * ASCENDING * matrix.T @ down
         return value, by
 
-    begin = np.append(np.tile(np.repeat(OWN, len(ABOUT)), kinds), np.zeros(len(OWN) * len(ABOUT)))
-    found = _least(cost, begin, None).reshape(kinds + 1, len(OWN), len(ABOUT))
-    *odds, noisy = (tuple(_row(line) for line in table) for table in found)
-    return tuple(odds), noisy
+    begin = np.zeros((len(tables), len(OWN), len(ABOUT)))
+    begin[:kinds] = np.array(OWN)[:, None]
+    return _least(cost, begin.ravel(), None).reshape(begin.shape)
 
 
 def _least(
@@ -172,14 +174,10 @@ def _least(
     return np.asarray(found.x)
 
 
-def _hats(values: Array, knots: Row) -> Array:
-    """(len(values), len(knots)) shares of the knots in what is straight between them."""
-    return np.stack([np.interp(values, knots, unit) for unit in np.eye(len(knots))], axis=1)
-
-
 def _sums(count: int) -> Array:
     return np.tril(np.ones((count, count)))
 
 
-def _row(values: Array) -> Row:
+def rounded(values: Array) -> Row:
+    """As it is written into a file."""
     return tuple(round(float(value), 3) for value in values)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from quadtree_lss.config.risk import RiskModel
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.probability import RiskTable, limits
 from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.score import seen_about
+from quadtree_lss.core.landing.score import planes_below, seen_about
 from quadtree_lss.core.landing.touchdown import TouchdownCheck, WorstRest
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.tree.cell_map import CellMap
@@ -26,11 +26,11 @@ from quadtree_lss.evaluation.risk_fit import (
     ABOUT_BINS,
     OWN_BINS,
     RISE_BINS,
-    ROCK_BINS,
     SLOPE_BINS,
     counted,
     fit_curves,
     fit_tables,
+    rounded,
     unfitted,
 )
 from quadtree_lss.messages.maps import round_trip
@@ -156,6 +156,7 @@ class Landings:
         worst: The worst rests on the map.
         judged: (n + 1, n + 1) where all ground under the lander is seen.
         counts: (n + 1, n + 1) of these, where the truth is known.
+        slope: (n + 1, n + 1) of the ground at the lander's scale, rad.
         failed: (K,) of ``counts``: whether the lander fails there.
         noise: Range noise that the mapping was told, m.
     """
@@ -163,6 +164,7 @@ class Landings:
     worst: WorstRest
     judged: Mask
     counts: Mask
+    slope: Array
     failed: Mask
     noise: float
 
@@ -174,7 +176,8 @@ def land(mapped: Mapped, model: RiskModel, config: Config) -> Landings:
     judged = seen_about(raster, lss) >= 0.5 * lss.vehicle_diameter - 1e-9
     worst = TouchdownCheck(lss, limits(model, lss)).worst(raster, judged)
     counts = judged & mapped.known
-    return Landings(worst, judged, counts, ~mapped.safe[counts], config.lidar.range_noise)
+    slope, noise = planes_below(raster, lss).slope, config.lidar.range_noise
+    return Landings(worst, judged, counts, slope, ~mapped.safe[counts], noise)
 
 
 Progress = Callable[[int, int], None]
@@ -236,28 +239,36 @@ def fitted(flown: dict[str, list[Landings]], config: Config) -> RiskModel:
             rise, one.worst.slope[one.counts] - slope0, one.failed, (RISE_BINS, SLOPE_BINS)
         )
 
-    rise_odds, slope_odds = fit_curves(_evenly(flown, first))
-    model = replace(model, rise_odds=rise_odds, slope_odds=slope_odds)
+    rise_odds, slope_odds = fit_curves(np.asarray(sum(_evenly(flown, first))))
     usual = max(config.lidar.range_noise, 1e-6)
     noise = usual, NOISIER * usual
+    model = replace(model, rise_odds=rise_odds, slope_odds=slope_odds, noise=noise)
+    shares = [
+        RiskTable(model, lss, one.noise).shares(one.worst, one.judged, one.slope)
+        for landings in flown.values()
+        for one in landings
+    ]
     table = RiskTable(model, lss, usual)
 
     def second(one: Landings) -> Array:
         own, about = (odds[one.counts] for odds in table.log_odds(one.worst, one.judged))
-        out = np.zeros((2, 2, ROCK_BINS.size, OWN_BINS.size, ABOUT_BINS.size))
-        ground = np.argmin(np.abs(ROCK_BINS - table.rocks(one.worst, one.judged)))
-        more = round(float(np.interp(one.noise, noise, (0.0, 1.0))))
-        out[:, more, ground] = counted(own, about, one.failed, (OWN_BINS, ABOUT_BINS))
-        return out
+        return counted(own, about, one.failed, (OWN_BINS, ABOUT_BINS))
 
-    odds, noisy = fit_tables(_evenly(flown, second))
-    return replace(model, odds=odds, noise=noise, noisy=noisy)
+    found = fit_tables(np.array(shares), np.array(list(_evenly(flown, second))))
+    *tables, noisy = (tuple(rounded(line) for line in table) for table in found)
+    kinds = len(model.rocks)
+    odds, undulating = tuple(tables[:kinds]), tuple(tables[kinds:])
+    return replace(model, odds=odds, undulating=undulating, noisy=noisy)
 
 
-def _evenly(flown: dict[str, list[Landings]], count: Callable[[Landings], Array]) -> Array:
-    """Counts of all cases, each with weight 1."""
-    of_case = [np.sum([count(one) for one in landings], axis=0) for landings in flown.values()]
-    return np.asarray(sum(counts / counts[0].sum() for counts in of_case))
+def _evenly(
+    flown: dict[str, list[Landings]], count: Callable[[Landings], Array]
+) -> Iterator[Array]:
+    """Counts of each map; together those of a case have weight 1."""
+    for landings in flown.values():
+        weight = 1.0 / sum(one.failed.size for one in landings)
+        for one in landings:
+            yield weight * count(one)
 
 
 def _provenance(
@@ -269,7 +280,7 @@ def _provenance(
     cases = {}
     for name, landings in flown.items():
         table = RiskTable(model, config.lss, landings[0].noise)
-        risk = [table.risk(one.worst, one.judged)[one.counts] for one in landings]
+        risk = [table.risk(one.worst, one.judged, one.slope)[one.counts] for one in landings]
         failed = np.concatenate([one.failed for one in landings])
         brier, log = scores(np.concatenate(risk), failed)
         given = asdict(CASES[name])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from core.builders import configured, mapped
 from numpy.typing import NDArray
 
@@ -41,6 +42,11 @@ MODEL = RiskModel(
         ((-10.0, -9.5, -8.0), (-1.0, -0.5, -0.2), (5.0, 6.0, 6.0)),
         ((-10.0, -9.0, -4.0), (0.0, 0.5, 1.0), (6.0, 6.0, 6.0)),
     ),
+    undulation=(0.02, 0.05, 0.06),
+    undulating=(
+        ((0.5, 0.2, 0.0), (-0.4, 0.3, 0.0), (0.0, 0.0, 0.3)),
+        ((-0.5, 0.2, 1.0), (0.8, 0.0, 0.6), (0.0, 0.5, 0.0)),
+    ),
     noise=(0.05, 0.08),
     noisy=((0.0, 0.5, 1.0), (0.4, 0.0, -0.6), (-0.5, 0.0, 0.5)),
 )
@@ -56,7 +62,12 @@ def log_odds(p: float) -> float:
 
 
 def by_hand(
-    rise: Array, slope: Array, judged: NDArray[np.bool_], lss: LssConfig, noise: float
+    rise: Array,
+    slope: Array,
+    judged: NDArray[np.bool_],
+    ground: Array,
+    lss: LssConfig,
+    noise: float,
 ) -> Array:
     """The equations of ``RiskModel``, point by point."""
     out = np.ones(rise.shape)
@@ -75,6 +86,12 @@ def by_hand(
     few, many = np.array(MODEL.odds)
     more = min(max((noise - 0.05) / 0.03, 0.0), 1.0)
     table = (1.0 - share) * few + share * many + more * np.array(MODEL.noisy)
+    steepness = ground[judged & (slope <= steep)].mean()
+    between = [np.zeros((3, 3)), *np.array(MODEL.undulating)]
+    knot = max(int(np.searchsorted(MODEL.undulation, steepness)), 1)
+    low, high = (MODEL.undulation + (np.inf,))[knot - 1 : knot + 1]
+    part = max(steepness - low, 0.0) / (high - low)
+    table += (1.0 - part) * between[knot - 1] + (part * between[knot] if part else 0.0)
     for i, j in zip(*np.nonzero(judged), strict=True):
         four = padded[i, j + 1], padded[i + 2, j + 1], padded[i + 1, j], padded[i + 1, j + 2]
         d = max(max(four) - own[i, j], 0.0)
@@ -83,17 +100,21 @@ def by_hand(
     return out
 
 
-@pytest.mark.parametrize(("most", "noise"), [(0.302, 0.03), (0.45, 0.06), (0.6, 0.2)])
-def test_the_fit_is_looked_up_as_its_equations_say(most, noise):
-    """On ground that is rocky and less so, by lidars that are noisy and less so."""
+@pytest.mark.parametrize(
+    ("most", "noise", "steepest"),
+    [(0.302, 0.03, 0.03), (0.45, 0.06, 0.08), (0.6, 0.2, 0.108), (0.45, 0.06, 0.3)],
+)
+def test_the_fit_is_looked_up_as_its_equations_say(most, noise, steepest):
+    """On ground that is rocky or undulates, and less so, by lidars that are noisy and less so."""
     lss = LssConfig()
     rng = np.random.default_rng(3)
     shape = (40, 40)
     rise = rng.uniform(0.1, most, shape).astype(np.float32)
     slope = rng.uniform(0.05, 0.3, shape).astype(np.float32)
     judged = rng.random(shape) < 0.8
-    found = RiskTable(MODEL, lss, noise).risk(WorstRest(rise, slope), judged)
-    expected = by_hand(rise.astype(float), slope.astype(float), judged, lss, noise)
+    ground = np.where(judged, rng.uniform(0.0, steepest, shape), np.nan)
+    found = RiskTable(MODEL, lss, noise).risk(WorstRest(rise, slope), judged, ground)
+    expected = by_hand(rise.astype(float), slope.astype(float), judged, ground, lss, noise)
     odds, wanted = (np.log(p[judged] / (1.0 - p[judged])) for p in (found, expected))
     np.testing.assert_allclose(odds, wanted, atol=0.1)
     assert (found[~judged] == 1.0).all()
@@ -260,16 +281,19 @@ def test_a_file_that_is_no_model_is_refused(tmp_path, change, said):
         risk_model(str(path))
 
 
-def test_a_file_of_the_first_version_has_one_table_for_all_ground(tmp_path):
-    path = tmp_path / "model.yaml"
-    text, rows = risk_model_text(MODEL), "    - "
-    for newer in ("rocks: [-4, 1]\n", "noise: [0.05, 0.08]\n"):
-        text = text.replace(newer, "")
-    head, _, last = text.partition("odds:\n  -\n")
-    lines = [line for line in last.splitlines() if line.startswith(rows)][:3]
-    path.write_text("\n".join([head + "odds:", *lines, "provenance: {}"]))
-    old = replace(MODEL, rocks=(0.0,), odds=MODEL.odds[:1])
-    assert risk_model(str(path)) == replace(old, noise=(0.0, 1.0), noisy=((0.0,) * 3,) * 3)
+def test_files_of_former_versions_are_read(tmp_path):
+    """The first had one table for all ground; then there were several, with nothing added."""
+    path, values = tmp_path / "model.yaml", yaml.safe_load(risk_model_text(MODEL))
+    for newer in ("undulation", "undulating", "noise", "noisy"):
+        del values[newer]
+    nothing, at = ((0.0,) * 3,) * 3, (0.0, 1.0)
+    plain = replace(MODEL, undulation=at, undulating=(nothing,), noise=at, noisy=nothing)
+    path.write_text(yaml.safe_dump(values))
+    assert risk_model(str(path)) == plain
+    path = tmp_path / "first.yaml"
+    del values["rocks"]
+    path.write_text(yaml.safe_dump(values | {"odds": values["odds"][0]}))
+    assert risk_model(str(path)) == replace(plain, rocks=(0.0,), odds=MODEL.odds[:1])
 
 
 def test_the_shipped_model_grows_with_what_is_over_the_limits():

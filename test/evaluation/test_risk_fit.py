@@ -14,7 +14,7 @@ from quadtree_lss.config.loading import load_config, shipped_names
 from quadtree_lss.config.parameter import ConfigError
 from quadtree_lss.config.risk import doubt, risk_model, risk_model_text
 from quadtree_lss.config.settings import LssConfig
-from quadtree_lss.core.landing.probability import RiskTable
+from quadtree_lss.core.landing.probability import RiskTable, hats
 from quadtree_lss.core.landing.touchdown import WorstRest
 from quadtree_lss.evaluation.reliability import scores
 from quadtree_lss.evaluation.risk_fit import (
@@ -24,10 +24,10 @@ from quadtree_lss.evaluation.risk_fit import (
     OWN_BINS,
     RISE,
     RISE_BINS,
-    ROCK_BINS,
     ROCKS,
     SLOPE,
     SLOPE_BINS,
+    UNDULATION,
     counted,
     fit_curves,
     fit_tables,
@@ -67,24 +67,37 @@ def test_curves_ascend_where_chance_does_not():
 
 
 def test_tables_are_found_again_and_ascend():
-    rock, own, about = ROCK_BINS[:, None, None], OWN_BINS[:, None], ABOUT_BINS
-    odds = np.clip(0.9 * own + 0.4 * about + 0.2 * rock, -9.0, None)
-    odds = np.stack([odds, odds + 0.5 + 0.1 * own])  # usual noise, and more
-    risk = 1.0 / (1.0 + np.exp(-odds))
-    tables, noisy = map(np.array, fit_tables(np.stack([np.ones(risk.shape), risk])))
+    """Of maps with rocks and slopes of all kinds, half of them by a noisier lidar."""
+    rng, (own, about) = np.random.default_rng(3), (OWN_BINS[:, None], ABOUT_BINS)
+    shares, counts = [], []
+    for number in range(60):
+        rock, slope = rng.uniform(ROCKS[0], ROCKS[-1]), rng.uniform(0.02, 0.09)
+        noise, steep = float(number % 2), np.interp(slope, UNDULATION, (0.0, 1.0, 0.4))
+        odds = np.clip(0.9 * own + 0.4 * about + 0.2 * rock, -9.0, None)
+        odds = odds + noise * (0.5 + 0.1 * own) + steep * (0.3 * about - 0.2)
+        risk = 1.0 / (1.0 + np.exp(-odds))
+        counts.append([np.ones(risk.shape), risk])
+        by_rock = hats(np.array([rock]), ROCKS)[0]
+        shares.append([*by_rock, *hats(np.array([slope]), UNDULATION)[0, 1:], noise])
+    found = fit_tables(np.array(shares), np.array(counts))
+    tables, (first, second, noisy) = np.split(found, [len(ROCKS)])
     expected = 0.9 * np.array(OWN)[:, None] + 0.4 * np.array(ABOUT)
     expected = np.clip(expected + 0.2 * np.array(ROCKS)[:, None, None], -9.0, None)
     more = np.tile(0.5 + 0.1 * np.array(OWN)[:, None], len(ABOUT))
+    steeper = np.tile(0.3 * np.array(ABOUT) - 0.2, (len(OWN), 1))
     inner = np.s_[..., 3:-1, :]  # where a failure is rare the penalty decides
     assert np.abs(tables - expected)[inner].max() < 0.5
     assert np.abs(noisy - more)[inner].max() < 0.3
+    assert np.abs(first - steeper)[inner].max() < 0.3
+    assert np.abs(second - 0.4 * steeper)[inner].max() < 0.3
     assert np.diff(tables, axis=1).min() > -0.05 and np.diff(tables, axis=2).min() > -0.05
 
 
-def test_what_noise_adds_is_nothing_where_no_landing_tells():
-    counts = np.zeros((2, 2, ROCK_BINS.size, OWN_BINS.size, ABOUT_BINS.size))
-    counts[:, 0] = np.array([1.0, 0.1])[:, None, None, None]
-    assert np.abs(fit_tables(counts)[1]).max() == 0.0
+def test_what_noise_and_slopes_add_is_nothing_where_no_landing_tells():
+    counts = np.ones((1, 2, OWN_BINS.size, ABOUT_BINS.size))
+    counts[:, 1] = 0.1
+    level = np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]])
+    assert np.abs(fit_tables(level, counts)[len(ROCKS) :]).max() == 0.0
 
 
 def test_a_model_of_made_up_landings_is_calibrated():
@@ -97,10 +110,10 @@ def test_a_model_of_made_up_landings_is_calibrated():
     worst = WorstRest(rise.astype(np.float32), slope.astype(np.float32))
     judged = np.ones(shape, dtype=bool)
     failed = (true > lss.max_roughness).ravel()
-    landings = Landings(worst, judged, judged, failed, config.lidar.range_noise)
+    landings = Landings(worst, judged, judged, slope, failed, config.lidar.range_noise)
     model = fitted({"made up": [landings]}, config)
     noise = config.lidar.range_noise
-    risk = RiskTable(model, config.lss, noise).risk(worst, judged).ravel()
+    risk = RiskTable(model, config.lss, noise).risk(worst, judged, slope).ravel()
     for low, high in ((0.01, 0.1), (0.1, 0.5), (0.5, 0.95)):
         here = (risk >= low) & (risk < high)
         assert failed[here].mean() == pytest.approx(risk[here].mean(), rel=0.4)
@@ -129,6 +142,7 @@ def test_what_is_written_is_read_again(tmp_path):
         ({"own": "text"}, "risk model"),
         ({"noise": [0.08, 0.06]}, "noise do not ascend"),
         ({"noisy": [[0.0]]}, "own has 12 knots and 1 values"),
+        ({"undulation": [0.0, 0.1]}, "undulation has 2 knots and 3 values"),
     ],
 )
 def test_a_file_that_holds_no_model_is_one_clear_error(tmp_path, change, said):

@@ -101,37 +101,46 @@ class RiskTable:
         self._slope_odds = np.exp(np.interp(slope, model.slope, model.slope_odds))
         self._within = np.array([model.own[0], model.own[-1]])
         own, about = _steps(model.own, FINE_ODDS), _steps((0.0, *model.about[1:]), FINE_ODDS)
-        self._knots = model.rocks
-        # Not by BLAS: its threads go on waiting for more, and take a core for as long.
-        noisy = np.interp(noise, model.noise, (0.0, 1.0)) * np.array(model.noisy)
-        at_own = np.einsum("ni,gij->gnj", _shares(own, model.own), np.array(model.odds) + noisy)
-        self._odds = np.einsum("gnj,mj->gnm", at_own, _shares(about, model.about))
+        self._hats = hats(own, model.own), hats(about, model.about)
+        self._tables, self._knots = np.array(model.tables), (model.rocks, model.undulation)
+        self._noisy = float(np.interp(noise, model.noise, (0.0, 1.0)))
         self._limits = lss.max_roughness, tan(radians(lss.max_slope_deg))
 
-    def risk(self, worst: WorstRest, judged: Mask) -> Array:
+    def risk(self, worst: WorstRest, judged: Mask, slope: Array) -> Array:
         """P(unsafe) of landing at each grid point, (n + 1, n + 1); 1 where it is not judged.
 
         Args:
             worst: The lander's worst rests on the map.
             judged: (n + 1, n + 1) grid points of which these are known.
+            slope: (n + 1, n + 1) of the ground at the lander's scale, rad.
         """
         own, about = self.log_odds(worst, judged)
         out, least = np.empty(own.shape), float(self._within[0])
-        share = _shares(np.array([self.rocks(worst, judged)]), self._knots)[0]
-        table = 1.0 / (1.0 + np.exp(-np.einsum("g,gnm->nm", share, self._odds)))
+        # Not by BLAS: its threads go on waiting for more, and take a core for as long.
+        odds = np.einsum("k,kij->ij", self.shares(worst, judged, slope), self._tables)
+        at_own = np.einsum("ni,ij->nj", self._hats[0], odds)
+        table = 1.0 / (1.0 + np.exp(-np.einsum("nj,mj->nm", at_own, self._hats[1])))
         look_up(own, about, judged.view(np.uint8), table, least, FINE_ODDS, out)
         return out
 
-    def rocks(self, worst: WorstRest, judged: Mask) -> float:
-        """How rocky the ground is: g of ``RiskModel``, log(a (a / s)^3 + 0.00003).
+    def shares(self, worst: WorstRest, judged: Mask, slope: Array) -> Array:
+        """What the tables of ``RiskModel`` weigh on this ground, (G + H,); arguments as of `risk`.
 
-        Of the judged grid points, (n + 1, n + 1), at which the lander rests level enough, a is the
-        share at which something rises under it beyond the limit, and s at which it nearly does.
+        Of the judged grid points at which the lander rests level enough, a is the share at which
+        something rises under it beyond the limit, and s at which it nearly does:
+        g = log(a (a / s)^3 + 0.00003); h is the mean slope there.
         """
-        rise, slope = self._limits
-        rises = worst.rise[judged & (worst.slope <= slope)]
+        rise, steep = self._limits
+        level = judged & (worst.slope <= steep)
+        rises = worst.rise[level]
+        count = max(len(rises), 1)
         much, some = (int(np.count_nonzero(rises > at)) for at in (rise, rise - LOWER))
-        return log(much / max(len(rises), 1) * (much / max(some, 1)) ** 3 + NO_ROCKS)
+        g = log(much / count * (much / max(some, 1)) ** 3 + NO_ROCKS)
+        h = float(np.sum(slope, where=level)) / count
+        by_g, by_h = (
+            hats(np.array([at]), knots)[0] for at, knots in zip((g, h), self._knots, strict=True)
+        )
+        return np.concatenate([by_g, by_h[1:], [self._noisy]])
 
     def log_odds(self, worst: WorstRest, judged: Mask) -> tuple[Array, Array]:
         """What the second step goes by, (n + 1, n + 1) each: l and d of ``RiskModel``."""
@@ -166,8 +175,8 @@ def _steps(knots: Row, step: float) -> Array:
     return np.arange(0.0, knots[-1] - knots[0] + step, step) + knots[0]
 
 
-def _shares(values: Array, knots: Row) -> Array:
-    """(N, K) what the values at knots weigh in the straight lines between them."""
+def hats(values: Array, knots: Row) -> Array:
+    """(N, K) what the values at knots weigh at (N,) places, in the straight lines between them."""
     ones = np.eye(len(knots))
     return np.column_stack([np.interp(values, knots, one) for one in ones])
 

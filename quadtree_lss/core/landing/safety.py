@@ -75,12 +75,15 @@ class SafetyJudge:
         within = limits(risk_model(self.lss.risk_model), self.lss) if self._probable else None
         return TouchdownCheck(self.lss, within, heading)
 
-    def judge(self, raster: TerrainRaster, inside: Array, spread: Dispersion) -> Judgement:
+    def judge(
+        self, raster: TerrainRaster, inside: Array, slope: Array, spread: Dispersion
+    ) -> Judgement:
         """What the ground allows.
 
         Args:
             raster: The map.
             inside: (n + 1, n + 1) of ``score.seen_about``.
+            slope: (n + 1, n + 1) of ``score.planes_below``, rad.
             spread: Of the touchdown about its aim.
         """
         lss, side = self.lss, raster.domain.finest_size
@@ -99,7 +102,7 @@ class SafetyJudge:
         fails = judged & self._check.over(worst) if lss.assessment == "touchdown" else nothing
         uncertain, risk, at_aim = nothing, unknown, unknown
         if self._table is not None:
-            risk = self._table.risk(worst, judged)
+            risk = self._table.risk(worst, judged, slope)
             at_aim = aimed(risk, side, spread)
             if lss.assessment == "probability":
                 fails = judged & (risk > lss.max_risk)

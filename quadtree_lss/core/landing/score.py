@@ -60,6 +60,7 @@ class PointAssessment:
 def assess_points(
     cells: CellMap,
     raster: TerrainRaster,
+    planes: GroundPlanes,
     features: Bytes,
     inside: Array,
     fails: Mask,
@@ -69,6 +70,7 @@ def assess_points(
 
     Args:
         cells, raster: The map.
+        planes: Of ``planes_below``.
         features: (M,) of ``hazards.avoided_features``.
         inside: (n + 1, n + 1) of ``seen_about``.
         fails: (n + 1, n + 1) of the touchdown check, or where the risk is too great.
@@ -82,8 +84,6 @@ def assess_points(
     bits |= ~raster.seen * np.uint8(hazards.UNSEEN)
     # No zone fits a domain smaller than itself: none needs sums over more than that.
     widest = 0.5 * cells.domain.size
-    radius_below = min(ground_radius(lss), widest)
-    planes = ground_planes(raster.elevation, raster.seen, side, radius_below)
     hazard = touching(bits)
     if lss.assessment != "paper":
         landable = inside >= radius - 1e-9
@@ -141,6 +141,13 @@ def assess_points(
 def ground_radius(lss: LssConfig) -> float:
     """Radius of the ground at the lander's scale, m."""
     return 0.75 * 0.5 * lss.vehicle_diameter
+
+
+def planes_below(raster: TerrainRaster, lss: LssConfig) -> GroundPlanes:
+    """The ground at the lander's scale, at all grid points of the finest lattice."""
+    domain = raster.domain
+    radius = min(ground_radius(lss), 0.5 * domain.size)
+    return ground_planes(raster.elevation, raster.seen, domain.finest_size, radius)
 
 
 def seen_about(raster: TerrainRaster, lss: LssConfig) -> Array:

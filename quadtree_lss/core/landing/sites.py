@@ -30,6 +30,7 @@ from quadtree_lss.core.landing.score import (
     assess_points,
     greatest_about,
     ground_radius,
+    planes_below,
     room_about,
     seen_about,
 )
@@ -118,8 +119,9 @@ class LandingSiteSelector:
             return nothing_mapped(cells, self._answers, reason, x, y)
         features = hazards.avoided_features(cells, lss)
         inside = seen_about(raster, lss)
-        judged = self._judge.judge(raster, inside, spread)
-        points = assess_points(cells, raster, features, inside, judged.fails, lss)
+        planes = planes_below(raster, lss)
+        judged = self._judge.judge(raster, inside, planes.slope, spread)
+        points = assess_points(cells, raster, planes, features, inside, judged.fails, lss)
         bits = points.hazard
         bits |= judged.uncertain * np.uint8(hazards.UNCERTAIN)
         safe = at.everywhere(points.safe)
