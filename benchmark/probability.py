@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import configuration, machine, table
 from common.risk import flights
-from common.rules import RULES, Judged, drawn, judge, looks, stricter
+from common.rules import RULES, Judged, drawn, found_kept, judge, looks, swept
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -32,6 +32,7 @@ BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 FOUND = 0.996
 THRESHOLDS = np.geomspace(1e-4, 0.5, 120)
 TIMES = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)
+FINE_TIMES = np.geomspace(0.6, 1.5, 40)  # what rises less is not told apart
 RESAMPLED = 1000
 
 
@@ -73,7 +74,7 @@ def main() -> None:
         "Truly unsafe over predicted, by predicted risk in %", of_all | pooled(of_all)
     )
     score_table(judged)
-    rules_table(judged, config.lss.max_risk)
+    rules_table(flown, judged, config)
     sites_table(judged)
     looks_table(flown, config)
     if options.draws:
@@ -172,39 +173,48 @@ def score_table(judged: All) -> None:
     table(title, ["case", *header], lines)
 
 
-def found_kept(called: Mask, failed: Mask) -> tuple[float, float]:
-    """Share of hazards found, and of safe ground kept."""
-    return float((~called)[failed].mean()), float(called[~failed].mean())
+def most_kept(curves: Array, limits: Array) -> tuple[float, float]:
+    """The widest limit by which the worst flight finds ``FOUND``, and what it keeps in the mean;
+    NaN if there is none.
+
+    Args:
+        curves: (N, T, 2) of ``found_kept`` for each flight and limit.
+        limits: (T,) that ascend.
+    """
+    enough = np.flatnonzero(curves[:, :, 0].min(axis=0) >= FOUND)
+    if not enough.size:
+        return float("nan"), float("nan")
+    return float(limits[enough[-1]]), float(curves[:, enough[-1], 1].mean())
 
 
-def at_least(last: list[Judged], goal: float) -> tuple[float, list[float]]:
-    """The greatest threshold at which the worst flight finds ``goal``, and what each keeps."""
-    best = 0.0
-    for threshold in THRESHOLDS:
-        if min(found_kept(j.risk <= threshold, j.failed)[0] for j in last) >= goal:
-            best = float(threshold)
-    return best, [found_kept(j.risk <= best, j.failed)[1] for j in last]
+def by_risk(last: list[Judged]) -> Array:
+    """(N, T, 2) of ``found_kept`` at ``THRESHOLDS``."""
+    return np.array([[found_kept(j.risk <= t, j.failed) for t in THRESHOLDS] for j in last])
 
 
-def rules_table(judged: All, max_risk: float) -> None:
-    """Operating points."""
-    lines = []
+def rules_table(flown: Flown, judged: All, config: Config) -> None:
+    """Operating points as they are shipped, and those that find ``FOUND`` in the worst flight."""
+    lines, gained = [], []
     for name, of_case in judged.items():
-        last = [maps[-1] for maps in of_case]
-        row, kept, worst = [name], {}, {}
+        last, row = [maps[-1] for maps in of_case], [name]
         for rule in RULES:
-            found, kept[rule] = np.transpose([found_kept(j.called[rule], j.failed) for j in last])
-            worst[rule] = found.min()
+            found, kept = np.transpose([found_kept(j.called[rule], j.failed) for j in last])
             row += [f"{100 * found.mean():.2f} / {100 * found.min():.2f}"]
-            row += [f"{100 * kept[rule].mean():.1f}"]
-        threshold, own = at_least(last, min(FOUND, float(worst["touchdown"])))
-        more = 100.0 * (np.array(own) - kept["touchdown"])
-        row += [f"{100 * threshold:.2f}", f"{100 * np.mean(own):.1f}", f"{more.mean():+.1f}"]
-        lines.append(row)
+            row += [f"{100 * kept.mean():.1f}"]
+        own = CASES.get(name, Conditions()).mapping(config)
+        curves = np.array([swept(maps[-1], own, "touchdown", FINE_TIMES) for maps in flown[name]])
+        times, theirs = most_kept(curves, FINE_TIMES)
+        risk, ours = most_kept(by_risk(last), THRESHOLDS)
+        gained.append(100.0 * (ours - theirs))
+        row += [f"{dashed(times, '.2f')}: {dashed(100 * theirs, '.1f')}"]
+        row += [f"{dashed(100 * risk, '.2f')}: {dashed(100 * ours, '.1f')}"]
+        lines.append([*row, dashed(gained[-1], "+.1f")])
     header = [text for rule in RULES for text in (f"{rule}: found", "kept")]
-    title = f"Hazards found, mean / worst flight, and safe ground kept, % (max_risk {max_risk:g})"
-    at = f"risk for touchdown's worst, {100 * FOUND:g} % at most"
-    table(title, ["case", *header, at, "kept", "more than touchdown"], lines)
+    title = "Hazards found, mean / worst flight, and safe ground kept, %; by max_risk "
+    title += f"{config.lss.max_risk:g}, and where the worst flight finds {100 * FOUND:g} %"
+    at = ["touchdown's limits, times: kept", "risk, %: kept", "more"]
+    lines.append(["mean", *[""] * (len(header) + 2), dashed(float(np.nanmean(gained)), "+.1f")])
+    table(title, ["case", *header, *at], lines)
 
 
 def sites_table(judged: All) -> None:
@@ -275,19 +285,11 @@ def draw(file: Path, of_all: dict[str, Sample], flown: Flown, judged: All, c: Co
     left.legend(fontsize=7)
     shown = next(iter(judged))
     last = [maps[-1] for maps in judged[shown]]
-    points = [[found_kept(j.risk <= t, j.failed) for j in last] for t in THRESHOLDS]
-    curves = {"probability": np.array(points)}
+    curves = {"probability": by_risk(last)}
     for rule in RULES[:2]:
-        points = [
-            [
-                found_kept(stricter(maps[-1], c, rule, times), j.failed)
-                for maps, j in zip(flown[shown], last, strict=True)
-            ]
-            for times in TIMES
-        ]
-        curves[rule] = np.array(points)
+        curves[rule] = np.array([swept(maps[-1], c, rule, TIMES) for maps in flown[shown]])
     for rule, values in curves.items():
-        found, kept = values.mean(axis=1).T
+        found, kept = values.mean(axis=0).T
         marker = "" if rule == "probability" else "."
         right.plot(100 * kept, 100 * np.maximum(1.0 - found, 1e-5), marker=marker, label=rule)
     right.set(yscale="log", xlabel="safe ground kept, %", ylabel="hazards missed, %")

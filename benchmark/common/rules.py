@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.arrays import Array, Index, Mask
@@ -103,19 +104,28 @@ def clearance(mapped: Mapped, landings: Landings, sites: Array) -> float:
     return float(room[at[1], at[0]] / room[landings.counts].max())
 
 
-def stricter(mapped: Mapped, config: Config, rule: str, times: float) -> Mask:
-    """Called safe (K,) by a rule whose limits are so many times as wide."""
-    landings = land(mapped, WIDE, config)
-    if rule == "touchdown":
-        lss, side = config.lss, mapped.cells.domain.finest_size
-        rise, slope = times * lss.touchdown_roughness, times * lss.touchdown_slope_deg
-        high = landings.worst.rise > rise
-        fails = high | (landings.worst.slope > np.tan(np.radians(slope)))
-        return np.asarray(~grown(fails & landings.judged, lss.hazard_growth, side))[landings.counts]
-    changes = {"max_slope_deg": times * config.lss.max_slope_deg}
-    changes["max_roughness"] = times * config.lss.max_roughness
-    selector = LandingSiteSelector(by_rule(config, rule, **changes))
-    return selector.assess(mapped.cells).safe[landings.counts]
+def swept(mapped: Mapped, config: Config, rule: str, times: ArrayLike) -> Array:
+    """Hazards found and safe ground kept (T, 2) by a rule whose limits are T times as wide."""
+    landings, lss, out = land(mapped, WIDE, config), config.lss, []
+    rise, slope = landings.worst.rise, landings.worst.slope
+    for factor in np.asarray(times).tolist():
+        if rule == "touchdown":
+            steep = np.tan(np.radians(factor * lss.touchdown_slope_deg))
+            fails = (rise > factor * lss.touchdown_roughness) | (slope > steep)
+            side = mapped.cells.domain.finest_size
+            safe = ~grown(fails & landings.judged, lss.hazard_growth, side)
+        else:
+            changes = {"max_slope_deg": factor * lss.max_slope_deg}
+            changes["max_roughness"] = factor * lss.max_roughness
+            selector = LandingSiteSelector(by_rule(config, rule, **changes))
+            safe = selector.assess(mapped.cells).safe
+        out.append(found_kept(safe[landings.counts], landings.failed))
+    return np.array(out)
+
+
+def found_kept(called: Mask, failed: Mask) -> tuple[float, float]:
+    """Share of hazards found, and of safe ground kept."""
+    return float((~called)[failed].mean()), float(called[~failed].mean())
 
 
 def drawn(mapped: Mapped, config: Config, draws: int, seed: int) -> Array:
