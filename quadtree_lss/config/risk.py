@@ -34,11 +34,11 @@ class RiskModel:
 
     Then what lies about it, for a map misplaces things: d is by how much l is greater at the worst
     of the four neighbours. And what ground it is, for where rocks are seen there are some that are
-    not. Of the ground that is judged and on which the lander rests level enough let a be the share
-    where something rises under it by more than ``lss.max_roughness``, and s that where it rises by
+    not. Of the ground that is judged and on which the lander rests level enough let u be the share
+    where something rises under it by more than ``lss.max_roughness``, and v that where it rises by
     more than 0.12 m less. Rocks rise much or not at all, the rims of craters mostly a little:
 
-        g = log(a (a / s)^3 + 0.00003).
+        g = log(u (u / v)^3 + 0.00003).
 
     On flat ground what rises is rocks, of which a map shows a part; where the ground undulates it
     is its form as well, which a map shows whole: h is the mean slope of that level ground. The log

@@ -126,9 +126,9 @@ class RiskTable:
     def shares(self, worst: WorstRest, judged: Mask, slope: Array) -> Array:
         """What the tables of ``RiskModel`` weigh on this ground, (G + H,); arguments as of `risk`.
 
-        Of the judged grid points at which the lander rests level enough, a is the share at which
-        something rises under it beyond the limit, and s at which it nearly does:
-        g = log(a (a / s)^3 + 0.00003); h is the mean slope there.
+        Of the judged grid points at which the lander rests level enough, u is the share at which
+        something rises under it beyond the limit, and v at which it nearly does:
+        g = log(u (u / v)^3 + 0.00003); h is the mean slope there.
         """
         rise, steep = self._limits
         level = judged & (worst.slope <= steep)
