@@ -76,7 +76,7 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
         cells.iy.astype(np.intp) << down,
         cells.ix.astype(np.intp) << down,
         np.left_shift(1, down),
-        np.where(cells.measured, cells.z, np.nan),
+        cells.z,
         cells.normal,
         cells.feature,
         side,

@@ -117,4 +117,7 @@ def lift(table: LeafTable, height: float, since: float) -> None:
             first = leaf[row].first_time
             last = leaf[row].last_time
             shared = (last - max(first, since) + INSTANT) / (last - first + INSTANT)
-            leaf[row].z += height * min(max(shared, 0.0), 1.0)
+            rise = height * min(max(shared, 0.0), 1.0)
+            leaf[row].z += rise
+            leaf[row].low += rise
+            leaf[row].high += rise

@@ -185,7 +185,7 @@ def asks(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     return leaf.division_sum > total * (rules.division_factor * expected + doubt)
 
 
-def hides_rock(rules: Rules, leaf: Record, side: float) -> cython.bint:
+def hides_rock(rules: Rules, leaf: Record, run: Record, side: float) -> cython.bint:
     """Whether a leaf holds a rock, which the mean over a large leaf hides.
 
     A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows in one of
@@ -206,6 +206,11 @@ def hides_rock(rules: Rules, leaf: Record, side: float) -> cython.bint:
         least = max(1.0, max(rules.divide_area / (side * side), STRAY) * counted)
         if leaf.raised_sum >= noise + max(least, 3.0 * sqrt(noise)):
             return True
+        # A look at ground that no other saw.
+        noise *= run.points / max(counted, 1.0)
+        least = max(2.0, max(rules.divide_area / (side * side), STRAY) * run.points)
+        if run.raised >= noise + max(least, 3.0 * sqrt(noise)):
+            return True
     return leaf.feature[4] <= rules.rock_sigma and feature_height(leaf.feature) >= rules.rock_height
 
 
@@ -221,10 +226,15 @@ def asks_in(
 
 
 def hides_rock_in(
-    rules: Rules, rows: NDArray[np.void], row: cython.Py_ssize_t, side: float
+    rules: Rules,
+    rows: NDArray[np.void],
+    row: cython.Py_ssize_t,
+    runs: NDArray[np.void],
+    at: cython.Py_ssize_t,
+    side: float,
 ) -> cython.bint:
-    """`hides_rock` of records (M,) of type `LEAF`."""
-    return hides_rock(rules, leaf_at(rows, row), side)
+    """`hides_rock` of records (M,) of type `LEAF` and (R,) of type `RUN`."""
+    return hides_rock(rules, leaf_at(rows, row), record(runs, at), side)
 
 
 def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> cython.double:

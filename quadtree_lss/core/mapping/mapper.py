@@ -243,7 +243,7 @@ class Mapper:
             roughness=roughness,
             exception_fraction=exceptions,
             feature=feature,
-            observed=observed.view(np.bool_),
+            observed=observed >= 2,
             offset_z=self._offset[0],
             offset_variance=self._offset[1],
         )

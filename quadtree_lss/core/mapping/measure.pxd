@@ -19,6 +19,9 @@ cdef struct Run:
     double square
     double statistic
     double unseen
+    double raised
+    double raised_by
+    double greatest
     double range_part[9]
     double pose_part[9]
 

@@ -52,10 +52,12 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 #: - cosine: |n.u|, u the ray to the centroid; variance: of a residual from range noise, m^2;
 #: - square: mean square residual about the fit, m^2; statistic: of division;
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
+#: - raised: points that stand out above the leaf's plane; greatest: |orthogonal distance|, m;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
+    + [("raised", "f8"), ("raised_by", "f8"), ("greatest", "f8")]
     + [("range_part", "f8", 9), ("pose_part", "f8", 9)]
 )
 
@@ -248,7 +250,7 @@ def measure(
     else:
         arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, arm, sigma, run.pose_part)
-    run.statistic = 0.0
+    run.statistic = run.raised = run.greatest = 0.0
 
 
 def fit(

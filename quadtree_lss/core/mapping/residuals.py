@@ -6,12 +6,15 @@ from __future__ import annotations
 import cython
 
 from quadtree_lss.arrays import Array
+from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.mapping.measure import Rules
 from quadtree_lss.core.tree.leaves import Record
 
 if not cython.compiled:
     from math import erfc, fabs, sqrt
 
+#: A view that leaves out more than this share of a cell's width is held against the leaf's plane.
+PARTIAL = cython.declare(cython.double, 0.5)
 #: E[chi_1] = sqrt(2 / pi).
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 #: A point stands out of curved ground if it is this many root mean square residuals above.
@@ -32,6 +35,7 @@ def rest(
     residual: Array,
     begin: cython.Py_ssize_t,
     end: cython.Py_ssize_t,
+    origin: Vector,
 ) -> None:
     """Add a run to the running statistics of the leaf it came to rest in.
 
@@ -49,20 +53,32 @@ def rest(
     variance = run.variance
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
+    if run.unseen >= PARTIAL or count < 2.0:
+        d = n_x * (leaf.x - origin[0]) + n_y * (leaf.y - origin[1]) + n_z * (leaf.z - origin[2])
     usual = variance
     if leaf.division_weight > 0.0:
         usual = leaf.square_sum / leaf.division_weight
     high = max(rules.rock_height, OUTSTANDING * sqrt(usual))
     clip = rules.clip
     total = raised = greatest = 0.0
+    low = high_z = points[begin, 2]
     for i in range(begin, end):
-        e = n_x * points[i, 0] + n_y * points[i, 1] + n_z * points[i, 2] - d
+        z = points[i, 2]
+        low = z if z < low else low
+        high_z = z if z > high_z else high_z
+        e = n_x * points[i, 0] + n_y * points[i, 1] + n_z * z - d
         residual[i] = e
         raised += 1.0 if e > high else 0.0
         e = fabs(e)
         greatest = e if e > greatest else greatest
         total += e if e < clip else clip
-    noise = variance * (1.0 - 1.0 / count)
+    leaf.low = min(leaf.low, low + origin[2])
+    leaf.high = max(leaf.high, high_z + origin[2])
+    run.raised = raised
+    run.raised_by = high
+    run.greatest = greatest
+    leaf.greatest = max(leaf.greatest, greatest)
+    noise = variance * max(1.0 - 1.0 / count, 0.5)
     leaf.distance_sum += total
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
     leaf.raised_sum += raised

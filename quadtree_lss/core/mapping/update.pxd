@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport exp, fabs, sqrt
+from libc.math cimport INFINITY as INFINITE, exp, fabs, sqrt
 from quadtree_lss.core.geometry.plane cimport fuse
 from quadtree_lss.core.mapping.bell cimport Heights
 from quadtree_lss.core.mapping.division cimport asks, hides_rock, judge
 from quadtree_lss.core.mapping.features cimport update_feature
 from quadtree_lss.core.mapping.measure cimport Rules, Run, measure, record
 from quadtree_lss.core.mapping.residuals cimport rest
-from quadtree_lss.core.tree.leaves cimport HINTS, INHERITED, MEASURED, NOTHING, Leaf, LeafTable, clear
+from quadtree_lss.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable, clear
 
 cdef class ScanUpdate:
     cdef LeafTable table
@@ -37,5 +37,6 @@ cdef class ScanUpdate:
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
     cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
     cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil
+    cdef void _mark(self, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
     cdef void _rest(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef double common(self, double time) noexcept nogil

@@ -13,7 +13,7 @@ from quadtree_lss.core.sensing.register import RegisteredScan
 from quadtree_lss.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
-    from math import exp, fabs, sqrt
+    from math import exp, fabs, inf, sqrt
 
     from quadtree_lss.core.geometry.plane import fuse
     from quadtree_lss.core.mapping.division import asks, hides_rock, judge
@@ -23,8 +23,13 @@ if not cython.compiled:
     from quadtree_lss.core.tree.leaves import clear
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
+    SEEN, KNOWN, OUT = 1, 2, 3
+    INFINITE = inf
 
 
+#: A view that leaves out more than this share of a cell's width does not stand for the cell.
+PATIENCE = cython.declare(cython.double, float(__import__("os").environ.get("PAT","1")))
+PARTIAL = cython.declare(cython.double, 0.5)
 #: A slope less certain than this (rad, one sigma) is none.
 MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
 #: Before anything is known, ground is level but for this (rad, one sigma) ...
@@ -144,8 +149,6 @@ class ScanUpdate:
         self.ratio = np.empty((2, len(self.key)))
         self.ratios, self.weights = self.ratio[0], self.ratio[1]
         with cython.nogil:
-            for i in range(self.key.shape[0]):
-                self.table.seen[self.key[i]] = 1
             for i in range(self.cells):
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 begin, end = self.begins[i], self.begins[i + 1]
@@ -265,22 +268,32 @@ class ScanUpdate:
         if self._contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
+                self._mark(begin, end, SEEN)
                 return
             clear(leaf)
+            self.table.unknow(leaf)
             leaf.known = NOTHING
             leaf.normal[0] = leaf.normal[1] = 0.0
             leaf.normal[2] = 1.0
         fresh: cython.bint = leaf.known <= HINTS
+        if fresh and run.unseen >= PARTIAL and run.points >= self.rules.min_residuals:
+            # Smaller cells can hold what this one cannot.
+            leaf.views += 1.0
+            if leaf.views >= PATIENCE and self._divide(row, run):
+                self._go_on(row, begin, end, False)
+                return
+        first: cython.bint = leaf.known != MEASURED
         judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
         self._fuse(leaf, run, same_scan)
         if leaf.known != MEASURED:
+            self._mark(begin, end, SEEN)
             return
+        if first:
+            leaf.low, leaf.high = INFINITE, -INFINITE
         asked: cython.bint = asks(self.rules, leaf, run)
         if not (asked and self._divide(row, run)):
             self._rest(leaf, begin, end, run)
-            if run.unseen >= 0.5 or run.points < self.rules.min_residuals:
-                return
-            if not hides_rock(self.rules, leaf, self.table.side(leaf.level)):
+            if not hides_rock(self.rules, leaf, run, self.table.side(leaf.level)):
                 return
             if asked or not self._divide(row, run):
                 return
@@ -306,17 +319,29 @@ class ScanUpdate:
             self._settle(child, begin, stop, run, same_scan)
             begin = stop
 
+    @cython.boundscheck(False)
+    def _mark(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar) -> None:
+        """The finest cells under a run are `SEEN` at least, or `KNOWN`."""
+        i: cython.Py_ssize_t
+        for i in range(begin, end):
+            if self.table.seen[self.key[i]] < state:
+                self.table.seen[self.key[i]] = state
+
+    @cython.boundscheck(False)
     def _rest(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
         """Points came to rest: residuals, and the leaf's feature."""
+        cython.declare(i=cython.Py_ssize_t, state=cython.uchar)
         if run.points >= NOISE_POINTS:
             self.ratios[self.rested] = sqrt(run.square / run.variance)
             self.weights[self.rested] = run.points
             self.rested += 1
-        if run.points < 2.0:
-            return
-        rest(self.rules, leaf, run, self.points, self.residual, begin, end)
+        rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.origin)
+        for i in range(begin, end):
+            state = OUT if fabs(self.residual[i]) > run.raised_by else KNOWN
+            if self.table.seen[self.key[i]] < state:
+                self.table.seen[self.key[i]] = state
         if self.rules.features:
             update_feature(
                 self.rules,

@@ -10,6 +10,11 @@ cdef enum:
     INHERITED
     MEASURED
 
+cdef enum:
+    SEEN = 1
+    KNOWN = 2
+    OUT = 3
+
 cdef struct Leaf:
     int level
     int ix
@@ -34,6 +39,10 @@ cdef struct Leaf:
     double division_sum
     double division_weight
     double square_sum
+    double low
+    double high
+    double greatest
+    double views
     double feature[5]
     double feature_information[25]
 
@@ -62,6 +71,7 @@ cdef class LeafTable:
     cdef Leaf* at(self, Py_ssize_t row) noexcept nogil
     cdef double side(self, int level) noexcept nogil
     cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
+    cdef void unknow(self, Leaf* leaf) noexcept nogil
     cdef bint divide(self, Py_ssize_t row, double square, double tilt) noexcept nogil
     cpdef reserve(self, Py_ssize_t more)
 

@@ -25,6 +25,7 @@ if not cython.compiled:
 
     NAN = float("nan")
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
+    SEEN, KNOWN, OUT = 1, 2, 3
 
     def prefetch(at: object) -> None:
         """Only a compiled program knows where its numbers lie."""
@@ -47,6 +48,8 @@ Record: TypeAlias = Any
 #:   raised_noise: what range noise alone adds to each; residuals: measurements in these sums;
 #: - division_sum, square_sum, division_weight: sums of the division statistic and of the mean
 #:   square residual about the scans' own fits, m^2, and of their weights;
+#: - low, high: lowest and highest return, m, of those that came to rest here, or before that of
+#:   those of the parent; low > high for none; greatest: |orthogonal distance| of one, m;
 #: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
 #:   covariance (25), feature_information.
 LEAF = np.dtype(
@@ -57,6 +60,7 @@ LEAF = np.dtype(
     + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
     + [("raised_sum", "f8"), ("raised_noise", "f8"), ("residuals", "f8")]
     + [("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
+    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("views", "f8")]
     + [("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
 
@@ -76,7 +80,7 @@ def clear(leaf: Record) -> None:
     leaf.distance_sum = leaf.noise_sum = 0.0
     leaf.exception_sum = leaf.exception_noise = 0.0
     leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
-    leaf.division_sum = leaf.division_weight = leaf.square_sum = 0.0
+    leaf.division_sum = leaf.division_weight = leaf.square_sum = leaf.greatest = 0.0
     for i in range(5):
         leaf.feature[i] = NAN
 
@@ -89,7 +93,8 @@ class LeafTable:
         rows: Records of type `LEAF`, of which the first ``count`` are leaves; a division may
             replace the array by a longer one.
         leaf_of: (4^max_level,) row of the leaf over each finest cell, by its Morton code.
-        observed: (4^max_level,) 1 for finest cells in which a point fell, else 0.
+        observed: (4^max_level,) of the finest cells: 0 where no point fell, 1 where one did, 2 where
+            one came to rest in the present leaf, so that the leaf's plane was compared with it.
         count, capacity, max_cells: Leaves, rows, and how many leaves there may be.
     """
 
@@ -120,6 +125,7 @@ class LeafTable:
         count = len(columns["level"])
         self._allocate(count)
         self.rows["feature"] = np.nan
+        self.rows["low"], self.rows["high"] = np.inf, -np.inf
         for name, column in columns.items():
             self.rows[name][:count] = column
         self.count = count
@@ -172,6 +178,8 @@ class LeafTable:
         first = encode(ix, iy) << (2 * (self.max_level - level))
         for code in range(first, first + (1 << (2 * (self.max_level - level)))):
             self.over[code] = row
+            if self.seen[code] == OUT:
+                self.seen[code] = SEEN
 
     @cython.boundscheck(False)
     def divide(
@@ -224,6 +232,16 @@ class LeafTable:
             self._place(at, level + 1, ix + (child & 1), iy + (child >> 1))
         self.count += 3
         return True
+
+    @cython.boundscheck(False)
+    def unknow(self, leaf: Record) -> None:
+        """Nothing is known of the finest cells under a leaf; seen they were."""
+        code: cython.Py_ssize_t
+        down: cython.int = 2 * (self.max_level - leaf.level)
+        first: cython.Py_ssize_t = encode(leaf.ix, leaf.iy) << down
+        for code in range(first, first + (1 << down)):
+            if self.seen[code] > SEEN:
+                self.seen[code] = SEEN
 
     def make_room_and_divide(self, row: int, square: float, tilt: float) -> cython.bint:
         """`divide` one leaf."""
