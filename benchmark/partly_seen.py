@@ -1,0 +1,330 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ground that is seen in part: edges, small footprints, few looks, strips, and recorded flights.
+
+Scenes of the first four cases are closed formulas (`common.rays`); ``autzen`` and the terrains of
+``section_vi`` need files that others measured, and are left out where these are not at hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import configuration, machine, table
+from common.claims import claims, summary
+from common.rays import Scene, View, fan, rocks, view
+
+from quadtree_lss.arrays import Array
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.simulation.safety import Lander, contact_safe
+
+NOISE = 0.06
+#: m: posts of the true ground that the lander is set down on.
+POST = 0.05
+FLASH = fan(1.0, 128)
+
+
+def main() -> None:
+    """Print a table for each case."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--case", choices=CASES, nargs="+", default=list(CASES))
+    parser.add_argument("--seeds", type=int, nargs="+", help="by default those of each case")
+    parser.add_argument("--quick", action="store_true", help="a small part of each case")
+    options = parser.parse_args()
+    print(machine())
+    for name in options.case:
+        began = time.process_time()
+        CASES[name](options.seeds, options.quick)
+        print(f"({name}: {time.process_time() - began:.0f} s)", flush=True)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What landing says of a map, against the truth.
+
+    Attributes:
+        found: The assessment.
+        safe: Grid points called safe.
+        wrong: (K, 2) places of those that are not.
+        risk: Least risk told for these, NaN for none.
+        aim: Greatest probability told for these, NaN for none.
+    """
+
+    found: LandingAssessment
+    safe: int
+    wrong: Array
+    risk: float
+    aim: float
+
+
+def verdict(cells: CellMap, config: Config, scene: Scene) -> Verdict:
+    """Set the lander down on the true ground wherever the map calls it safe."""
+    found = LandingSiteSelector(config).assess(cells)
+    row, column = np.nonzero(found.safe)
+    places = np.column_stack([found.x[column], found.y[row]])
+    if not len(places):
+        return Verdict(found, 0, places, np.nan, np.nan)
+    reach = 0.5 * Lander().diameter + 0.5
+    x, y = (np.arange(v.min() - reach, v.max() + reach, POST) for v in places.T)
+    wrong = ~contact_safe(x, y, scene.dem(x, y), places)
+    row, column, some = row[wrong], column[wrong], wrong.any()
+    risk = found.risk[row, column].min() if some else np.nan
+    aim = found.probability[row, column].max() if some else np.nan
+    return Verdict(found, len(wrong), places[wrong], risk, aim)
+
+
+def mapped(config: Config, views: list[View]) -> CellMap:
+    """All views in order."""
+    mapper = Mapper(config)
+    for one in views:
+        mapper.update(one.points, one.pose)
+    return mapper.snapshot()
+
+
+def told(value: float, form: str = ".1e") -> str:
+    """A number, or a dash for none."""
+    return format(value, form) if np.isfinite(value) else "-"
+
+
+def from_glide_slope(target: Array, heading: float, slant: float, slope_deg: float) -> Array:
+    """Where a lidar stands that looks at a place (2,) on z = 0."""
+    slope = np.radians(slope_deg)
+    back = -np.cos(slope) * np.array([np.cos(heading), np.sin(heading)])
+    return np.array([*(target + slant * back), slant * np.sin(slope)])
+
+
+def edge(seeds: list[int] | None, quick: bool) -> None:
+    """A rock where the scanned ground ends, in a leaf of which a part was seen."""
+    rows = []
+    for level, border, edges in (
+        (4, 20.0, (20.8, 21.3, 21.8, 20.4, 22.4, 23.2)),
+        (3, 16.0, (17.0, 18.0, 19.2, 21.0)),
+        (5, 20.0, (20.5, 20.8, 21.3)),
+    ):
+        config = configuration("flight", domain__min_level=level)
+        for at in edges[:3] if quick else edges:
+            verdicts, returns, hit = [], [], 0
+            for seed in seeds or range(401, 403 if quick else 409):
+                rng = np.random.default_rng([seed, level, round(100 * at)])
+                one, count = one_edge(rng, config, border, at)
+                verdicts.append(one)
+                returns.append(count)
+                hit += len(one.wrong) > 0
+            rows.append(
+                [f"{config.domain.size / 2**level:g}", f"{at:g}", len(verdicts)]
+                + [min(returns), sum(v.safe for v in verdicts), hit]
+                + [sum(len(v.wrong) for v in verdicts), most(verdicts)]
+                + [told(np.nanmin([v.risk for v in verdicts] + [np.inf]))]
+                + [told(np.nanmax([v.aim for v in verdicts] + [-np.inf]), ".4f")]
+            )
+    table(
+        "edge: rock of 0.45 m at the edge of what was scanned; grid points called safe",
+        ["leaf m", "edge m", "draws", "returns, least", "safe", "draws with unsafe ones", "unsafe"]
+        + ["most in a draw", "least risk", "best aim"],
+        rows,
+    )
+
+
+def most(verdicts: list[Verdict]) -> int:
+    """Of unsafe points in one map."""
+    return max(len(v.wrong) for v in verdicts)
+
+
+def one_edge(
+    rng: np.random.Generator, config: Config, border: float, at: float
+) -> tuple[Verdict, int]:
+    """Ground is scanned up to ``at``; the rock stands within the leaf that begins at ``border``."""
+    low, high = border + 0.25, max(at - 0.1, border + 0.3)
+    side = config.domain.size / 2**config.domain.min_level
+    place = np.array([low + (high - low) * rng.random(), side * rng.random() - 0.5 * side])
+    scene = Scene(spheres=rocks(place[None], 0.45, 0.45))
+    # The edge is east, or north: along or across the line of sight.
+    heading, turned = 2.0 * np.pi * rng.random(), rng.random() < 0.5
+    if turned:
+        scene = Scene(spheres=scene.spheres[:, [1, 0, 2, 3]])
+    views = []
+    for k, (along, across) in enumerate(np.ndindex(6, 7)):
+        target = np.array([at - 1.0 - 2.5 * along, 9.0 - 3.0 * across]) + rng.normal(0, 0.3, 2)
+        target = target[::-1] if turned else target
+        from_there = from_glide_slope(target, heading, 300.0, 35.0)
+
+        def keep(x: Array, y: Array) -> Array:
+            return (y if turned else x) < at
+
+        rays, aim = FLASH, np.array([*target, 0.0])
+        views.append(view(scene, from_there, aim, rays, NOISE, rng, 1.0 + 0.05 * k, keep=keep))
+    returns = sum(int((one.hit >= 0).sum()) for one in views)
+    return verdict(mapped(config, views), config, scene), returns
+
+
+def footprints(seeds: list[int] | None, quick: bool) -> None:
+    """A lidar low over the ground: footprints smaller than a coarse cell."""
+    rows = []
+    low = ((60.0, 8.0), (100.0, 12.0)) if quick else ((28.65, 10.0), (60.0, 16.0))
+    heights = low if quick else (*low, (100.0, 24.0), (150.0, 24.0))
+    for kind in ("boulders", "rocks of 0.42 m"):
+        for above, half in heights:
+            for seed in seeds or [411]:
+                rows += small_footprints(np.random.default_rng(seed), kind, above, 0.5 * half)
+    table(
+        "footprints: 1 degree straight down, three coverings, rocks every 4 m",
+        ["", "up m", "footprint m", "area m", "scans", "coarsest m", "leaves", "measured"]
+        + ["judged %", "safe", "unsafe", "least risk", "ms a scan"],
+        rows,
+    )
+
+
+def small_footprints(
+    rng: np.random.Generator, kind: str, above: float, half: float
+) -> list[list[object]]:
+    """Rows for coarsest cells of 4 m and 2 m, of the same scans."""
+    reach = np.arange(-half - 6.0, half + 6.1, 4.0) + rng.uniform(-2.0, 2.0)
+    places = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
+    places += rng.uniform(-0.3, 0.3, places.shape)
+    height = 0.42 if kind.startswith("rocks") else 0.9
+    scene = Scene(spheres=rocks(places, height, height))
+    width = 2.0 * above * np.tan(np.radians(0.5))
+    configs = [configuration("flight", domain__min_level=level) for level in (4, 5)]
+    mappers, spent, scans = [Mapper(c) for c in configs], [0.0, 0.0], 0
+    for covering in range(3):
+        steps = np.arange(-half, half + 0.85 * width, 0.85 * width)
+        for k, across in enumerate(steps):
+            for along in steps[:: 1 if k % 2 else -1]:
+                aim = np.array([along, across] if covering % 2 else [across, along])
+                aim += rng.normal(0.0, 0.05 * width, 2)
+                position = np.array([*aim, above])
+                stamp = 1.0 + 0.05 * scans
+                one = view(scene, position, [*aim, 0.0], FLASH, NOISE, rng, stamp)
+                scans += 1
+                for n, mapper in enumerate(mappers):
+                    began = time.process_time()
+                    mapper.update(one.points, one.pose)
+                    spent[n] += time.process_time() - began
+    rows = []
+    for mapper, config, seconds in zip(mappers, configs, spent, strict=True):
+        cells = mapper.snapshot()
+        one = verdict(cells, config, scene)
+        inner = (np.abs(one.found.x)[None] < half - 2.35) & (
+            np.abs(one.found.y)[:, None] < half - 2.35
+        )
+        judged = (one.found.hazard & hazards.UNSEEN == 0)[inner].mean()
+        rows.append(
+            [kind, f"{above:g}", f"{width:.2f}", f"{2 * half:g}", scans]
+            + [f"{config.domain.size / 2**config.domain.min_level:g}", len(cells.z)]
+            + [int(cells.measured.sum()), f"{100 * judged:.1f}", one.safe, len(one.wrong)]
+            + [told(one.risk), f"{1e3 * seconds / scans:.2f}"]
+        )
+    return rows
+
+
+def inside(seeds: list[int] | None, quick: bool) -> None:
+    """Fields of rocks, 180 scans over 40 x 40 m: rocks of 0.25-0.5 m with 50 returns and more."""
+    config, rows, worst = configuration("flight"), [], []
+    for seed in seeds or range(421, 423 if quick else 431):
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(40, 120))
+        low, high = rng.uniform(0.05, 0.25, 2 * count), rng.uniform(0.25, 0.5, count)
+        high = np.concatenate([high, low])
+        places = rng.uniform(-20.0, 20.0, (len(high), 2))
+        flat = Scene(gradient=tuple(np.tan(np.radians(rng.uniform(-4.0, 4.0, 2)))))
+        spheres = rocks(places, high, high * rng.uniform(0.8, 1.4, len(high)), flat)
+        scene, heading = replace(flat, spheres=spheres), 2.0 * np.pi * rng.random()
+        returns, mapper = np.zeros(len(high), dtype=int), Mapper(config)
+        for k in range(180):
+            aim = rng.uniform(-20.0, 20.0, 2)
+            turn = heading + rng.normal(0.0, 0.1)
+            position = from_glide_slope(aim, turn, rng.uniform(200.0, 350.0), 35.0)
+            aim = np.array([*aim, float(flat.plane(*aim))])
+            one = view(scene, position, aim, FLASH, NOISE, rng, 1.0 + 0.05 * k)
+            returns += np.bincount(one.hit[one.hit >= 0], minlength=len(high))
+            mapper.update(one.points, one.pose)
+        found = verdict(mapper.snapshot(), config, scene)
+        # The rock that is nearest, rim to place, of those that matter.
+        matter = high >= 0.25
+        blame = np.hypot(*(found.wrong[:, None] - places[matter]).T) - high[matter][:, None]
+        blame = np.bincount(blame.argmin(axis=0), minlength=matter.sum()) * (returns[matter] >= 50)
+        rows.append(
+            [seed, len(high), int((returns[matter] >= 50).sum()), found.safe, len(found.wrong)]
+            + [int(blame.sum()), int((blame > 0).sum()), told(found.risk)]
+        )
+        worst += [
+            [seed, f"{high[k]:.2f}", int(returns[k]), int(blame[k])]
+            + [f"{places[k, 0]:.2f}", f"{places[k, 1]:.2f}"]
+            for k in np.flatnonzero(blame)
+        ]
+    table(
+        "inside: 180 scans over 40 x 40 m; rocks of 0.25-0.5 m with 50 returns and more",
+        ["seed", "rocks", "of these", "safe", "unsafe", "by these", "rocks to blame", "least risk"],
+        rows,
+    )
+    worst.sort(key=lambda row: -row[3])
+    head = ["seed", "height m", "returns", "points", "x m", "y m"]
+    table("rocks beside which most points are wrongly safe", head, worst[:10])
+
+
+def strips(seeds: list[int] | None, quick: bool) -> None:
+    """Flat ground with ragged edges: what leaves claim, and what they err by."""
+    rows, pooled = [], {}
+    for kind in ("exact", "lateral"):
+        for seed in seeds or range(431, 435 if quick else 443):
+            rng = np.random.default_rng([seed, 7])
+            found = one_strip(rng, kind == "lateral", 40 if quick else 100)
+            pooled.setdefault(kind, []).append(found)
+            high, steep = np.abs(found.height).argmax(), np.abs(found.slope).max(axis=1).argmax()
+            rows.append(
+                [kind, seed, len(found.height), f"{np.abs(found.height[high]):.1f}"]
+                + [f"{found.error[high, 0]:.3f}", f"{found.claimed[high, 0]:.3f}"]
+                + [f"{100 * found.share[high]:.0f}", f"{np.abs(found.slope[steep]).max():.1f}"]
+                + [f"{found.error[steep, 1]:.3f}", f"{found.claimed[steep, 1]:.3f}"]
+                + [f"{100 * found.share[steep]:.0f}"]
+            )
+    table(
+        "strips: flat ground, 6 cm noise; the worst measured leaf of each draw",
+        ["poses", "seed", "leaves", "height, deviations", "error m", "claimed", "seen %"]
+        + ["slope, deviations", "error rad", "claimed", "seen %"],
+        rows,
+    )
+    rows = []
+    for kind, found in pooled.items():
+        for name in ("height", "slope"):
+            ratios = np.concatenate([getattr(one, name).ravel() for one in found])
+            rms, beyond, greatest = summary(ratios)
+            values = [len(ratios), f"{rms:.2f}", f"{100 * beyond:.2f}", f"{greatest:.1f}"]
+            rows.append([f"{kind}, {name}", *values])
+    table("all draws", ["", "ratios", "RMS", "beyond 4, %", "greatest"], rows)
+
+
+def one_strip(rng: np.random.Generator, lateral: bool, scans: int):
+    """Views from one side into a swath of 12 x 12 m, over a domain shifted by part of a leaf."""
+    shift = rng.uniform(-4.0, 0.0, 2)
+    config = configuration("flight", domain__xmin=-32.0 + shift[0], domain__ymin=-32.0 + shift[1])
+    mapper, heading = Mapper(config), 2.0 * np.pi * rng.random()
+    sigma = 0.3 if lateral else 0.0
+    covariance = np.diag([sigma**2 + 1e-6] * 2 + [1e-6] + [1e-12] * 3)
+    common = rng.normal(0.0, 0.8 * sigma, 2)
+    for k in range(scans):
+        aim = rng.uniform(-6.0, 6.0, 2)
+        position = from_glide_slope(aim, heading + rng.normal(0, 0.05), 300.0, 30.0)
+        one = view(Scene(), position, [*aim, 0.0], FLASH, NOISE, rng, 1.0 + 0.05 * k)
+        off = np.append(common + rng.normal(0.0, 0.6 * sigma, 2), 0.0) if lateral else np.zeros(3)
+        pose = Pose(one.pose.stamp_ns, position + off, one.pose.rotation_map_lidar, covariance)
+        mapper.update(one.points, pose)
+    return claims(mapper.snapshot())
+
+
+CASES = {"edge": edge, "footprints": footprints, "inside": inside, "strips": strips}
+
+
+if __name__ == "__main__":
+    main()
