@@ -123,9 +123,9 @@ def _box(shape: Array, origin: Array, rays: Array) -> Array:
 
 
 def rocks(places: Array, height: Array, radius: Array, scene: Scene | None = None) -> Array:
-    """Spheres (K, 4) whose caps of such heights and radii (K,) stand at places (K, 2)."""
+    """Spheres (K, 4) whose caps of heights and radii (K,) or one stand at places (K, 2)."""
     scene = scene or Scene()
-    height, radius = np.broadcast_arrays(height, radius)
+    height, radius = (np.broadcast_to(v, len(places)) for v in (height, radius))
     ball = 0.5 * (radius**2 / height + height)
     ground = scene.plane(places[:, 0], places[:, 1])
     return np.column_stack([places, ground + height - ball, ball])
