@@ -1,0 +1,464 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ground that is seen in part: edges, small footprints, few looks, strips, and recorded flights.
+
+Scenes of the first four cases are closed formulas (`common.rays`); ``autzen`` and the terrains of
+``section_vi`` need files that others measured, and are left out where these are not at hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import configuration, machine, table
+from common.claims import Claims, claims, summary
+from common.rays import Scene, View, fan, rocks, view
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import cKDTree
+
+from quadtree_lss.arrays import Array
+from quadtree_lss.config.settings import Config
+from quadtree_lss.core.landing import hazards
+from quadtree_lss.core.landing.raster import rasterise
+from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.replay.steps import scans
+from quadtree_lss.simulation.safety import Lander, contact_safe
+from quadtree_lss.simulation.simulate import simulate
+from quadtree_lss.simulation.terrain import Terrain, load_terrain
+
+NOISE = 0.06
+#: m: posts of the true ground that the lander is set down on.
+POST = 0.05
+FLASH = fan(1.0, 128)
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+SAID = ("error", "claimed")
+
+
+def main() -> None:
+    """Print a table for each case."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--case", choices=CASES, nargs="+", default=list(CASES))
+    parser.add_argument("--seeds", type=int, nargs="+", help="by default those of each case")
+    parser.add_argument("--quick", action="store_true", help="a small part of each case")
+    options = parser.parse_args()
+    print(machine())
+    for name in options.case:
+        began = time.process_time()
+        CASES[name](options.seeds, options.quick)
+        print(f"({name}: {time.process_time() - began:.0f} s)", flush=True)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What landing says of a map, against the truth.
+
+    Attributes:
+        found: The assessment.
+        safe: Grid points called safe.
+        wrong: (K, 2) places of those that are not.
+        risk: Least risk told for these, NaN for none.
+        aim: Greatest probability told for these, NaN for none.
+    """
+
+    found: LandingAssessment
+    safe: int
+    wrong: Array
+    risk: float
+    aim: float
+
+
+def verdict(cells: CellMap, config: Config, scene: Scene) -> Verdict:
+    """Set the lander down on the true ground wherever the map calls it safe."""
+    found = LandingSiteSelector(config).assess(cells)
+    row, column = np.nonzero(found.safe)
+    places = np.column_stack([found.x[column], found.y[row]])
+    if not len(places):
+        return Verdict(found, 0, places, np.nan, np.nan)
+    reach = 0.5 * Lander().diameter + 0.5
+    x, y = (np.arange(v.min() - reach, v.max() + reach, POST) for v in places.T)
+    wrong = ~contact_safe(x, y, scene.dem(x, y), places)
+    row, column, some = row[wrong], column[wrong], wrong.any()
+    risk = found.risk[row, column].min() if some else np.nan
+    aim = found.probability[row, column].max() if some else np.nan
+    return Verdict(found, len(wrong), places[wrong], risk, aim)
+
+
+def mapped(config: Config, views: list[View]) -> CellMap:
+    """All views in order."""
+    mapper = Mapper(config)
+    for one in views:
+        mapper.update(one.points, one.pose)
+    return mapper.snapshot()
+
+
+def told(value: float, form: str = ".1e") -> str:
+    """A number, or a dash for none."""
+    return format(value, form) if np.isfinite(value) else "-"
+
+
+def from_glide_slope(target: Array, heading: float, slant: float, slope_deg: float) -> Array:
+    """Where a lidar stands that looks at a place (2,) on z = 0."""
+    slope = np.radians(slope_deg)
+    back = -np.cos(slope) * np.array([np.cos(heading), np.sin(heading)])
+    return np.array([*(target + slant * back), slant * np.sin(slope)])
+
+
+def edge(seeds: list[int] | None, quick: bool) -> None:
+    """A rock where the scanned ground ends, in a leaf of which a part was seen."""
+    rows = []
+    for level, border, edges in (
+        (4, 20.0, (20.8, 21.3, 21.8, 20.4, 22.4, 23.2)),
+        (3, 16.0, (17.0, 18.0, 19.2, 21.0)),
+        (5, 20.0, (20.5, 20.8, 21.3)),
+    ):
+        config = configuration("flight", domain__min_level=level)
+        for at in edges[:3] if quick else edges:
+            verdicts, returns, hit = [], [], 0
+            for seed in seeds or range(401, 403 if quick else 409):
+                rng = np.random.default_rng([seed, level, round(100 * at)])
+                one, count = one_edge(rng, config, border, at)
+                verdicts.append(one)
+                returns.append(count)
+                hit += len(one.wrong) > 0
+            rows.append(
+                [f"{config.domain.size / 2**level:g}", f"{at:g}", len(verdicts)]
+                + [min(returns), sum(v.safe for v in verdicts), hit]
+                + [sum(len(v.wrong) for v in verdicts), most(verdicts)]
+                + [told(np.nanmin([v.risk for v in verdicts] + [np.inf]))]
+                + [told(np.nanmax([v.aim for v in verdicts] + [-np.inf]), ".4f")]
+            )
+    table(
+        "edge: rock of 0.45 m at the edge of what was scanned; grid points called safe",
+        ["leaf m", "edge m", "draws", "returns, least", "safe", "draws with unsafe ones", "unsafe"]
+        + ["most in a draw", "least risk", "best aim"],
+        rows,
+    )
+
+
+def most(verdicts: list[Verdict]) -> int:
+    """Of unsafe points in one map."""
+    return max(len(v.wrong) for v in verdicts)
+
+
+def one_edge(
+    rng: np.random.Generator, config: Config, border: float, at: float
+) -> tuple[Verdict, int]:
+    """Ground is scanned up to ``at``; the rock stands within the leaf that begins at ``border``."""
+    low, high = border + 0.25, max(at - 0.1, border + 0.3)
+    side = config.domain.size / 2**config.domain.min_level
+    place = np.array([low + (high - low) * rng.random(), side * rng.random() - 0.5 * side])
+    scene = Scene(spheres=rocks(place[None], 0.45, 0.45))
+    # The edge is east, or north: along or across the line of sight.
+    heading, turned = 2.0 * np.pi * rng.random(), rng.random() < 0.5
+    if turned:
+        scene = Scene(spheres=scene.spheres[:, [1, 0, 2, 3]])
+    views = []
+    for k, (along, across) in enumerate(np.ndindex(6, 7)):
+        target = np.array([at - 1.0 - 2.5 * along, 9.0 - 3.0 * across]) + rng.normal(0, 0.3, 2)
+        target = target[::-1] if turned else target
+        from_there = from_glide_slope(target, heading, 300.0, 35.0)
+
+        def keep(x: Array, y: Array) -> Array:
+            return (y if turned else x) < at
+
+        rays, aim = FLASH, np.array([*target, 0.0])
+        views.append(view(scene, from_there, aim, rays, NOISE, rng, 1.0 + 0.05 * k, keep=keep))
+    returns = sum(int((one.hit >= 0).sum()) for one in views)
+    return verdict(mapped(config, views), config, scene), returns
+
+
+def footprints(seeds: list[int] | None, quick: bool) -> None:
+    """A lidar low over the ground: footprints smaller than a coarse cell."""
+    rows = []
+    low = ((60.0, 8.0), (100.0, 12.0)) if quick else ((28.65, 10.0), (60.0, 16.0))
+    heights = low if quick else (*low, (100.0, 24.0), (150.0, 24.0))
+    for kind in ("boulders", "rocks of 0.42 m"):
+        for above, half in heights:
+            for seed in seeds or [411]:
+                rows += small_footprints(np.random.default_rng(seed), kind, above, 0.5 * half)
+    table(
+        "footprints: 1 degree straight down, three coverings, rocks every 4 m",
+        ["", "up m", "footprint m", "area m", "scans", "coarsest m", "leaves", "measured"]
+        + ["judged %", "safe", "unsafe", "least risk", "ms a scan"],
+        rows,
+    )
+
+
+def small_footprints(
+    rng: np.random.Generator, kind: str, above: float, half: float
+) -> list[list[object]]:
+    """Rows for coarsest cells of 4 m and 2 m, of the same scans."""
+    reach = np.arange(-half - 6.0, half + 6.1, 4.0) + rng.uniform(-2.0, 2.0)
+    places = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
+    places += rng.uniform(-0.3, 0.3, places.shape)
+    height = 0.42 if kind.startswith("rocks") else 0.9
+    scene = Scene(spheres=rocks(places, height, height))
+    width = 2.0 * above * np.tan(np.radians(0.5))
+    configs = [configuration("flight", domain__min_level=level) for level in (4, 5)]
+    mappers, spent, scans = [Mapper(c) for c in configs], [0.0, 0.0], 0
+    for covering in range(3):
+        steps = np.arange(-half, half + 0.85 * width, 0.85 * width)
+        for k, across in enumerate(steps):
+            for along in steps[:: 1 if k % 2 else -1]:
+                aim = np.array([along, across] if covering % 2 else [across, along])
+                aim += rng.normal(0.0, 0.05 * width, 2)
+                position = np.array([*aim, above])
+                stamp = 1.0 + 0.05 * scans
+                one = view(scene, position, [*aim, 0.0], FLASH, NOISE, rng, stamp)
+                scans += 1
+                for n, mapper in enumerate(mappers):
+                    began = time.process_time()
+                    mapper.update(one.points, one.pose)
+                    spent[n] += time.process_time() - began
+    rows = []
+    for mapper, config, seconds in zip(mappers, configs, spent, strict=True):
+        cells = mapper.snapshot()
+        one = verdict(cells, config, scene)
+        inner = (np.abs(one.found.x)[None] < half - 2.35) & (
+            np.abs(one.found.y)[:, None] < half - 2.35
+        )
+        judged = (one.found.hazard & hazards.UNSEEN == 0)[inner].mean()
+        rows.append(
+            [kind, f"{above:g}", f"{width:.2f}", f"{2 * half:g}", scans]
+            + [f"{config.domain.size / 2**config.domain.min_level:g}", len(cells.z)]
+            + [int(cells.measured.sum()), f"{100 * judged:.1f}", one.safe, len(one.wrong)]
+            + [told(one.risk), f"{1e3 * seconds / scans:.2f}"]
+        )
+    return rows
+
+
+def inside(seeds: list[int] | None, quick: bool) -> None:
+    """Fields of rocks, 180 scans over 40 x 40 m: rocks of 0.25-0.5 m with 50 returns and more."""
+    config, rows, worst = configuration("flight"), [], []
+    for seed in seeds or range(421, 423 if quick else 431):
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(40, 120))
+        low, high = rng.uniform(0.05, 0.25, 2 * count), rng.uniform(0.25, 0.5, count)
+        high = np.concatenate([high, low])
+        places = rng.uniform(-20.0, 20.0, (len(high), 2))
+        flat = Scene(gradient=tuple(np.tan(np.radians(rng.uniform(-4.0, 4.0, 2)))))
+        spheres = rocks(places, high, high * rng.uniform(0.8, 1.4, len(high)), flat)
+        scene, heading = replace(flat, spheres=spheres), 2.0 * np.pi * rng.random()
+        returns, mapper = np.zeros(len(high), dtype=int), Mapper(config)
+        for k in range(180):
+            aim = rng.uniform(-20.0, 20.0, 2)
+            turn = heading + rng.normal(0.0, 0.1)
+            position = from_glide_slope(aim, turn, rng.uniform(200.0, 350.0), 35.0)
+            aim = np.array([*aim, float(flat.plane(*aim))])
+            one = view(scene, position, aim, FLASH, NOISE, rng, 1.0 + 0.05 * k)
+            returns += np.bincount(one.hit[one.hit >= 0], minlength=len(high))
+            mapper.update(one.points, one.pose)
+        found = verdict(mapper.snapshot(), config, scene)
+        # The rock that is nearest, rim to place, of those that matter.
+        matter = high >= 0.25
+        blame = np.hypot(*(found.wrong[:, None] - places[matter]).T) - high[matter][:, None]
+        blame = np.bincount(blame.argmin(axis=0), minlength=matter.sum()) * (returns[matter] >= 50)
+        rows.append(
+            [seed, len(high), int((returns[matter] >= 50).sum()), found.safe, len(found.wrong)]
+            + [int(blame.sum()), int((blame > 0).sum()), told(found.risk)]
+        )
+        worst += [
+            [seed, f"{high[k]:.2f}", int(returns[k]), int(blame[k])]
+            + [f"{places[k, 0]:.2f}", f"{places[k, 1]:.2f}"]
+            for k in np.flatnonzero(blame)
+        ]
+    table(
+        "inside: 180 scans over 40 x 40 m; rocks of 0.25-0.5 m with 50 returns and more",
+        ["seed", "rocks", "of these", "safe", "unsafe", "by these", "rocks to blame", "least risk"],
+        rows,
+    )
+    worst.sort(key=lambda row: -row[3])
+    head = ["seed", "height m", "returns", "points", "x m", "y m"]
+    table("rocks beside which most points are wrongly safe", head, worst[:10])
+
+
+def strips(seeds: list[int] | None, quick: bool) -> None:
+    """Flat ground whose scanned part ends anywhere in leaves: what they claim and err by."""
+    rows = []
+    for name, levels in (("4 to 0.25", (4, 8)), ("1", (6, 6)), ("0.25", (8, 8))):
+        for looks, spread in (("sweep", 6.0), ("stare", 0.2), ("still", 0.0)):
+            for lateral in (False, True):
+                found = [
+                    one_strip(np.random.default_rng([seed, 7]), levels, spread, lateral, quick)
+                    for seed in seeds or range(431, 434 if quick else 443)
+                ]
+                row = [name, looks, "lateral" if lateral else "exact", len(found)]
+                row += [sum(len(one.height) for one in found)]
+                error, claimed = (
+                    np.concatenate([getattr(one, of) for one in found]) for of in SAID
+                )
+                for n, of in enumerate(("height", "slope")):
+                    ratios = [getattr(one, of) for one in found]
+                    rms, beyond, greatest = summary(np.concatenate([r.ravel() for r in ratios]))
+                    off = sum(bool((np.abs(r) > 4.0).any()) for r in ratios)
+                    worst = np.abs(error[:, n] / claimed[:, n]).argmax()
+                    row += [f"{rms:.2f}", f"{100 * beyond:.2f}", off, f"{greatest:.1f}"]
+                    row += [f"{error[worst, n]:.3f}", f"{claimed[worst, n]:.3f}"]
+                rows.append(row)
+    table(
+        "strips: flat ground, 6 cm noise, oblique views; measured leaves: height, then slope",
+        ["cells m", "looks", "poses", "draws", "leaves"]
+        + ["RMS", "over 4, %", "draws with", "worst", "m", "claimed"]
+        + ["RMS", "over 4, %", "draws with", "worst", "rad", "claimed"],
+        rows,
+    )
+
+
+def one_strip(
+    rng: np.random.Generator, levels: tuple[int, int], spread: float, lateral: bool, quick: bool
+) -> Claims:
+    """Views from one side, aimed within ``spread`` of a place, on a domain shifted at random."""
+    shift = rng.uniform(-4.0, 0.0, 2) - 32.0
+    config = configuration(
+        "flight",
+        domain__xmin=shift[0],
+        domain__ymin=shift[1],
+        domain__min_level=levels[0],
+        domain__max_level=levels[1],
+    )
+    mapper, heading = Mapper(config), 2.0 * np.pi * rng.random()
+    glide, sigma = rng.uniform(15.0, 60.0), 0.3 if lateral else 0.0
+    covariance = np.diag([sigma**2 + 1e-6] * 2 + [1e-6] + [1e-12] * 3)
+    common = rng.normal(0.0, 0.8 * sigma, 2)
+    for k in range(20 if quick else 100):
+        aim = rng.uniform(-spread, spread, 2)
+        position = from_glide_slope(aim, heading, 300.0, glide)
+        one = view(Scene(), position, [*aim, 0.0], FLASH, NOISE, rng, 1.0 + 0.05 * k)
+        off = np.append(common + rng.normal(0.0, 0.6 * sigma, 2), 0.0) if lateral else np.zeros(3)
+        pose = Pose(one.pose.stamp_ns, position + off, one.pose.rotation_map_lidar, covariance)
+        mapper.update(one.points, pose)
+    return claims(mapper.snapshot())
+
+
+def section_vi(seeds: list[int] | None, quick: bool) -> None:
+    """The paper's flight over its parabola, and over real terrain: quadtree and fixed cells."""
+    configs = [configuration("parabola"), configuration("parabola", "parabola_fixed")]
+    rows = []
+    for name, terrain in terrains():
+        for seed in seeds or ([201] if quick else range(441, 447)):
+            with tempfile.TemporaryDirectory() as folder:
+                bag, duration = Path(folder) / "bag", 12.0 if quick else None
+                simulate("parabola", bag, seed=seed, duration=duration, terrain=terrain)
+                with np.load(bag.parent / "truth.npz") as truth:
+                    x, y, z = (truth[of].astype(float) for of in ("x", "y", "elevation"))
+                flight = list(scans(bag, configs[0]))
+            ground = RegularGridInterpolator((y, x), z, bounds_error=False)
+            tree, fixed = (flown(config, flight, ground) for config in configs)
+            ratio = [f"{a / b:.2f}" for a, b in zip(tree[:3], fixed[:3], strict=True)]
+            both = [f"{v:.3f}" for pair in zip(tree[:3], fixed[:3], strict=True) for v in pair]
+            rows.append([name, seed, *both, *ratio, *tree[3:], *fixed[3:]])
+    table(
+        "section_vi: quadtree, fixed cells, and their ratio; height at points over seen cells",
+        ["ground", "seed", "mean", "fixed", "RMS", "fixed", "greatest", "fixed"]
+        + ["mean", "RMS", "greatest", "leaves", "ms, all scans", "fixed", "ms"],
+        rows,
+    )
+
+
+def terrains() -> list[tuple[str, Path | Terrain | None]]:
+    """The paper's parabola, and those of others that are at hand, made as large as a flight."""
+    found: list[tuple[str, Path | Terrain | None]] = [("parabola", None)]
+    if (DATA / "apollo15.npz").exists():
+        found.append(("apollo15", DATA / "apollo15.npz"))
+    if (DATA / "marsyard2021.npz").exists():
+        # 36 m of it: four times as wide and high.
+        yard = load_terrain(DATA / "marsyard2021.npz")
+        wide = (4.0 * np.asarray(v) for v in (yard.x, yard.y, yard.elevation))
+        found.append(("marsyard2021, 4 x", Terrain(*wide)))
+    return found
+
+
+def flown(config: Config, flight: list, ground: RegularGridInterpolator) -> list:
+    """Mean, RMS and greatest error, leaves, and CPU time of all scans, ms."""
+    mapper, spent = Mapper(config), 0.0
+    for scan in flight:
+        began = time.process_time()
+        mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+        spent += time.process_time() - began
+    cells = mapper.snapshot()
+    row, column = np.nonzero(cells.observed)
+    side = cells.domain.finest_size
+    part = (np.stack(np.meshgrid(*[np.arange(4)] * 2), axis=-1).reshape(-1, 2) + 0.5) / 4.0
+    x = cells.domain.xmin + side * (column[:, None] + part[:, 0])
+    y = cells.domain.ymin + side * (row[:, None] + part[:, 1])
+    error = np.abs(cells.at(x, y).height - ground(np.stack([y, x], axis=-1)))
+    error = error[np.isfinite(error)]
+    rms = np.sqrt(np.mean(error**2))
+    leaves = int(cells.estimated.sum())
+    return [error.mean(), rms, error.max(), leaves, f"{1e3 * spent:.1f}"]
+
+
+def autzen(seeds: list[int] | None, quick: bool) -> None:
+    """Recorded lidar: heights that are given out, against the returns within a metre."""
+    bag = DATA / "autzen_meadow"
+    if not bag.exists():
+        print("\nautzen: the recording is not at hand")
+        return
+    rows = []
+    for names in (("default",), ("morpheus",), ("flight",)):
+        config = configuration(*names)
+        mapper, points = Mapper(config), []
+        for scan in scans(bag, config, duration=5.0 if quick else None):
+            mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+            flat = scan.points_lidar.reshape(-1, 3)
+            flat = flat[np.isfinite(flat).all(axis=1)]
+            points.append(flat @ scan.pose.rotation_map_lidar.T + scan.pose.position)
+        cells, returns = mapper.snapshot(), np.concatenate(points)
+        found = LandingSiteSelector(config).assess(cells)
+        side = cells.domain.finest_size
+        row, column = np.nonzero(cells.observed)
+        x, y = cells.domain.xmin + side * (column + 0.5), cells.domain.ymin + side * (row + 0.5)
+        at = [("leaf planes", x, y, cells.at(x, y).height)]
+        raster = rasterise(cells, config.lss.max_gap).elevation[row, column]
+        at.append(("raster", x, y, raster))
+        row, column = np.nonzero(np.isfinite(found.elevation))
+        at.append(("grid elevation", found.x[column], found.y[row], found.elevation[row, column]))
+        for what, x, y, z in at:
+            low, high = within(returns, x, y)
+            excess = np.fmax(z - high, low - z)
+            excess = excess[np.isfinite(excess)]
+            rows.append(
+                [f"{names[0]}, {what}", len(excess), f"{returns[:, 2].min():.1f}"]
+                + [f"{returns[:, 2].max():.1f}", f"{np.nanmin(z):.1f}", f"{np.nanmax(z):.1f}"]
+                + [f"{excess.max():.2f}", int((excess > 0.3).sum())]
+            )
+    table(
+        "autzen: heights at seen places, beyond the returns within 1 m",
+        ["", "places", "returns from", "to", "heights from", "to", "greatest excess m"]
+        + ["beyond 0.3 m"],
+        rows,
+    )
+
+
+def within(returns: Array, x: Array, y: Array, reach: float = 1.0) -> tuple[Array, Array]:
+    """Lowest and highest return (K,) within reach of each place, NaN where there is none."""
+    places, low, high = np.column_stack([x, y]), np.full(len(x), np.nan), np.full(len(x), np.nan)
+    tree = cKDTree(returns[:, :2])
+    for k, near in enumerate(tree.query_ball_point(places, reach)):
+        if near:
+            low[k], high[k] = returns[near, 2].min(), returns[near, 2].max()
+    return low, high
+
+
+CASES = {
+    "edge": edge,
+    "footprints": footprints,
+    "inside": inside,
+    "strips": strips,
+    "section_vi": section_vi,
+    "autzen": autzen,
+}
+
+
+if __name__ == "__main__":
+    main()
