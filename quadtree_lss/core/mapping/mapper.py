@@ -22,7 +22,7 @@ from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.checkpoint import State
 from quadtree_lss.core.tree.columns import fill_columns
 from quadtree_lss.core.tree.domain import Domain
-from quadtree_lss.core.tree.leaves import LeafTable, unfold
+from quadtree_lss.core.tree.leaves import LeafTable, leaf_raster, unfold
 
 #: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
 JUMP_NS = SECOND_NS
@@ -228,6 +228,8 @@ class Mapper:
             pose_part,
             feature,
         )
+        over = np.empty((n, n), dtype=np.int32)
+        leaf_raster(level, ix, iy, over)
         return CellMap(
             stamp_ns=self.stamp_ns,
             domain=self.domain,
@@ -243,7 +245,10 @@ class Mapper:
             roughness=roughness,
             exception_fraction=exceptions,
             feature=feature,
+            low=np.full(m, np.nan),
+            high=np.full(m, np.nan),
             observed=observed.view(np.bool_),
+            known=observed.view(np.bool_) & measured.view(np.bool_)[over],
             offset_z=self._offset[0],
             offset_variance=self._offset[1],
         )
