@@ -63,7 +63,14 @@ CELL_FIELDS: tuple[tuple[str, str], ...] = (
     ("measured", "u1"),
     ("offset_z", "f4"),
     ("offset_variance", "f4"),
+    ("low", "f8"),
+    ("high", "f8"),
 )
+#: Of recordings from before a map told bounds.
+CELL_FIELDS_BEFORE = CELL_FIELDS[:-2]
+
+#: Values of ``map/observed``.
+MAPPED, UNMAPPED, UNSEEN = 100, 50, -1
 
 #: Fields of a ``landing/site_table`` point.
 SITE_FIELDS: tuple[tuple[str, str], ...] = (
@@ -117,6 +124,7 @@ def encode_cells(cells: CellMap) -> NDArray[np.void]:
     out["level"], out["min_level"] = cells.level, cells.domain.min_level
     out["measured"] = cells.measured
     out["offset_z"], out["offset_variance"] = cells.offset_z, cells.offset_variance
+    out["low"], out["high"] = cells.low, cells.high
     return out
 
 
@@ -127,15 +135,18 @@ def decode_cells(
     ymin: float,
     stamp_ns: int,
     lss: LssConfig | None = None,
+    known: Mask | None = None,
 ) -> CellMap:
     """The map from its two messages.
 
     Args:
-        records: (M,) of ``record_dtype(CELL_FIELDS)``.
+        records: (M,) of ``record_dtype(CELL_FIELDS)``, or without the bounds.
         observed: (n, n) [iy, ix] of ``map/observed``.
         xmin, ymin: Origin of ``map/observed``, m.
         stamp_ns: Stamp that both messages carry.
         lss: How landing will be judged on it; None if it will not.
+        known: (n, n) where ``map/observed`` does not say that the ground is not yet mapped; None
+            for nowhere.
 
     Raises:
         MapMessageError: sizes do not fit, the leaves do not tile the domain, or landing sites
@@ -173,6 +184,16 @@ def decode_cells(
     if domain.min_level > max_level or not np.array_equal(records["size"], domain.cell_size(level)):
         msg = "map/cells has leaves whose size does not follow from their level"
         raise MapMessageError("domain", msg)
+    raster = np.full((n, n), -1, dtype=np.int32)
+    leaf_raster(level, ix, iy, raster)
+    if (raster < 0).any():
+        msg = "map/cells has leaves that overlap"
+        raise MapMessageError("tiling", msg)
+    measured, unbounded = records["measured"] > 0, np.full(len(records), np.nan)
+    low, high = (
+        records[name].astype(np.float64) if name in (records.dtype.names or ()) else unbounded
+        for name in ("low", "high")
+    )
     cells = CellMap(
         stamp_ns=stamp_ns,
         domain=domain,
@@ -184,11 +205,14 @@ def decode_cells(
         covariance_range=_matrices(records, _RANGE),
         covariance_pose=_matrices(records, _POSE),
         count=records["count"].astype(np.uint32),
-        measured=records["measured"] > 0,
+        measured=measured,
         roughness=records["roughness"].astype(np.float64),
         exception_fraction=records["exception_fraction"].astype(np.float64),
         feature=_columns(records, _FEATURE),
+        low=low,
+        high=high,
         observed=observed,
+        known=observed & measured[raster] & (True if known is None else known),
         offset_z=float(records["offset_z"][0]),
         offset_variance=float(records["offset_variance"][0]),
     )
@@ -197,16 +221,11 @@ def decode_cells(
 
 
 def _check(cells: CellMap) -> None:
-    """Refuse leaves that overlap and estimates that none can be.
+    """Refuse estimates that none can be.
 
     Raises:
-        MapMessageError: reason ``tiling`` or ``values``.
+        MapMessageError: reason ``values``.
     """
-    raster = np.full((cells.domain.finest_count,) * 2, -1, dtype=np.int32)
-    leaf_raster(cells.level, cells.ix, cells.iy, raster)
-    if (raster < 0).any():
-        msg = "map/cells has leaves that overlap"
-        raise MapMessageError("tiling", msg)
     known = cells.estimated
     with np.errstate(invalid="ignore"):
         sound = np.abs(np.sum(cells.normal**2, axis=1) - 1.0) < 1e-6
@@ -222,6 +241,10 @@ def _check(cells: CellMap) -> None:
         raise MapMessageError("values", msg)
     if not sound[known].all() or cells.measured[~known].any():
         msg = "map/cells has a leaf with an impossible plane (normal, elevation, covariance)"
+        raise MapMessageError("values", msg)
+    bounds = np.stack([cells.low, cells.high])
+    if (np.abs(bounds) >= 1e7).any() or (cells.low > cells.high).any():
+        msg = "map/cells has a leaf with impossible bounds (low, high)"
         raise MapMessageError("values", msg)
 
 
@@ -286,13 +309,23 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     return out
 
 
-def encode_observed(observed: Mask) -> NDArray[np.int8]:
-    """OccupancyGrid values of ``map/observed``: 100 where a point fell, -1 elsewhere."""
-    return np.where(observed, np.int8(100), np.int8(-1))
+def encode_observed(observed: Mask, known: Mask) -> NDArray[np.int8]:
+    """OccupancyGrid values of ``map/observed``: 100 mapped, 50 seen, not yet mapped, -1 unseen."""
+    out = np.where(observed, np.int8(UNMAPPED), np.int8(UNSEEN))
+    out[observed & known] = MAPPED
+    return out
 
 
-_HAZARD_VALUES = np.array([0, *[100] * 0x7F, -1, *[100] * 0x7F], dtype=np.int8)
-"""Of ``landing/hazards`` by the bits of a grid point; 0x80 alone is unseen ground."""
+def decode_observed(values: NDArray[np.int8]) -> tuple[Mask, Mask]:
+    """Where a point fell, and where it may be part of the map; recordings from before told both
+    alike."""
+    return values > 0, values > UNMAPPED
+
+
+_HAZARD_VALUES = np.tile(np.array([0, *[100] * 0x3F], dtype=np.int8), 4)
+_HAZARD_VALUES[0x40::0x40] = -1
+"""Of ``landing/hazards`` by the bits of a grid point; 0x80 alone is unseen ground, with 0x40 ground
+that is seen but not yet mapped."""
 
 
 def encode_hazards(assessment: LandingAssessment) -> NDArray[np.int8]:

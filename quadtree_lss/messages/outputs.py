@@ -18,11 +18,13 @@ from quadtree_lss.errors import one_line
 from quadtree_lss.messages.clouds import stamp_ns
 from quadtree_lss.messages.maps import (
     CELL_FIELDS,
+    CELL_FIELDS_BEFORE,
     POINT_FIELD_TYPES,
     SITE_FIELDS,
     STATUS_FIELDS,
     MapMessageError,
     decode_cells,
+    decode_observed,
     encode_cells,
     encode_hazards,
     encode_observed,
@@ -119,7 +121,8 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
         shown = [one_line(frame, 80) for frame in frames]
         msg = f"map/cells is in frame '{shown[0]}', map/observed in '{shown[1]}'"
         raise MapMessageError("frame", msg)
-    records = cloud_records(cloud, CELL_FIELDS)
+    before = len(cloud.fields) == len(CELL_FIELDS_BEFORE)
+    records = cloud_records(cloud, CELL_FIELDS_BEFORE if before else CELL_FIELDS)
     values = np.frombuffer(grid.data, dtype=np.int8)
     if values.size != grid.info.height * grid.info.width:
         msg = (
@@ -127,9 +130,10 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
             f" {values.size} values"
         )
         raise MapMessageError("observed_size", msg)
-    observed = values.reshape(grid.info.height, grid.info.width) > 0
-    origin = grid.info.origin.position
-    return decode_cells(records, observed, origin.x, origin.y, stamp_ns(cloud.header), lss)
+    shape = grid.info.height, grid.info.width
+    observed, known = (marks.reshape(shape) for marks in decode_observed(values))
+    origin, stamp = grid.info.origin.position, stamp_ns(cloud.header)
+    return decode_cells(records, observed, origin.x, origin.y, stamp, lss, known)
 
 
 class MessageMaker:
@@ -154,7 +158,7 @@ class MessageMaker:
         """``map/cells`` and ``map/observed``."""
         domain, stamp = cells.domain, cells.stamp_ns
         yield CELLS, self.cloud(encode_cells(cells), CELL_FIELDS, stamp)
-        values, corner = encode_observed(cells.observed), (domain.xmin, domain.ymin)
+        values, corner = encode_observed(cells.observed, cells.known), (domain.xmin, domain.ymin)
         yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
 
     def of_landing(

@@ -174,7 +174,10 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
             roughness=np.where(known, side**2 * np.sqrt(square.ravel()), np.nan),
             exception_fraction=np.where(known, 0.0, np.nan),
             feature=np.full((n * n, 5), np.nan),
+            low=np.full(n * n, np.nan),
+            high=np.full(n * n, np.nan),
             observed=known.reshape(n, n),
+            known=known.reshape(n, n),
         ),
         block,
     )

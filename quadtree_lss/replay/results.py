@@ -192,6 +192,9 @@ def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
         ),
         "stamp_ns": np.array(cells.stamp_ns),
         "offset": np.array([cells.offset_z, cells.offset_variance]),
+        "low": cells.low,
+        "high": cells.high,
+        "known_cells": cells.known,
     }
 
 

@@ -9,7 +9,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -160,9 +160,14 @@ def _cell_map(path: Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
     leaves = len(a["level"])
     sides = (domain.finest_count,) * 2
     wrong = [name for name in needed[:-4] if len(a[name]) != leaves]
-    if wrong or a["observed_cells"].shape != sides:
-        raise _unreadable(path, f"{(*wrong, 'observed_cells')[0]} has another size than the map")
-    return CellMap(
+    wrong += [name for name in ("low", "high") if a.get(name, a["z"]).shape != (leaves,)]
+    masks = ("observed_cells", "known_cells")
+    wrong += [name for name in masks if a.get(name, a["observed_cells"]).shape != sides]
+    if wrong:
+        raise _unreadable(path, f"{wrong[0]} has another size than the map")
+    observed, measured = a["observed_cells"].astype(np.bool_), a["measured"].astype(np.bool_)
+    unbounded = np.full(leaves, np.nan)
+    found = CellMap(
         stamp_ns=int(a["stamp_ns"]),
         domain=domain,
         level=a["level"].astype(np.uint8),
@@ -173,14 +178,20 @@ def _cell_map(path: Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
         covariance_range=a["covariance"] - a["covariance_pose"],
         covariance_pose=a["covariance_pose"],
         count=a["count"].astype(np.uint32),
-        measured=a["measured"].astype(np.bool_),
+        measured=measured,
         roughness=a["roughness"],
         exception_fraction=a["exception_fraction"],
         feature=a["feature"],
-        observed=a["observed_cells"].astype(np.bool_),
+        low=a.get("low", unbounded),
+        high=a.get("high", unbounded),
+        observed=observed,
+        known=a.get("known_cells", observed).astype(np.bool_),
         offset_z=float(a["offset"][0]),
         offset_variance=float(a["offset"][1]),
     )
+    if "known_cells" in a:
+        return found
+    return replace(found, known=observed & measured[found.leaf_raster()])
 
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:

@@ -248,6 +248,7 @@ def strip(columns: int) -> CellMap:
         cells,
         measured=~missing,
         observed=observed,
+        known=observed,
         z=cells.z + nothing,
         normal=cells.normal + nothing[:, None],
     )

@@ -223,11 +223,11 @@ def placed(raster: TerrainRaster, rows: int, columns: int) -> TerrainRaster:
     layers = {
         name: np.pad(value, around, mode="edge")
         for name, value in vars(raster).items()
-        if isinstance(value, np.ndarray)
+        if isinstance(value, np.ndarray) and value.ndim == 2
     }
     domain = raster.domain
     larger = dataclasses.replace(domain, size=2 * domain.size, max_level=domain.max_level + 1)
-    return TerrainRaster(domain=larger, **layers)
+    return dataclasses.replace(raster, domain=larger, **layers)
 
 
 @pytest.mark.parametrize("yaws", [1, 4, 7])

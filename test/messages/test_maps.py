@@ -18,7 +18,8 @@ from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.messages import maps
 from quadtree_lss.messages.maps import MapMessageError
 
-EXACT = ("level", "ix", "iy", "z", "normal", "count", "measured", "observed")
+EXACT = ("level", "ix", "iy", "z", "normal", "count", "measured", "observed", "known")
+EXACT += ("low", "high")
 SINGLE = ("covariance_range", "covariance_pose", "roughness", "exception_fraction", "feature")
 
 
@@ -31,13 +32,20 @@ def cells() -> CellMap:
         rock = np.sqrt(np.maximum(0.3**2 - (x - 1.0) ** 2 - (y - 110.0) ** 2, 0.0))
         return 40.0 + 0.5 * (x > 3.0) + rock
 
-    return mapped(config, terrain, density=60.0, where=(-7.3, 102.4, 12.0)).snapshot()
+    found = mapped(config, terrain, density=60.0, where=(-7.3, 102.4, 12.0)).snapshot()
+    # Some leaves with bounds, one from below alone, and some of what was seen is not mapped yet.
+    low, high = found.z - 0.3, found.z + 0.4
+    low[::3] = high[::3] = high[1] = np.nan
+    known = found.known.copy()
+    known[:2, :5] = False
+    assert (known != found.known).any()
+    return dataclasses.replace(found, low=low, high=high, known=known)
 
 
 def decoded(records, cells: CellMap) -> CellMap:
-    return maps.decode_cells(
-        records, cells.observed, cells.domain.xmin, cells.domain.ymin, cells.stamp_ns
-    )
+    where = cells.domain.xmin, cells.domain.ymin
+    seen = maps.decode_observed(maps.encode_observed(cells.observed, cells.known))
+    return maps.decode_cells(records, seen[0], *where, cells.stamp_ns, known=seen[1])
 
 
 def assert_same(a: CellMap, b: CellMap) -> None:
@@ -58,7 +66,9 @@ def test_what_matters_comes_back_exactly(cells):
 
 def test_a_round_trip_is_what_a_subscriber_decodes(cells):
     records, d = maps.encode_cells(cells), cells.domain
-    received = maps.decode_cells(records, cells.observed, d.xmin, d.ymin, cells.stamp_ns)
+    received = maps.decode_cells(
+        records, cells.observed, d.xmin, d.ymin, cells.stamp_ns, known=cells.known
+    )
     assert_same(maps.round_trip(cells), received)
 
 
@@ -200,18 +210,48 @@ def test_site_table_and_grids(cells):
     assert (hazard[(assessment.hazard & 0x0F) > 0] == 100).all()
     assert (hazard[assessment.hazard == 0x80] == -1).all()
     assert (hazard[assessment.hazard == 0] == 0).all()
-    observed = maps.encode_observed(cells.observed)
-    np.testing.assert_array_equal(observed == 100, cells.observed)
+    observed = maps.encode_observed(cells.observed, cells.known)
+    np.testing.assert_array_equal(observed == 100, cells.known)
+    np.testing.assert_array_equal(observed == 50, cells.observed & ~cells.known)
     np.testing.assert_array_equal(observed == -1, ~cells.observed)
 
 
+def test_maps_from_before_are_known_where_they_were_measured_and_have_no_bounds(cells):
+    records = maps.encode_cells(cells)
+    kind = maps.record_dtype(maps.CELL_FIELDS_BEFORE)
+    before = np.zeros(len(records), dtype=kind)
+    for name in kind.names:
+        before[name] = records[name]
+    leaf = cells.leaf_raster()
+    before["measured"][leaf[cells.observed][-40:]] = 0
+    seen = maps.decode_observed(np.where(cells.observed, np.int8(100), np.int8(-1)))
+    d = cells.domain
+    back = maps.decode_cells(before, seen[0], d.xmin, d.ymin, cells.stamp_ns, known=seen[1])
+    assert np.isnan(back.low).all() and np.isnan(back.high).all()
+    np.testing.assert_array_equal(back.observed, cells.observed)
+    expected = cells.observed & (before["measured"] > 0)[leaf]
+    np.testing.assert_array_equal(back.known, expected)
+    assert (cells.observed & ~expected).any()
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(2.0, 1.0), (np.inf, np.nan), (np.nan, -np.inf), (-1e8, 1.0)]
+)
+def test_bounds_that_none_can_be_are_refused(cells, low, high):
+    records = maps.encode_cells(cells)
+    records["low"][4], records["high"][4] = low, high
+    with pytest.raises(MapMessageError, match="bounds") as caught:
+        decoded(records, cells)
+    assert caught.value.reason == "values"
+
+
 def test_unseen_ground_may_be_hazardous_too(cells):
-    """What is both is a hazard; unseen alone is unknown."""
+    """What is both is a hazard; unseen alone, or not yet mapped, is unknown."""
     config = configured(domain={"xmin": -7.3, "ymin": 102.4}, lss={"vehicle_diameter": 2.0})
     assessment = LandingSiteSelector(config).assess(cells)
-    bits = np.array([[0, 1, 128, 129]], dtype=np.uint8)
+    bits = np.array([[0, 1, 128, 129, 192, 193]], dtype=np.uint8)
     values = maps.encode_hazards(dataclasses.replace(assessment, hazard=bits))
-    assert values.tolist() == [[0, 100, -1, 100]]
+    assert values.tolist() == [[0, 100, -1, 100, -1, 100]]
 
 
 def test_score_of_no_safe_ground_is_all_excluded():

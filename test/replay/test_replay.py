@@ -102,6 +102,7 @@ def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
     expected = dict.fromkeys(flat, (m,))
     expected |= {"covariance": (m, 3, 3), "feature": (m, 5), "domain": (5,)}
     expected |= {"covariance_pose": (m, 3, 3), "observed_cells": (64, 64)}
+    expected |= {"low": (m,), "high": (m,), "known_cells": (64, 64)}
     expected |= {"offset": (2,), "stamp_ns": ()}
     assert shapes == expected
     assert cells["measured"].dtype == np.bool_

@@ -17,6 +17,7 @@ from quadtree_lss.api import (
     replay,
     steps,
 )
+from quadtree_lss.messages.maps import known_probability
 
 CONFIG = load_config(
     (),
@@ -44,7 +45,8 @@ def written(bag, tmp_path_factory):
 def test_everything_comes_back(written):
     results = load_results(written.out)
     cells, found = written.cells, written.assessment
-    for name in ("level", "ix", "iy", "z", "normal", "count", "measured", "observed", "feature"):
+    columns = "level ix iy z normal count measured feature low high observed known"
+    for name in columns.split():
         np.testing.assert_array_equal(getattr(results.map, name), getattr(cells, name), name)
     for name in ("covariance_range", "covariance_pose"):
         one, other = getattr(results.map, name), getattr(cells, name)
@@ -52,7 +54,8 @@ def test_everything_comes_back(written):
     assert results.map.stamp_ns == cells.stamp_ns and results.map.domain == cells.domain
     np.testing.assert_array_equal(results.map.offset_z, cells.offset_z)
     for name, layer in results.grid.layers.items():
-        np.testing.assert_array_equal(layer, getattr(found, name), name)
+        told = known_probability(found) if name == "probability" else getattr(found, name)
+        np.testing.assert_array_equal(layer, told, name)
     assert results.grid.spacing == CONFIG.lss.grid_spacing
     np.testing.assert_array_equal(results.positions, found.sites.position)
     assert results.sites["rank"].dtype == np.int64
@@ -110,6 +113,24 @@ def test_an_older_map_asks_for_another_replay(written, tmp_path):
     np.savez(tmp_path / "cells.npz", **arrays)
     with pytest.raises(ResultsError, match="lacks observed_cells: replay the bag again"):
         load_results(tmp_path).map  # noqa: B018
+
+
+def test_a_map_from_before_bounds_is_known_where_it_was_measured(written, tmp_path):
+    for name in ("summary.json", "grid.npz"):
+        (tmp_path / name).write_bytes((written.out / name).read_bytes())
+    arrays = dict(np.load(written.out / "cells.npz"))
+    for name in ("low", "high", "known_cells"):
+        del arrays[name]
+    np.savez(tmp_path / "cells.npz", **arrays)
+    found = load_results(tmp_path).map
+    assert np.isnan(found.low).all() and np.isnan(found.high).all()
+    expected = found.observed & found.measured[found.leaf_raster()]
+    np.testing.assert_array_equal(found.known, expected)
+    for name in ("low", "known_cells"):
+        short = {**arrays, name: np.zeros(3)}
+        np.savez(tmp_path / "cells.npz", **short)
+        with pytest.raises(ResultsError, match=f"{name} has another size than the map"):
+            load_results(tmp_path).map  # noqa: B018
 
 
 def test_scan_by_scan_is_the_replay(bag, written):

@@ -103,7 +103,8 @@ class LandingAssessment:
         sites: Ranked sites, none if no ground is safe.
         x, y: (nx,), (ny,) of the grid points, m.
         hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain (there
-            the lander stands on the map, yet is too likely not to), 128 unseen.
+            the lander stands on the map, yet is too likely not to), 64 seen but not yet mapped (128
+            too), 128 unseen.
         safe: (ny, nx) landing centred here is allowed by the ground itself.
         score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
         probability: (ny, nx) of a safe touchdown if the lander aims there, with the dispersion.
@@ -192,9 +193,9 @@ def no_sites() -> Sites:
 
 
 def nothing_mapped(
-    cells: CellMap, answer: int, reason: Reason, x: Array, y: Array
+    cells: CellMap, answer: int, reason: Reason, x: Array, y: Array, hazard: Bytes
 ) -> LandingAssessment:
-    """The assessment of a map without a measurement."""
+    """The assessment of a map of which nothing is known."""
     shape = (len(y), len(x))
     return LandingAssessment(
         stamp_ns=cells.stamp_ns,
@@ -204,7 +205,7 @@ def nothing_mapped(
         sites=no_sites(),
         x=x,
         y=y,
-        hazard=np.full(shape, hazards.UNSEEN, dtype=np.uint8),
+        hazard=hazard,
         safe=np.zeros(shape, dtype=np.bool_),
         score=np.full(shape, np.nan),
         probability=np.zeros(shape),

@@ -125,19 +125,16 @@ class GridSampler:
         return out
 
     def ground(self, raster: TerrainRaster) -> Array:
-        """Height of the map: of the plane over the finest cell that a grid point lies in, m.
+        """Height of the map, m: of the plane over the finest cell that a grid point lies in.
 
         A point on a border belongs to the cell north and east of it, as measurements do.
         """
-        side, cell = raster.domain.finest_size, self.cell
-        z, slope_x, slope_y = (
-            layer[cell[0]][:, cell[1]]
-            for layer in (raster.elevation, raster.slope_x, raster.slope_y)
-        )
-        last = raster.domain.finest_count - 1
-        x = self.column - np.minimum(np.floor(self.column + 1e-6), last) - 0.5
-        y = self.row - np.minimum(np.floor(self.row + 1e-6), last) - 0.5
-        return np.asarray(z + side * (slope_x * x + slope_y * y[:, None]))
+        cell, domain, cells = self.cell, raster.domain, raster.cells
+        leaf = raster.leaf[cell[0]][:, cell[1]]
+        x = domain.xmin + self.column * domain.finest_size
+        y = domain.ymin + self.row * domain.finest_size
+        heights = cells.heights(leaf, x, y[:, None])
+        return np.where(cells.measured[leaf], heights, raster.elevation[cell[0]][:, cell[1]])
 
 
 @lru_cache(maxsize=4)

@@ -17,8 +17,11 @@ if not cython.compiled:
     from math import fabs
 
 
-SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN, UNSEEN = 1, 2, 4, 8, 16, 128
+SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN, UNMAPPED, UNSEEN = 1, 2, 4, 8, 16, 64, 128
 FEATURE = SLOPE | ELEVATION | EXCEPTION
+#: Bits that say what is wrong with the ground. The others say that nobody knows: ground that is
+#: seen but not yet mapped has both of them.
+IDENTIFIED = FEATURE | TOUCHDOWN | UNCERTAIN
 
 
 def slope(normal: Array) -> Array:

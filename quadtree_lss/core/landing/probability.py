@@ -7,11 +7,13 @@ ground is not the map: how often a lander fails whose worst rest on the map is t
 
     P(safe | aim) = sum over grid points of N(point - aim; dispersion) P(safe at the point).
 
-On unseen ground and beyond the domain's edge no landing is safe.
+On unseen ground, on ground that is seen but not yet mapped, and beyond the domain's edge no landing
+is safe.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, exp, isnan, log, radians, tan
@@ -216,7 +218,7 @@ class Remainder:
     Attributes:
         probability: P(safe | aim).
         away, bearing: Where from the aim, m, and rad from x to y.
-        kind: ``obstacle``, ``slope`` or ``unseen``.
+        kind: ``obstacle``, ``slope``, ``unseen`` or ``unmapped``.
     """
 
     probability: float
@@ -232,6 +234,7 @@ class Remainder:
             "obstacle": "an obstacle",
             "slope": "too steep a slope",
             "unseen": "unseen ground",
+            "unmapped": "ground not yet mapped",
         }[self.kind]
         if self.probability >= 0.9999:
             return share
@@ -263,8 +266,12 @@ def remainder(
     side: float,
     dispersion: Dispersion,
     place: tuple[int, int],
+    unmapped: Callable[[int, int], bool],
 ) -> Remainder:
-    """What speaks against an aim point, given by row and column of the lattice."""
+    """What speaks against an aim point, given by row and column of the lattice.
+
+    ``unmapped`` tells of such a place whether its ground was seen but is not yet mapped.
+    """
     across, along = normal_weights(dispersion.y, side), normal_weights(dispersion.x, side)
     up, right = len(across) // 2, len(along) // 2
     south, west = max(place[0] - up, 0), max(place[1] - right, 0)
@@ -280,4 +287,6 @@ def remainder(
     if inside and judged[row, column]:
         steep = table.by_slope(float(worst.rise[row, column]), float(worst.slope[row, column]))
         kind = "slope" if steep else "obstacle"
+    elif inside and unmapped(row, column):
+        kind = "unmapped"
     return Remainder(1.0 - float(share.sum()), float(np.hypot(x, y)), float(np.arctan2(y, x)), kind)

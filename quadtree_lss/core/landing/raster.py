@@ -14,7 +14,9 @@ from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 
 if not cython.compiled:
-    from math import erf, exp, pi, sqrt
+    from math import erf, exp, fabs, pi, sqrt
+
+    from quadtree_lss.core.geometry.bounds import within
 
     M_PI = pi
 
@@ -30,14 +32,18 @@ class TerrainRaster:
     Attributes:
         domain: Extent and levels.
         leaf: Row of the leaf over each cell.
-        elevation: Height at the cell's centre: the leaf's plane, or where the leaf was not
-            measured (rock shadows, gaps) the nearest measured cell's; NaN if nothing is mapped, m.
+        elevation: Height at the cell's centre: the leaf's plane within its bounds, or where the
+            leaf was not measured (rock shadows, gaps) the nearest known cell's; NaN if none is, m.
         slope_x, slope_y: dz/dx, dz/dy of the leaf's plane; 0 where bridged.
         subscale: Mean height of the leaf's subscale feature over the cell (Eq. 57), m.
         subscale_peak: Its greatest height within the cell, m; 0 where that is negligible.
-        seen: True where the ground lies within the set gap of a measurement.
-        firm: True where a point fell or the gap is bridged from all around. Seen ground that is
-            not borders on unseen ground: it may be the drop that casts the shadow.
+        seen: True where the ground is known or lies within the set gap of a known cell; never where
+            it is ``unmapped``.
+        firm: True where the ground is known or the gap is bridged from all around. Seen ground that
+            is not borders on unseen ground: it may be the drop that casts the shadow.
+        unmapped: True where a point fell whose return is not part of the map yet: seen by the
+            lidar, but nobody knows what is there.
+        cells: The map.
     """
 
     domain: Domain
@@ -49,6 +55,8 @@ class TerrainRaster:
     subscale_peak: Array
     seen: Mask
     firm: Mask
+    unmapped: Mask
+    cells: CellMap
 
 
 def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
@@ -56,35 +64,40 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
 
     Args:
         cells: The map.
-        max_gap: Ground farther than this from any finest cell in which a point fell (distance of
-            the centres less half a cell) is unseen, m.
+        max_gap: Ground farther than this from any finest cell that is known (distance of the
+            centres less half a cell) is unseen, m.
     """
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
     leaf = np.empty((n, n), dtype=np.int32)
     elevation, slope_x, slope_y, subscale, peak = layers = np.empty((5, n, n))
     layers[3:] = 0.0
-    if not (cells.measured.any() and cells.observed.any()):
-        unseen = np.zeros((n, n), dtype=np.bool_)
-        layers[1:3], layers[0] = 0.0, np.nan
-        leaf, seen, firm = cells.leaf_raster(), unseen, unseen
-        return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, peak, seen, firm)
-    seen = grown(cells.observed, max_gap, side, short=0.5)
-    firm = cells.observed | ~grown(~seen, max_gap, side, short=0.5)
     down = domain.max_level - cells.level.astype(np.intp)
     lay_out(
         cells.iy.astype(np.intp) << down,
         cells.ix.astype(np.intp) << down,
         np.left_shift(1, down),
         cells.z,
+        cells.low,
+        cells.high,
         cells.normal,
         cells.feature,
         side,
         leaf,
         layers,
     )
-    elevation = elevation.take(nearest_marked(np.isfinite(elevation))[1])
-    return TerrainRaster(domain, leaf, elevation, slope_x, slope_y, subscale, peak, seen, firm)
+    known = cells.observed & cells.known & ~np.isnan(elevation)
+    missing = ~(known | cells.measured.take(leaf))
+    unmapped = cells.observed & ~known
+    seen = grown(known, max_gap, side, short=0.5) & ~unmapped
+    firm = known | ~grown(~seen, max_gap, side, short=0.5)
+    if not known.any():
+        elevation[:] = np.nan
+    elif missing.any():
+        elevation[missing] = elevation.take(nearest_marked(known)[1][missing])
+        slope_x[missing] = slope_y[missing] = 0.0
+    found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped)
+    return TerrainRaster(domain, leaf, *found, cells)
 
 
 @cython.boundscheck(False)
@@ -93,6 +106,8 @@ def lay_out(
     column: Index,
     width: Index,
     z: Array,
+    low: Array,
+    high: Array,
     normal: Array,
     feature: Array,
     side: float,
@@ -104,7 +119,8 @@ def lay_out(
     Args:
         row, column: (M,) of each leaf's first finest cell.
         width: (M,) finest cells along its side.
-        z: (M,) plane's elevation at the centre, NaN if it was not measured, m.
+        z: (M,) plane's elevation at the centre, NaN if there is none, m.
+        low, high: (M,) what the plane's heights keep to, m; NaN for no bound.
         normal, feature: (M, 3), (M, 5).
         side: Of the finest cells, m.
         leaf: (n, n), set to the row of the leaf.
@@ -112,6 +128,7 @@ def lay_out(
             two to its mean and its greatest height.
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    cython.declare(beyond=cython.bint)
     half = 0.5 * side
     # Of a feature, column by column: its share, and the square of the distance.
     shares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
@@ -122,19 +139,23 @@ def lay_out(
             slope_x, slope_y = 0.0, 0.0
             if z[k] == z[k]:
                 slope_x, slope_y = -normal[k, 0] / normal[k, 2], -normal[k, 1] / normal[k, 2]
+            rise = (fabs(slope_x) + fabs(slope_y)) * middle * side
+            beyond = z[k] - rise < low[k] or z[k] + rise > high[k]
             for i in range(row[k], row[k] + width[k]):
                 y = (i - row[k] - middle) * side
                 for j in range(column[k], column[k] + width[k]):
                     x = (j - column[k] - middle) * side
                     leaf[i, j] = k
                     layers[0, i, j] = z[k] + slope_x * x + slope_y * y
+                    if beyond:
+                        layers[0, i, j] = within(layers[0, i, j], low[k], high[k])
                     layers[1, i, j] = slope_x
                     layers[2, i, j] = slope_y
             if not feature[k, 1] == feature[k, 1]:
                 continue
             # Eq. 57: a bell is a product of two normal densities times its volume k^2.
             sigma, volume = feature[k, 4], feature[k, 1] * feature[k, 1]
-            high = volume / (2.0 * M_PI * sigma * sigma)
+            top = volume / (2.0 * M_PI * sigma * sigma)
             for j in range(width[k]):
                 x = (j - middle) * side - feature[k, 2]
                 shares[j] = bell_share(x, half, sigma)
@@ -145,7 +166,7 @@ def lay_out(
                 square = max(max(y - half, -y - half), 0.0) ** 2
                 for j in range(width[k]):
                     layers[3, row[k] + i, column[k] + j] = share * shares[j]
-                    raised = high * exp(-0.5 * (squares[j] + square) / (sigma * sigma))
+                    raised = top * exp(-0.5 * (squares[j] + square) / (sigma * sigma))
                     if raised >= NEGLIGIBLE:
                         layers[4, row[k] + i, column[k] + j] = raised
 

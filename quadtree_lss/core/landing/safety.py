@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import radians, tan
 
@@ -32,7 +33,7 @@ class Judgement:
         uncertain: Of these, where it stands on the map, yet is too likely not to.
         risk: P(unsafe) of landing there; NaN if it is not asked for.
         aimed: P(unsafe | aim) with the dispersion; NaN if it is not asked for.
-        judged: Where all ground under the lander is seen.
+        judged: Where all ground under the lander is seen and mapped.
         worst: Its worst rests there.
         ranks: Whether sites are ranked by ``aimed``.
         side: Between grid points, m.
@@ -51,13 +52,18 @@ class Judgement:
     dispersion: Dispersion
     table: RiskTable | None
 
-    def remainders(self, rows: Index, columns: Index) -> list[Remainder]:
-        """What most of the risk comes from at aim points (K,); none if risk is not asked for."""
+    def remainders(
+        self, rows: Index, columns: Index, unmapped: Callable[[int, int], bool]
+    ) -> list[Remainder]:
+        """What most of the risk comes from at aim points (K,); none if risk is not asked for.
+
+        ``unmapped`` is that of ``probability.remainder``.
+        """
         if self.table is None:
             return []
         given = self.risk, self.judged, self.worst, self.table, self.side, self.dispersion
         places = zip(rows.tolist(), columns.tolist(), strict=True)
-        return [remainder(*given, place) for place in places]
+        return [remainder(*given, place, unmapped) for place in places]
 
 
 class SafetyJudge:

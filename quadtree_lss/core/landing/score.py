@@ -42,7 +42,8 @@ class PointAssessment:
         spoiled: What the zone must keep off: finest cells (n, n) by the paper's rules, grid points
             at which the lander fails with the touchdown check ...
         reach: ... and how near the zone's centre may come to them, m.
-        unseen: (n, n) finest cells the zone must keep off.
+        unseen: (n, n) finest cells the zone must keep off ...
+        pad_radius: ... and by how much more of those that are seen but not yet mapped, m.
     """
 
     planes: GroundPlanes
@@ -55,6 +56,7 @@ class PointAssessment:
     spoiled: Mask
     reach: float
     unseen: Mask
+    pad_radius: float
 
 
 def assess_points(
@@ -81,7 +83,7 @@ def assess_points(
     zone = radius + lss.margin
     bits = features.take(raster.leaf)
     bits *= raster.seen.view(np.uint8)
-    bits |= ~raster.seen * np.uint8(hazards.UNSEEN)
+    bits |= unknown_bits(raster)
     # No zone fits a domain smaller than itself: none needs sums over more than that.
     widest = 0.5 * cells.domain.size
     hazard = touching(bits)
@@ -135,6 +137,7 @@ def assess_points(
         spoiled,
         reach,
         ~raster.firm,
+        lss.pad_radius,
     )
 
 
@@ -150,12 +153,27 @@ def planes_below(raster: TerrainRaster, lss: LssConfig) -> GroundPlanes:
     return ground_planes(raster.elevation, raster.seen, domain.finest_size, radius)
 
 
+def unknown_bits(raster: TerrainRaster) -> Bytes:
+    """Bits (n, n) of finest cells of which nobody knows what is there."""
+    bits = ~raster.seen * np.uint8(hazards.UNSEEN)
+    bits |= raster.unmapped * np.uint8(hazards.UNMAPPED)
+    return bits
+
+
 def seen_about(raster: TerrainRaster, lss: LssConfig) -> Array:
-    """Distance of grid points to ground that is unseen or outside, where that matters, m."""
+    """Distance of grid points to ground that is unseen or outside, where that matters, m.
+
+    Something was hit on ground that is seen but not yet mapped: pads must not reach over it
+    either, so it is nearer by their radius.
+    """
     limit = max(0.5 * lss.vehicle_diameter + lss.margin, lss.hazard_distance_cap)
     n, side = raster.domain.finest_count, raster.domain.finest_size
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
     out = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
+    if raster.unmapped.any():
+        marked = touching(raster.unmapped.view(np.uint8)) > 0
+        near = distance_from(marked, side, limit + lss.pad_radius)
+        np.minimum(out, near - lss.pad_radius, out=out)
     np.minimum(out, border, out=out)
     return np.minimum(out, border[:, None], out=out)
 
@@ -168,11 +186,25 @@ def room_about(points: PointAssessment, domain: Domain, zone: float, x: Array, y
     """
     x, y, side = x - domain.xmin, y - domain.ymin, domain.finest_size
     out = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
-    for marked, reach in ((points.spoiled, points.reach), (points.unseen, zone)):
+    unmapped = (points.raster.unmapped, zone + points.pad_radius)
+    for marked, reach in ((points.spoiled, points.reach), (points.unseen, zone), unmapped):
         # Cells have an extent, points of the lattice have none.
         half = 0.5 * (domain.finest_count + 1 - len(marked))
         lower_room(marked.view(np.uint8), half, x, y, side, reach, out)
     return np.asarray(np.maximum(out, 0.0))
+
+
+def meets_unmapped(
+    raster: TerrainRaster, row: int, column: int, radius: float, lss: LssConfig
+) -> bool:
+    """Whether pads on a circle (m) about a grid point of the lattice meet ground not yet mapped."""
+    if not raster.unmapped.any():
+        return False
+    side, room = raster.domain.finest_size, np.zeros(1)
+    place = np.array([column * side]), np.array([row * side])
+    marked = raster.unmapped.view(np.uint8)
+    lower_room(marked, 0.5, *place, side, radius + lss.pad_radius - 1e-9, room)
+    return bool(room[0] < 0.0)
 
 
 def greatest_about(points: PointAssessment, rows: Index, columns: Index) -> tuple[Array, Array]:

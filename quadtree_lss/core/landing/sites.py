@@ -21,6 +21,7 @@ from quadtree_lss.core.landing.assessment import (
 )
 from quadtree_lss.core.landing.covariance import ground_covariance
 from quadtree_lss.core.landing.grid import GridSampler, best_points, users_grid
+from quadtree_lss.core.landing.lattice import touching
 from quadtree_lss.core.landing.probability import Dispersion
 from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.core.landing.restrictions import Restrictions
@@ -30,9 +31,11 @@ from quadtree_lss.core.landing.score import (
     assess_points,
     greatest_about,
     ground_radius,
+    meets_unmapped,
     planes_below,
     room_about,
     seen_about,
+    unknown_bits,
 )
 from quadtree_lss.core.landing.target import (
     Choice,
@@ -116,7 +119,8 @@ class LandingSiteSelector:
             nowhere = np.full((len(y), len(x)), np.nan)
             nothing = Ground(x, y, np.isfinite(nowhere), nowhere)
             self._choose(nothing, lambda row, column: reason, reason)
-            return nothing_mapped(cells, self._answers, reason, x, y)
+            bits = at.any(touching(unknown_bits(raster)))
+            return nothing_mapped(cells, self._answers, reason, x, y, bits)
         features = hazards.avoided_features(cells, lss)
         inside = seen_about(raster, lss)
         planes = planes_below(raster, lss)
@@ -148,7 +152,11 @@ class LandingSiteSelector:
             if safe[row, column]:
                 return wanted.why_not(x[column], y[row], lss)
             room = at.nearest(inside)[row, column] - lss.margin
-            return Reason.UNSEEN if room < 0.5 * lss.vehicle_diameter - 1e-9 else Reason.HAZARD
+            if room >= 0.5 * lss.vehicle_diameter - 1e-9:
+                return Reason.HAZARD
+            place = int(at.near[0][row]), int(at.near[1][column])
+            unmapped = meets_unmapped(raster, *place, 0.5 * lss.vehicle_diameter + lss.margin, lss)
+            return Reason.UNMAPPED if unmapped else Reason.UNSEEN
 
         none = Reason.WITHHELD if unknown else Reason.NO_SITE
         choice = self._choose(Ground(x, y, safe, cost), why_not, none)
@@ -257,14 +265,20 @@ class LandingSiteSelector:
             id=self._target.places.numbers(place, self._reach()),
             reasons=(),
         )
-        return with_reasons(sites, lss, judged.remainders(*centre))
+        raster, radius = points.raster, 0.5 * lss.vehicle_diameter
+
+        def unmapped(row: int, column: int) -> bool:
+            return meets_unmapped(raster, row, column, radius, lss)
+
+        return with_reasons(sites, lss, judged.remainders(*centre, unmapped))
 
 
 def _why_none(points: PointAssessment, raster: TerrainRaster, lss: LssConfig) -> str:
-    seen = float(np.mean(raster.seen))
-    hazardous = (points.hazard & 0x7F > 0) & (points.hazard & hazards.UNSEEN == 0)
+    seen, unmapped = float(np.mean(raster.seen)), float(np.mean(raster.unmapped))
+    hazardous = (points.hazard & hazards.IDENTIFIED > 0) & (points.hazard & hazards.UNSEEN == 0)
     return (
         f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
-        f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
+        + (f"{100.0 * unmapped:.0f} % seen but not yet mapped, " if unmapped > 0.0 else "")
+        + f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
         f"{0.5 * lss.vehicle_diameter + lss.margin:.2f} m radius is both seen and safe"
     )

@@ -39,6 +39,7 @@ class Reason(IntEnum):
     WITHHELD = 22
     OUTSIDE_MAP = 23
     UNCONFIRMED = 24
+    UNMAPPED = 25
 
     @property
     def key(self) -> str:

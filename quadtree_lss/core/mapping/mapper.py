@@ -212,7 +212,7 @@ class Mapper:
         unfold(self.leaves.observed, observed)
         ix, iy, count = np.empty((3, m), dtype=np.uint32)
         level, measured = np.empty((2, m), dtype=np.uint8)
-        elevation, roughness, exceptions = single = np.empty((3, m))
+        elevation, roughness, exceptions, low, high = single = np.empty((5, m))
         normal, range_part, pose_part = np.empty((m, 3)), np.empty((m, 9)), np.empty((m, 9))
         feature = np.empty((m, 5))
         unseen_parts(self.leaves, rows, range_part)
@@ -243,7 +243,10 @@ class Mapper:
             roughness=roughness,
             exception_fraction=exceptions,
             feature=feature,
-            observed=observed >= 2,
+            low=low,
+            high=high,
+            observed=observed > 0,
+            known=observed > 1,
             offset_z=self._offset[0],
             offset_variance=self._offset[1],
         )

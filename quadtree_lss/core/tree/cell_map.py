@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.arrays import Array, Bytes, Ints, Mask, Numbers
+from quadtree_lss.arrays import Array, Bytes, Index, Ints, Mask, Numbers
+from quadtree_lss.core.geometry.bounds import bounded
 from quadtree_lss.core.geometry.heights import height_by_error
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import leaf_raster
@@ -65,7 +66,13 @@ class CellMap:
         exception_fraction: (M,) Eq. 48.
         feature: (M, 5) A, k, mu_x, mu_y (about the centre), sigma of Eq. 51; NaN for none. k^2 is
             the volume, k^2 / (2 pi sigma^2) the height (``columns.WIDER``).
+        low, high: (M,) lowest and highest height that a return has in the leaf, give or take its
+            noise, m; NaN where there is none, or no bound. The plane's heights keep to them (see
+            ``geometry.bounds``).
         observed: (n, n) [iy, ix], True for finest cells in which a point fell.
+        known: (n, n) of these, the cells whose returns are part of what their leaf says: it is
+            measured, and they were compared with its present plane. The others are seen, not yet
+            mapped: as bad as unseen.
         offset_z: By how much the ground of the newest scan that could be compared with the map lay
             over it by its pose: the map's height plus this is the height by navigation, m. NaN if
             none could be compared.
@@ -86,7 +93,10 @@ class CellMap:
     roughness: Array
     exception_fraction: Array
     feature: Array
+    low: Array
+    high: Array
     observed: Mask
+    known: Mask
     offset_z: float = float("nan")
     offset_variance: float = float("nan")
 
@@ -116,7 +126,7 @@ class CellMap:
         return np.isfinite(self.z)
 
     def at(self, x: ArrayLike, y: ArrayLike) -> Ground:
-        """Height, slope and deviation of the plane over each place.
+        """Height, slope and deviation of the plane over each place; heights are within bounds.
 
         Rocks that stand out of a plane are not in its height (``feature``); a place on a border
         belongs to the cell north and east of it, as measurements do.
@@ -136,14 +146,19 @@ class CellMap:
         leaf = self._leaves[row[inside].astype(np.intp), column[inside].astype(np.intp)]
         normal = self.normal[leaf]
         east, north = place_x[inside] - self.x[leaf], place_y[inside] - self.y[leaf]
-        rise = -(normal[:, 0] * east + normal[:, 1] * north) / normal[:, 2]
-        out[0, inside] = self.z[leaf] + rise
+        out[0, inside] = self.heights(leaf, place_x[inside], place_y[inside])
         out[1, inside] = np.degrees(np.arccos(np.clip(normal[:, 2], -1.0, 1.0)))
         by = height_by_error(normal, east, north)
         variance = np.einsum("ki,kij,kj->k", by, self.covariance[leaf], by)
         out[2, inside] = np.sqrt(np.maximum(variance, 0.0))
         height, slope, deviation = (values.reshape(at_x.shape)[()] for values in out)
         return Ground(height, slope, deviation)
+
+    def heights(self, leaf: Index | Ints, x: Array, y: Array) -> Array:
+        """Heights (...) of the planes of leaves, rows (...), at x, y (...), within bounds, m."""
+        normal = self.normal[leaf]
+        along = normal[..., 0] * (x - self.x[leaf]) + normal[..., 1] * (y - self.y[leaf])
+        return bounded(self.z[leaf] - along / normal[..., 2], self.low[leaf], self.high[leaf])
 
     def profile(self, start: ArrayLike, end: ArrayLike, step: float | None = None) -> Profile:
         """The ground along the straight line between two places.

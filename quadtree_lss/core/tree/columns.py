@@ -38,7 +38,8 @@ def fill_columns(
         table: The leaves; rows: (M,) of them.
         whole: (M,) each: ix, iy and the number of measurements.
         level, measured: (M,).
-        single: (3, M) elevation of the plane, roughness and exception fraction.
+        single: (5, M) elevation of the plane, roughness, exception fraction, lowest and highest
+            return.
         normal, range_part, pose_part: (M, 3), (M, 9), (M, 9); to the range part, what is known of
             it is added.
         bell: (M, 5).
@@ -65,6 +66,8 @@ def fill_columns(
             single[0, i] = leaf.z + unknown
             single[1, i] = side * side * mean + unmeasured
             single[2, i] = leaf.exception_sum / counted + unmeasured
+            single[3, i] = leaf.low if leaf.low <= leaf.high else NAN
+            single[4, i] = leaf.high if leaf.low <= leaf.high else NAN
             for j in range(3):
                 normal[i, j] = leaf.normal[j] + unknown
             for j in range(9):
