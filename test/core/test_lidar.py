@@ -106,8 +106,19 @@ def test_points_of_a_cell_are_one_run_in_the_order_of_the_scan(form):
     lost = {"no_return": int(np.isnan(place[:, 0]).sum()), "range": 0, "isolated": 0}
     returns = np.isfinite(place[:, 0])
     assert dropped == {**lost, "outside": int(returns.sum()) - len(inside)}
-    middle = place[returns, :2].mean(axis=0) + pose.position[:2]
-    np.testing.assert_allclose(found.centre, middle, atol=1e-9)
+    assert found.centre is None
+
+
+def test_a_scan_that_misses_the_domain_says_where_it_fell():
+    pose = make_pose((80.0, 80.0, 100.0))
+    config = configured()
+    points = scan(flat(), *lattice(70.0, 72.0, 16.0, 40), pose, 0.0)
+    points[::7] = np.nan
+    found, dropped = register(points, pose, config.lidar, domain_of(config))
+    assert len(found.key) == 0
+    assert dropped["outside"] == int(np.isfinite(points[:, 0]).sum())
+    middle = np.nanmean(points @ pose.rotation_map_lidar.T, axis=0) + pose.position
+    np.testing.assert_allclose(found.centre, middle[:2], atol=1e-9)
 
 
 @pytest.mark.parametrize("convention", ["fixed axes with cross block", "lidar axes (Eq. 16)"])

@@ -1,4 +1,9 @@
-cdef long long PLACE_BITS, PLACE_MASK, DIGIT_BITS
+cdef enum:
+    #: A packed number holds a key above so many bits and a place in the scan below.
+    PLACE_BITS = 32
+    #: One pass of the sort takes at most so many bits of the key: its counters, 2048, fit the
+    #: first cache.
+    DIGIT_BITS = 11
 
 cpdef long long encode(long long ix, long long iy) noexcept nogil
 cdef long long spread(long long value) noexcept nogil

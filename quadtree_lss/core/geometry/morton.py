@@ -9,11 +9,8 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.arrays import Index, Keys
 
-#: A packed number holds a key above so many bits and a place in the scan below.
-PLACE_BITS = 32
-PLACE_MASK = 0xFFFFFFFF
-#: One pass of the sort takes at most so many bits of the key: its counters fit the first cache.
-DIGIT_BITS = 11  # 2048 counters
+if not cython.compiled:
+    PLACE_BITS, DIGIT_BITS = 32, 11
 
 
 def encode(ix: cython.longlong, iy: cython.longlong) -> cython.longlong:
@@ -63,7 +60,7 @@ def order(keys: ArrayLike) -> Index:
     values = np.asarray(keys, dtype=np.int64)
     packed = (values << PLACE_BITS) | np.arange(len(values))
     spare = np.empty_like(packed)
-    return (spare if sort_packed(packed, spare) else packed) & PLACE_MASK
+    return (spare if sort_packed(packed, spare) else packed) & 0xFFFFFFFF
 
 
 @cython.boundscheck(False)

@@ -66,15 +66,24 @@ def spread_over(count: int, sample: int) -> Ints:
 
 @cython.boundscheck(False)
 def pixels_with_few_links(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
-    """Returns with fewer than two links: their places in (H, W) to ``pixels``, how many."""
-    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    """Returns with fewer than two links: their places in (H, W) to ``pixels``, how many.
+
+    In a row without a step beyond the limit only the first and the last pixel may be such.
+    """
+    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t, linked=cython.Py_ssize_t)
     few: cython.Py_ssize_t = 0
+    width: cython.Py_ssize_t = ranges.shape[1]
     with cython.nogil:
         for row in range(ranges.shape[0]):
-            for column in range(ranges.shape[1]):
+            linked = 0
+            for column in range(width - 1):
+                linked += abs(ranges[row, column + 1] - ranges[row, column]) <= limit
+            column = 0
+            while column < width:
                 if ranges[row, column] > 0.0 and pixel_links(ranges, row, column, limit) < 2:
-                    pixels[few] = row * ranges.shape[1] + column
+                    pixels[few] = row * width + column
                     few += 1
+                column += max(linked, 1) if linked == width - 1 else 1
     return few
 
 

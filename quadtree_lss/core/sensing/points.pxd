@@ -1,6 +1,6 @@
 from libc.math cimport NAN, sqrt
 
-from quadtree_lss.core.geometry.morton cimport PLACE_BITS, PLACE_MASK
+from quadtree_lss.core.geometry.morton cimport PLACE_BITS
 
 ctypedef fused Coordinate:
     float
@@ -13,28 +13,22 @@ cpdef void turn(
     double[:, ::1] motion,
     double least,
     double most,
-    double[:, ::1] points,
-    double[::1] ranges,
-    long long[::1] lost,
-)
-cpdef bint reach_beyond(const Coordinate[:, :] points, double limit)
-cpdef void bin_runs(
-    double[:, ::1] points,
-    double[::1] ranges,
     double west,
     double south,
     double per_metre,
     long long count,
     long long[::1] spread,
-    long long[::1] runs,
-    int[:, ::1] spans,
-    long long[::1] found,
-    double[::1] sums,
+    double[:, ::1] points,
+    double[::1] ranges,
+    int[::1] codes,
+    long long[::1] counts,
 )
+cpdef bint reach_beyond(const Coordinate[:, :] points, double limit)
+cpdef Py_ssize_t find_runs(int[::1] codes, long long[::1] runs, int[::1] begins)
 cpdef void arrange(
     double[:, ::1] points,
     long long[::1] runs,
-    int[:, ::1] spans,
+    int[::1] begins,
     double[:, ::1] arranged,
     long long[::1] keys,
 )

@@ -11,7 +11,7 @@ if not cython.compiled:
     from math import nan as NAN
     from math import sqrt
 
-    from quadtree_lss.core.geometry.morton import PLACE_BITS, PLACE_MASK
+    from quadtree_lss.core.geometry.morton import PLACE_BITS
 
 
 @cython.boundscheck(False)
@@ -22,24 +22,37 @@ def turn(
     motion: Array,
     least: float,
     most: float,
+    west: float,
+    south: float,
+    per_metre: float,
+    count: cython.longlong,
+    spread: Keys,
     points: Array,
     ranges: Array,
-    lost: Keys,
+    codes: Ints,
+    counts: Keys,
 ) -> cython.void:
-    """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m.
+    """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
     Args:
         offsets, times, motion: Of a `sweep.Sweep`; without offsets, the first row is for all.
         least, most: Shorter or longer ranges are no returns, m.
+        west, south: Place of the points' origin in the domain, from its corner, m.
+        per_metre, count: Finest cells to a metre, and along a side.
+        spread: `morton.SPREAD`.
         points: (N, 3) for the answer.
         ranges: (N,) for their ranges, NaN where there is no return.
-        lost: (2,) for how many are not finite, and how many are out of range.
+        codes: (N,) for the Morton codes of the finest cells; ``count`` squared for none.
+        counts: (3,) for how many are not finite, out of range, in a cell.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
     beyond: cython.longlong = 0
+    inside: cython.longlong = 0
     cython.declare(x=cython.double, y=cython.double, z=cython.double, k=cython.Py_ssize_t)
-    row: cython.Py_ssize_t = 0
+    at: cython.Py_ssize_t = 0
+    nowhere: cython.int = count * count
+    side: cython.double = count
     moving: cython.bint = offsets.shape[0] > 0
     r = cython.declare(cython.double[12])
     with cython.nogil:
@@ -50,19 +63,30 @@ def turn(
             y = points_lidar[i, 1]
             z = points_lidar[i, 2]
             distance = sqrt(x * x + y * y + z * z)
+            codes[i] = nowhere
             if distance > 0.0 and least <= distance <= most:
                 ranges[i] = distance
                 if moving:
-                    while row > 0 and offsets[i] < times[row]:
-                        row -= 1
-                    while row < times.shape[0] - 2 and offsets[i] >= times[row + 1]:
-                        row += 1
-                    share = (offsets[i] - times[row]) / (times[row + 1] - times[row])
+                    while at > 0 and offsets[i] < times[at]:
+                        at -= 1
+                    while at < times.shape[0] - 2 and offsets[i] >= times[at + 1]:
+                        at += 1
+                    share = (offsets[i] - times[at]) / (times[at + 1] - times[at])
                     for k in range(12):
-                        r[k] = motion[row, k] + share * (motion[row + 1, k] - motion[row, k])
-                points[i, 0] = r[0] * x + r[1] * y + r[2] * z + r[9]
-                points[i, 1] = r[3] * x + r[4] * y + r[5] * z + r[10]
+                        r[k] = motion[at, k] + share * (motion[at + 1, k] - motion[at, k])
                 points[i, 2] = r[6] * x + r[7] * y + r[8] * z + r[11]
+                east = r[0] * x + r[1] * y + r[2] * z + r[9]
+                north = r[3] * x + r[4] * y + r[5] * z + r[10]
+                points[i, 0] = east
+                points[i, 1] = north
+                column = (east + west) * per_metre
+                row = (north + south) * per_metre
+                if (column >= 0.0) & (column < side) & (row >= 0.0) & (row < side):
+                    codes[i] = (
+                        spread[cython.cast(cython.Py_ssize_t, column)]
+                        | spread[cython.cast(cython.Py_ssize_t, row)] << 1
+                    )
+                    inside += 1
             else:
                 ranges[i] = NAN
                 # The square of an absurd coordinate may be infinite though it is not.
@@ -70,8 +94,9 @@ def turn(
                     beyond += 1
                 else:
                     missing += 1
-    lost[0] = missing
-    lost[1] = beyond
+    counts[0] = missing
+    counts[1] = beyond
+    counts[2] = inside
 
 
 @cython.boundscheck(False)
@@ -86,85 +111,50 @@ def reach_beyond(points: Points, limit: float) -> cython.bint:
 
 
 @cython.boundscheck(False)
-def bin_runs(
-    points: Array,
-    ranges: Array,
-    west: float,
-    south: float,
-    per_metre: float,
-    count: cython.longlong,
-    spread: Keys,
-    runs: Keys,
-    spans: Ints,
-    found: Keys,
-    sums: Array,
-) -> cython.void:
-    """Find the finest cell under each point (N, 3) that has a range (N,).
-
-    Points in the same cell that follow one another are a run.
+def find_runs(codes: Ints, runs: Keys, begins: Ints) -> cython.Py_ssize_t:
+    """Points of one code (N,) that follow one another are a run; how many runs there are.
 
     Args:
-        west, south: Place of the points' origin in the domain, from its corner, m.
-        per_metre, count: Finest cells to a metre, and along a side.
-        spread: `morton.SPREAD`.
-        runs: (N,) for the cell's Morton code and the number of each run, packed as
-            `morton.sort_packed` needs them.
-        spans: (N, 2) for the first point of each run and the one behind its last.
-        found: (2,) for how many points lie inside the domain, and in how many runs.
-        sums: (2,) for the sums of x and y of all points, those outside included, m.
+        runs: (N,) for the code and the number of each run, packed as `morton.sort_packed` needs
+            them.
+        begins: (N + 1,) for the first point of each run, and the end of the last.
     """
     i: cython.Py_ssize_t
-    inside: cython.Py_ssize_t = 0
     run: cython.Py_ssize_t = -1
-    first: cython.Py_ssize_t = 0
-    cython.declare(new=cython.Py_ssize_t, key=cython.longlong)
+    code: cython.longlong
     last: cython.longlong = -1
-    sum_x = 0.0
-    sum_y = 0.0
+    begins[0] = 0
     with cython.nogil:
-        for i in range(points.shape[0]):
-            if not ranges[i] > 0.0:
-                last = -1
-                continue
-            sum_x += points[i, 0]
-            sum_y += points[i, 1]
-            column = (points[i, 0] + west) * per_metre
-            row = (points[i, 1] + south) * per_metre
-            if not (0.0 <= column < count and 0.0 <= row < count):
-                last = -1
-                continue
-            key = spread[cython.cast(cython.Py_ssize_t, column)]
-            key |= spread[cython.cast(cython.Py_ssize_t, row)] << 1
+        for i in range(codes.shape[0]):
+            code = codes[i]
             # Without a branch, which nobody could foretell.
-            new = key != last
-            run += new
-            first += new * (i - first)
-            last = key
-            runs[run] = (key << PLACE_BITS) | run
-            spans[run, 0] = first
-            spans[run, 1] = i + 1
-            inside += 1
-    found[0] = inside
-    found[1] = run + 1
-    sums[0] = sum_x
-    sums[1] = sum_y
+            run += code != last
+            last = code
+            runs[run] = (code << PLACE_BITS) | run
+            begins[run + 1] = i + 1
+    return run + 1
 
 
 @cython.boundscheck(False)
-def arrange(points: Array, runs: Keys, spans: Ints, arranged: Array, keys: Keys) -> cython.void:
+def arrange(points: Array, runs: Keys, begins: Ints, arranged: Array, keys: Keys) -> cython.void:
     """Copy points run by run to ``arranged`` (M, 3), the key of each to ``keys`` (M,).
 
     Args:
-        runs, spans: As of `bin_runs`, ``runs`` sorted.
+        runs, begins: As of `find_runs`, ``runs`` sorted; those of points in no cell, the last,
+            are left.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
+    key: cython.longlong
     to: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(runs.shape[0]):
-            run = runs[i] & PLACE_MASK
-            for j in range(spans[run, 0], spans[run, 1]):
+            if to >= keys.shape[0]:
+                break
+            key = runs[i] >> PLACE_BITS
+            run = runs[i] - (key << PLACE_BITS)
+            for j in range(begins[run], begins[run + 1]):
                 arranged[to, 0] = points[j, 0]
                 arranged[to, 1] = points[j, 1]
                 arranged[to, 2] = points[j, 2]
-                keys[to] = runs[i] >> PLACE_BITS
+                keys[to] = key
                 to += 1

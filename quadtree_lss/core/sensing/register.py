@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from quadtree_lss.core.geometry.morton import SPREAD, sort_packed
 from quadtree_lss.core.sensing.isolated import isolated_in_image
 from quadtree_lss.core.sensing.isolated_points import isolated_in_space
 from quadtree_lss.core.sensing.lidar import Pose, sound_covariance
-from quadtree_lss.core.sensing.points import arrange, bin_runs, turn
+from quadtree_lss.core.sensing.points import arrange, find_runs, turn
 from quadtree_lss.core.sensing.sweep import Sweep, still
 
 #: Of larger scans no memory is kept.
@@ -32,8 +32,8 @@ class RegisteredScan:
             lidar's way between the stamp and the point's time, far shorter than a ray).
         key: (N,) Morton code of the finest cell under each point, ascending; points of a cell
             keep the order of the scan.
-        centre: x and y of the middle of the sound returns, those outside the domain included,
-            map frame, m; None if there is none.
+        centre: x and y of the middle of the sound returns, map frame, m, if all of them are outside
+            the domain; otherwise, or if there is none, None.
     """
 
     pose: Pose
@@ -72,41 +72,52 @@ def register(
         msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
         raise ValueError(msg)
     work = _workspace(len(flat))
-    lost, found, sums = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2)
+    counts = np.zeros(3, np.int64)
     moved = still(pose.rotation_map_lidar) if sweep is None else sweep
-    least, most = lidar.min_range, lidar.max_range
-    of_sweep = (moved.offsets, moved.times, moved.motion)
-    turn(flat, *of_sweep, least, most, work.points, work.ranges, lost)
+    x, y, _ = pose.position.tolist()
+    n = 1 << domain.max_level
+    nowhere = n * n
+    turn(
+        flat,
+        moved.offsets,
+        moved.times,
+        moved.motion,
+        lidar.min_range,
+        lidar.max_range,
+        x - domain.xmin,
+        y - domain.ymin,
+        n / domain.size,
+        n,
+        SPREAD,
+        work.points,
+        work.ranges,
+        work.codes,
+        counts,
+    )
     if points_lidar.ndim == 3:
         image = work.ranges.reshape(points_lidar.shape[:2])
         isolated = isolated_in_image(image, lidar.outlier_gate)
     else:
         isolated = isolated_in_space(work.points, work.ranges, lidar.outlier_gate)
-    missing, beyond = lost.tolist()
+    missing, beyond, inside = counts.tolist()
+    if isolated:
+        work.codes[np.isnan(work.ranges)] = nowhere
+        inside = int(np.count_nonzero(work.codes != nowhere))
     sound = len(flat) - missing - beyond - isolated
-    west, south = (pose.position[:2] - [domain.xmin, domain.ymin]).tolist()
-    n = 1 << domain.max_level
-    per_metre = n / domain.size
-    bin_runs(
-        work.points,
-        work.ranges,
-        west,
-        south,
-        per_metre,
-        n,
-        SPREAD,
-        work.runs,
-        work.spans,
-        found,
-        sums,
-    )
-    inside, run_count = found.tolist()
+    run_count = find_runs(work.codes, work.runs, work.begins)
     runs, spare = work.runs[:run_count], work.spare[:run_count]
     points, key = np.empty((inside, 3)), np.empty(inside, np.int64)
-    arrange(work.points, spare if sort_packed(runs, spare) else runs, work.spans, points, key)
-    middle = (sums / sound + pose.position[:2]).tolist() if sound else None
+    arrange(work.points, spare if sort_packed(runs, spare) else runs, work.begins, points, key)
+    middle = None
+    if sound and not inside:
+        middle = (work.points[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
     scan = RegisteredScan(
-        pose=replace(pose, covariance=sound_covariance(pose.covariance)),
+        pose=Pose(
+            pose.stamp_ns,
+            pose.position,
+            pose.rotation_map_lidar,
+            sound_covariance(pose.covariance),
+        ),
         origin=pose.position,
         points=points,
         key=key,
@@ -127,7 +138,7 @@ class _Workspace:
     def __init__(self, size: int) -> None:
         self.points, self.ranges = np.empty((size, 3)), np.empty(size)
         self.runs, self.spare = np.empty((2, size), np.int64)
-        self.spans = np.empty((size, 2), np.int32)
+        self.codes, self.begins = np.empty(size, np.int32), np.empty(size + 1, np.int32)
 
 
 def _workspace(size: int) -> _Workspace:
