@@ -15,6 +15,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.arrays import Array
+from quadtree_lss.core.mapping.departure import FLOOR
 from quadtree_lss.core.tree.leaves import LeafTable
 
 if not cython.compiled:
@@ -25,8 +26,6 @@ if not cython.compiled:
 HUBER = 2.0
 #: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2.
 MODEL_VARIANCE = 0.02**2
-#: Variance of the measured offset that more cells do not make smaller, m^2.
-FLOOR = 0.04**2
 #: Variance of an exact pose, m^2.
 EXACT = 1e-9
 #: An offset of so many deviations is a jump of the pose's error.
@@ -85,7 +84,7 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     away = np.abs(rise - rise[order[half]]) * np.sqrt(weight)
     weight *= np.minimum(1.0, HUBER / np.maximum(away, HUBER))
     total = float(weight.sum())
-    height, _, of_scan, _, since, until = (cells @ weight / total).tolist()
+    height, _, of_scan, _, since, until = (cells[:6] @ weight / total).tolist()
     # On slopes either error is another one: the cell best known for what the scan knows of it.
     of_map = (of_scan + EXACT) * float(np.min(cells[3] / (cells[2] + EXACT)))
     news = 1.0

@@ -9,15 +9,13 @@ from enum import Enum
 import numpy as np
 
 from quadtree_lss.arrays import Array
+from quadtree_lss.core.mapping.departure import departure
 
-#: A scan contradicts the map if more than this share of its cells ...
-SHARE = 2.0 / 3.0
-#: ... stand off by more than this many deviations.
-DEVIATIONS = 5.0
-#: What no covariance tells, m^2: half a metre is no contradiction.
-SLACK = 0.1**2
-#: Cells seen before that a scan needs to contradict the map.
-MIN_CELLS = 3
+#: A scan contradicts the map if less than this share of its cells stands where they may, ...
+SHARE = 1.0 / 3.0
+#: ... or if these depart in common by more than so many deviations: of three degrees of freedom one
+#: sound scan in 7,000 does.
+DEVIATIONS = 4.5
 #: So many scans in a row that agree with each other are right and the map is wrong.
 AGREEING = 10
 
@@ -45,23 +43,22 @@ class Contradiction:
     height: float = 0.0
     variance: float = 0.0
 
-    def judge(self, cells: Array) -> Verdict:
+    def judge(self, cells: Array, sigma: Array, now: float, correlation_time: float) -> Verdict:
         """Judge a scan by how its ground stands over the map's.
 
-        In each of the M cells seen before it stands off by b_i, of variance v_i: from range noise
-        and from what both poses claim. Most |b_i| / sqrt(v_i) exceed `DEVIATIONS` only where a
-        height or an attitude is beyond what is claimed, however rough the ground: rocks, shadows
-        and edges are in few cells, and wrong ground in the map is in some. `AGREEING` refused scans
-        whose b are the same but for what their own poses claim win.
+        Rocks, shadows and edges are in few cells, and wrong ground in the map is in some: only
+        where a height or an attitude is beyond what is claimed do most cells, or all in common,
+        depart (`departure`). `AGREEING` refused scans whose heights are the same but for what their
+        own poses claim win.
 
         Args:
-            cells: (6, M) of `ScanUpdate.compare`.
+            cells, sigma, now, correlation_time: As of `departure`.
         """
-        if cells.shape[1] < MIN_CELLS or not departs(cells):
+        if not departs(cells, sigma, now, correlation_time):
             self.count = 0
             return Verdict.SOUND
-        height, variance = float(np.median(cells[0])), float(np.median(cells[2]))
-        allowed = DEVIATIONS**2 * (variance + self.variance + SLACK)
+        height, variance = float(np.median(cells[0])), float(np.median(cells[1] + cells[2]))
+        allowed = DEVIATIONS**2 * (variance + self.variance)
         agrees = self.count > 0 and (height - self.height) ** 2 <= allowed
         self.count = self.count + 1 if agrees else 1
         self.height, self.variance = height, variance
@@ -71,7 +68,12 @@ class Contradiction:
         return Verdict.OVERRULES
 
 
-def departs(cells: Array, lifted: float = 0.0) -> bool:
+def departs(
+    cells: Array, sigma: Array, now: float, correlation_time: float, lifted: float = 0.0
+) -> bool:
     """Whether a scan contradicts a map lifted by so many m."""
-    deviations = np.abs(cells[0] - lifted) / np.sqrt(cells[1] + cells[2] + cells[3] + SLACK)
-    return float(np.mean(deviations > DEVIATIONS)) > SHARE
+    if lifted:
+        cells = cells.copy()
+        cells[0] -= lifted
+    found = departure(cells, sigma, now, correlation_time, DEVIATIONS)
+    return found is not None and (found.share < SHARE or found.deviations > DEVIATIONS)

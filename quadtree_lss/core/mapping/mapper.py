@@ -154,11 +154,12 @@ class Mapper:
         change = ScanUpdate(self.leaves, self._rules, scan, now)
         change.fit()
         cells = change.compare()
-        verdict = self._against.judge(cells)
+        by = (scan.pose.covariance, now, self.config.pose.correlation_time)
+        verdict = self._against.judge(cells, *by)
         if verdict is Verdict.OVERRULES:
             height = float(np.median(cells[0]))
             self._owed = 0.0
-            if departs(cells, height):
+            if departs(cells, *by, lifted=height):
                 self.leaves.plant()
             else:
                 lift(self.leaves, height, -np.inf)

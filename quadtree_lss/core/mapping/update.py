@@ -106,14 +106,16 @@ class ScanUpdate:
                 )
 
     def compare(self) -> Array:
-        """The scan and the map in the M measured leaves that it touches, (6, M).
+        """The scan and the map in the M measured leaves that it touches, (12, M).
 
         The scan's height over the map, m, variance of that but for pose error, variance of the
-        scan's height and of the map's from pose error, m^2, first and last time in the map, s.
+        scan's height and of the map's from pose error, m^2, first and last time in the map, s;
+        the cell's place about the lidar, x, y, z, m, the map's slope along x and along y, and the
+        variance of that from pose error.
         """
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
-        out = np.empty((6, self.cells))
+        out = np.empty((12, self.cells))
         self.columns = out
         for i in range(self.cells):
             leaf = self.table.at(self.rows[i])
@@ -128,6 +130,13 @@ class ScanUpdate:
                 self.columns[3, found] = leaf.pose_part[8] / square
                 self.columns[4, found] = leaf.first_time
                 self.columns[5, found] = leaf.last_time
+                self.columns[6, found] = leaf.x - self.origin[0]
+                self.columns[7, found] = leaf.y - self.origin[1]
+                self.columns[8, found] = run.z
+                self.columns[9, found] = -leaf.normal[0] / leaf.normal[2]
+                self.columns[10, found] = -leaf.normal[1] / leaf.normal[2]
+                tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
+                self.columns[11, found] = tilt / (square * square)
                 found += 1
         return out[:, :found]
 

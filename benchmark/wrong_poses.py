@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one pose that is off by many of its own deviations does to a map.
+
+Gentle hills (0.3 m high, 8 m apart) seen from 60 m, twice a second, by poses that are drawn from
+what they claim, once for the flight (they persist) or anew in each scan (white, with
+``pose.correlation_time`` 0). Then one scan whose pose is off, in height or in tilt, and by how much
+that moves or tilts the map: share of what the pose is off, the greatest of all seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import machine, table
+
+from quadtree_lss.config.settings import config_from_values
+from quadtree_lss.core.geometry.rotations import exp
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.sensing.lidar import Pose
+
+SIZE, HEIGHT, NOISE = 16.0, 60.0, 0.05
+DOWN = np.diag([1.0, -1.0, -1.0])
+#: Claims of position, m, and of attitude, rad.
+CLAIMS = ((0.05, 0.001), (0.3, 0.002))
+OFF = (3, 5, 8, 20)
+
+
+def main() -> None:
+    """Print one table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--before", type=int, nargs="+", default=[3, 10])
+    options = parser.parse_args()
+    print(machine())
+    rows = []
+    for white in (False, True):
+        for claim in CLAIMS:
+            for before in options.before:
+                for axis in ("height", "tilt"):
+                    row = ["white" if white else "persist", f"{claim[0]:g} m, {1e3 * claim[1]:g} mrad"]
+                    row += [str(before), axis]
+                    for off in OFF:
+                        found = [
+                            moved(seed, claim, off, axis == "tilt", before, white)
+                            for seed in range(options.seeds)
+                        ]
+                        refused, share = np.array(found).T
+                        row.append(f"{refused.mean():4.0%} {share.max():5.3f}")
+                    rows.append(row)
+    table(
+        f"scans refused, greatest share of the error that the map follows ({options.seeds} seeds)",
+        ["errors", "claimed", "scans before", "off in", *(f"{off} dev." for off in OFF)],
+        rows,
+    )
+
+
+def hills(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Height of the ground, m."""
+    return 0.3 * np.sin(0.8 * x) * np.cos(0.7 * y)
+
+
+def moved(
+    seed: int, claim: tuple[float, float], off: float, tilt: bool, before: int, white: bool
+) -> tuple[bool, float]:
+    """Whether the scan was refused, and the share of its error that the map follows."""
+    rng = np.random.default_rng(seed)
+    sigma = np.repeat(claim, 3)
+    values: dict[str, object] = {
+        "domain.xmin": -0.5 * SIZE, "domain.ymin": -0.5 * SIZE, "domain.size": SIZE,
+        "domain.min_level": 2, "domain.max_level": 4,
+        "lidar.range_noise": NOISE, "lidar.outlier_gate": 0.0,
+    }  # fmt: skip
+    if white:
+        values["pose.correlation_time"] = 0.0
+    mapper = Mapper(config_from_values(values))
+    error = sigma * rng.standard_normal(6)
+    at = np.array([0.0, 0.0, HEIGHT])
+
+    def scan(number: int, wrong: np.ndarray) -> bool:
+        x, y = SIZE * (rng.random((2, 6000)) - 0.5)
+        seen = (np.column_stack([x, y, hills(x, y)]) - at) @ DOWN
+        distance = np.linalg.norm(seen, axis=1, keepdims=True)
+        seen *= 1.0 + NOISE * rng.standard_normal(distance.shape) / distance
+        pose = Pose(
+            500_000_000 * (number + 1), at + wrong[:3], exp(wrong[3:]) @ DOWN, np.diag(sigma**2)
+        )
+        return mapper.update(seen, pose).points_used == 0
+
+    for number in range(before):
+        scan(number, error)
+        if white:
+            error = sigma * rng.standard_normal(6)
+    first = mapper.snapshot()
+    extra = np.zeros(6)
+    extra[3 if tilt else 2] = off * sigma[3 if tilt else 2]
+    refused = scan(before, error * (not white) + extra)
+    last = mapper.snapshot()
+    x, y, size = first.x, first.y, first.size
+    known = first.measured
+    # Leaves may have been divided in between: both maps at the middles of the finest cells.
+    ground = [_heights(cells) for cells in (first, last)]
+    del x, y, size, known
+    change = ground[1] - ground[0]
+    grid = np.linspace(-1.0, 1.0, len(change)) * 0.5 * SIZE * (1.0 - 1.0 / len(change))
+    if tilt:
+        # A turn about x raises the ground along y.
+        slope = np.polyfit(grid, np.nanmedian(change, axis=1), 1)[0]
+        return refused, abs(slope) / extra[3]
+    return refused, abs(float(np.nanmedian(change))) / extra[2]
+
+
+def _heights(cells: object) -> np.ndarray:
+    raster = cells.leaf_raster()  # type: ignore[attr-defined]
+    n = len(raster)
+    middle = SIZE * ((np.arange(n) + 0.5) / n - 0.5)
+    x, y = np.meshgrid(middle, middle)
+    normal = cells.normal[raster]  # type: ignore[attr-defined]
+    run = normal[..., 0] * (x - cells.x[raster]) + normal[..., 1] * (y - cells.y[raster])  # type: ignore[attr-defined]
+    return np.asarray(cells.z[raster] - run / normal[..., 2])  # type: ignore[attr-defined]
+
+
+if __name__ == "__main__":
+    main()

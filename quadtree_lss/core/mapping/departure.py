@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a scan lies from the map, as a rigid motion, and how far it may by what either claims.
+
+Pose error moves all of a scan at once: what M cells say of it in common is known far better than
+any of them, and is to be judged by what the pose claims in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cython
+import numpy as np
+
+from quadtree_lss.arrays import Array
+
+if not cython.compiled:
+    from math import exp, fabs, sqrt
+
+    from quadtree_lss.core.geometry.plane import inverse_symmetric
+
+#: A cell that departs from the others by more than this many of its deviations counts less.
+HUBER = cython.declare(cython.double, 2.0)
+#: What cells claim of their own noise is believed as if so many others had confirmed it.
+BELIEVED = cython.declare(cython.double, 10.0)
+#: Rounds of reweighting; a cell's weight then changes by less than a hundredth.
+ROUNDS = cython.declare(cython.int, 4)
+#: Variance of a scan's height that no covariance tells and more cells do not make smaller, m^2:
+#: by so much ranges of a lidar are off in common.
+FLOOR = 0.04**2
+#: Cells of which a motion of three degrees of freedom can be told.
+MIN_CELLS = 3
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A scan's rigid motion from the map.
+
+    Attributes:
+        share: Of the cells that stand where both poses may have put them, each by itself.
+        height: Of the scan over the map in the middle of these cells, m.
+        tilt: (2,) rise of that along x and along y.
+        variance: Of ``height`` by what the scan's pose claims and by the cells' noise, m^2.
+        deviations: All three over what they may be, sqrt(chi^2); 0 if too few cells tell it.
+    """
+
+    share: float
+    height: float
+    tilt: tuple[float, float]
+    variance: float
+    deviations: float
+
+
+def departure(
+    cells: Array, sigma: Array, now: float, correlation_time: float, limit: float
+) -> Departure | None:
+    """The rigid motion that M cells have in common, and how likely it is; None of fewer than 3.
+
+    A pose error e = (dm, dw) lifts the ground of cell i by J_i e, with m_i = (-g_x, -g_y, 1) of
+    its slope g and a_i its place about the lidar J_i = (m_i, a_i x m_i): height, and slope times
+    what is off sideways. Heights and tilts are all that a footprint of ground shows of e: the
+    offsets b_i = h + t.(r_i - r_0) + noise_i give theta = (h, t) by least squares with Huber's
+    weights w_i / v_i, v_i the cell's own variance: A = X W X^T, theta = A^-1 X W b. Left out are
+    cells that neither pose explains, b_i^2 > limit^2 (v_i + S_i + M_i): rocks and wrong ground in
+    the map. By the hypothesis that both poses are what they claim, theta is of
+    covariance V,
+
+    - P = T Sigma T^T, T = A^-1 X W J: of the scan's pose;
+    - the map's, from what its cells claim of height, M, and of slope, Q. Of either height
+      variance P_hh + M - 2 rho sqrt(P_hh M) is left of what they have in common, rho =
+      exp(-dt / correlation_time), but no less than the larger one: errors may be whiter than is
+      said. Tilts likewise. Cells first seen at other times, by dT, have other errors: of M
+      1 - exp(-dT / correlation_time) also is a tilt;
+    - `FLOOR`, of heights;
+    - s^2 A^-1 of the cells' own noise, where s^2 is the mean square residual over v_i, with
+      `BELIEVED` for prior. What is in excess of v_i may be the same in all cells:
+      max(s^2 - 1, 0) M A^-1 more, so that no rough or partly seen ground is a contradiction.
+
+    theta^T V^-1 theta is chi^2 of three degrees of freedom.
+
+    Args:
+        cells: (12, M) of `ScanUpdate.compare`.
+        sigma: (6, 6) pose covariance of the scan.
+        now: Time of the scan, s.
+        correlation_time: s; 0 if the error is another one in each scan.
+        limit: Deviations.
+    """
+    if cells.shape[1] < MIN_CELLS:
+        return None
+    share, height, along_x, along_y, variance, square = departure_of(
+        cells, sigma, now, correlation_time, limit, FLOOR
+    )
+    return Departure(share, height, (along_x, along_y), variance, float(np.sqrt(square)))
+
+
+def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
+    """J_i (6): by how much a scan's pose error lifts its ground in a cell."""
+    x, y, z = cells[6, i], cells[7, i], cells[8, i]
+    out[0] = -cells[9, i]
+    out[1] = -cells[10, i]
+    out[2] = 1.0
+    out[3] = y - z * out[1]
+    out[4] = z * out[0] - x
+    out[5] = x * out[1] - y * out[0]
+
+
+@cython.boundscheck(False)
+def departure_of(
+    cells: Array, sigma: Array, now: float, correlation_time: float, limit: float, floor: float
+) -> tuple[float, float, float, float, float, float]:
+    """`departure` as numbers: share, h, t_x, t_y, variance of h, chi^2."""
+    cell = cython.declare(cython.double[3])
+    normal = cython.declare(cython.double[9])
+    inverse = cython.declare(cython.double[9])
+    right = cython.declare(cython.double[3])
+    theta = cython.declare(cython.double[3])
+    lift = cython.declare(cython.double[6])
+    moved = cython.declare(cython.double[18])
+    takes = cython.declare(cython.double[18])
+    total = cython.declare(cython.double[9])
+    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, m=cython.int, step=cython.int)
+    count: cython.Py_ssize_t = cells.shape[1]
+    agreeing: cython.Py_ssize_t = 0
+    weight = x0 = y0 = 0.0
+    square = mapped = tilted = last = first = second = 0.0
+    for i in range(count):
+        may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i])
+        if cells[0, i] * cells[0, i] <= may:
+            agreeing += 1
+            weight += 1.0 / cells[1, i]
+            x0 += cells[6, i] / cells[1, i]
+            y0 += cells[7, i] / cells[1, i]
+    share: cython.double = agreeing
+    share /= count
+    if agreeing < MIN_CELLS:
+        return share, 0.0, 0.0, 0.0, 0.0, 0.0
+    x0 /= weight
+    y0 /= weight
+    theta[0] = theta[1] = theta[2] = 0.0
+    # The first round is of plain least squares, the last one only sums up.
+    for step in range(ROUNDS + 2):
+        for j in range(9):
+            normal[j] = 0.0
+        for j in range(18):
+            moved[j] = 0.0
+        right[0] = right[1] = right[2] = 0.0
+        weight = square = mapped = tilted = last = first = second = 0.0
+        for i in range(count):
+            may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i])
+            if cells[0, i] * cells[0, i] > may:
+                continue
+            cell[0] = 1.0
+            cell[1] = cells[6, i] - x0
+            cell[2] = cells[7, i] - y0
+            w = 1.0 / cells[1, i]
+            if step > 0:
+                off = cells[0, i] - theta[0] - theta[1] * cell[1] - theta[2] * cell[2]
+                away = fabs(off) * sqrt(w)
+                if away > HUBER:
+                    w *= HUBER / away
+                square += w * off * off
+            for j in range(3):
+                right[j] += w * cell[j] * cells[0, i]
+                for k in range(3):
+                    normal[3 * j + k] += w * cell[j] * cell[k]
+            if step > ROUNDS:
+                _motion(cells, i, lift)
+                for j in range(3):
+                    for k in range(6):
+                        moved[6 * j + k] += w * cell[j] * lift[k]
+                weight += w
+                mapped += w * cells[3, i]
+                tilted += w * cells[11, i]
+                last += w * (cells[5, i] - now)
+                middle = 0.5 * (cells[4, i] + cells[5, i]) - now
+                first += w * middle
+                second += w * middle * middle
+        inverse_symmetric(normal, inverse)
+        if step <= ROUNDS:
+            for j in range(3):
+                theta[j] = 0.0
+                for k in range(3):
+                    theta[j] += inverse[3 * j + k] * right[k]
+    mapped /= weight
+    tilted /= weight
+    first /= weight
+    apart = sqrt(max(second / weight - first * first, 0.0))
+    common = other = 0.0
+    if correlation_time > 0.0:
+        common = exp(-fabs(last / weight) / correlation_time)
+        other = 1.0 - exp(-apart / correlation_time)
+    elif apart > 0.0:
+        other = 1.0
+    square = (square + BELIEVED) / (agreeing - 3 + BELIEVED)
+    noise = square + max(square - 1.0, 0.0) * agreeing
+    for j in range(3):
+        for k in range(6):
+            takes[6 * j + k] = 0.0
+            for m in range(3):
+                takes[6 * j + k] += inverse[3 * j + m] * moved[6 * m + k]
+    for j in range(3):
+        for k in range(3):
+            total[3 * j + k] = 0.0
+            for m in range(6):
+                for step in range(6):
+                    total[3 * j + k] += takes[6 * j + m] * sigma[m, step] * takes[6 * k + step]
+    variance = total[0] + floor + noise * inverse[0]
+    for j in range(3):
+        of_scan = total[4 * j]
+        of_map = mapped if j == 0 else tilted + other * mapped * weight * inverse[4 * j]
+        apart = of_scan + of_map - 2.0 * common * sqrt(max(of_scan * of_map, 0.0))
+        total[4 * j] = max(of_scan, max(of_map, apart))
+    for j in range(9):
+        total[j] += noise * inverse[j]
+    total[0] += floor
+    inverse_symmetric(total, normal)
+    square = 0.0
+    for j in range(3):
+        for k in range(3):
+            square += theta[j] * normal[3 * j + k] * theta[k]
+    return share, theta[0], theta[1], theta[2], variance, max(square, 0.0)
