@@ -86,8 +86,8 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
         leaf,
         layers,
     )
-    known = cells.observed & cells.known & ~np.isnan(elevation)
-    missing = ~(known | cells.measured.take(leaf))
+    missing = np.isnan(elevation)
+    known = cells.observed & cells.known & ~missing
     unmapped = cells.observed & ~known
     seen = grown(known, max_gap, side, short=0.5) & ~unmapped
     firm = known | ~grown(~seen, max_gap, side, short=0.5)
@@ -95,7 +95,6 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
         elevation[:] = np.nan
     elif missing.any():
         elevation[missing] = elevation.take(nearest_marked(known)[1][missing])
-        slope_x[missing] = slope_y[missing] = 0.0
     found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped)
     return TerrainRaster(domain, leaf, *found, cells)
 
