@@ -134,7 +134,7 @@ class GridSampler:
         x = domain.xmin + self.column * domain.finest_size
         y = domain.ymin + self.row * domain.finest_size
         heights = cells.heights(leaf, x, y[:, None])
-        return np.where(cells.measured[leaf], heights, raster.elevation[cell[0]][:, cell[1]])
+        return np.where(np.isnan(heights), raster.elevation[cell[0]][:, cell[1]], heights)
 
 
 @lru_cache(maxsize=4)
