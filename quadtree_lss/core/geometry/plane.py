@@ -106,6 +106,13 @@ def shift_origin(c: Vector, first: float, second: float) -> None:
     c[5] = c[7] = c[5] - y
 
 
+def offset_variance(c: Vector, first: float, second: float) -> cython.double:
+    """Variance of dd after `shift_origin`, m^2: that of the plane's height at another place."""
+    x = first * c[0] + second * c[1]
+    y = first * c[3] + second * c[4]
+    return c[8] + first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
+
+
 @cython.boundscheck(False)
 def moments(
     points: Array, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, mean: Vector, scatter: Vector

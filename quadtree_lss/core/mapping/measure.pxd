@@ -21,6 +21,7 @@ cdef struct Run:
     double unseen
     double raised
     double raised_by
+    double doubt
     double greatest
     double range_part[9]
     double pose_part[9]

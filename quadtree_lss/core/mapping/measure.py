@@ -57,7 +57,7 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
-    + [("raised", "f8"), ("raised_by", "f8"), ("greatest", "f8")]
+    + [("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
     + [("range_part", "f8", 9), ("pose_part", "f8", 9)]
 )
 

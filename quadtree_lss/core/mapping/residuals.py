@@ -26,6 +26,47 @@ def _above(deviations: float) -> cython.double:
     return 0.5 * erfc(0.7071067811865476 * deviations)
 
 
+def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
+    """From which distance to its leaf's plane on a return stands out, m."""
+    usual = variance
+    if leaf.division_weight > 0.0:
+        usual = leaf.square_sum / leaf.division_weight
+    return max(rules.rock_height, OUTSTANDING * sqrt(usual))
+
+
+@cython.boundscheck(False)
+def departs(
+    rules: Rules,
+    leaf: Record,
+    run: Record,
+    points: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    origin: Vector,
+    side: float,
+) -> cython.bint:
+    """Whether a view of a part of a leaf shows what the leaf's plane does not describe.
+
+    It is held against the plane as it was before: a rock that fills the view would bend it. What
+    the offset of the view may be, ``run.doubt``, is no rock.
+    """
+    i: cython.Py_ssize_t
+    n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
+    d = n_x * (leaf.x - origin[0]) + n_y * (leaf.y - origin[1]) + n_z * (leaf.z - origin[2])
+    off = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2] - d
+    d += min(max(off, -run.doubt), run.doubt)
+    high = standing_out(rules, leaf, run.variance)
+    out = greatest = 0.0
+    for i in range(begin, end):
+        e = fabs(n_x * points[i, 0] + n_y * points[i, 1] + n_z * points[i, 2] - d)
+        out += 1.0 if e > high else 0.0
+        greatest = e if e > greatest else greatest
+    if out < max(2.0, rules.divide_area / (side * side) * run.points):
+        return False
+    leaf.greatest = max(leaf.greatest, min(greatest, rules.clip))
+    return True
+
+
 @cython.boundscheck(False)
 def rest(
     rules: Rules,
@@ -53,12 +94,10 @@ def rest(
     variance = run.variance
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
-    if run.unseen >= PARTIAL or count < 2.0:
-        d = n_x * (leaf.x - origin[0]) + n_y * (leaf.y - origin[1]) + n_z * (leaf.z - origin[2])
-    usual = variance
-    if leaf.division_weight > 0.0:
-        usual = leaf.square_sum / leaf.division_weight
-    high = max(rules.rock_height, OUTSTANDING * sqrt(usual))
+    off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
+    if run.unseen >= PARTIAL:
+        d -= off - min(max(off, -run.doubt), run.doubt)
+    high = standing_out(rules, leaf, variance)
     clip = rules.clip
     total = raised = greatest = 0.0
     low = high_z = points[begin, 2]
@@ -77,7 +116,7 @@ def rest(
     run.raised = raised
     run.raised_by = high
     run.greatest = greatest
-    leaf.greatest = max(leaf.greatest, greatest)
+    leaf.greatest = max(leaf.greatest, min(greatest, clip))
     noise = variance * max(1.0 - 1.0 / count, 0.5)
     leaf.distance_sum += total
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)

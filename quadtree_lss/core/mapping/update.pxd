@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport INFINITY as INFINITE, exp, fabs, sqrt
-from quadtree_lss.core.geometry.plane cimport fuse
+from quadtree_lss.core.geometry.plane cimport fuse, offset_variance
+from quadtree_lss.core.geometry.sphere cimport basis_at
 from quadtree_lss.core.mapping.bell cimport Heights
 from quadtree_lss.core.mapping.division cimport asks, hides_rock, judge
 from quadtree_lss.core.mapping.features cimport update_feature
 from quadtree_lss.core.mapping.measure cimport Rules, Run, measure, record
-from quadtree_lss.core.mapping.residuals cimport rest
+from quadtree_lss.core.mapping.residuals cimport departs, rest, standing_out
 from quadtree_lss.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable, clear
 
 cdef class ScanUpdate:
@@ -33,6 +34,7 @@ cdef class ScanUpdate:
     cdef readonly Py_ssize_t refused
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void _doubt(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
     cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil

@@ -15,11 +15,12 @@ from quadtree_lss.core.tree.leaves import LeafTable, Record
 if not cython.compiled:
     from math import exp, fabs, inf, sqrt
 
-    from quadtree_lss.core.geometry.plane import fuse
+    from quadtree_lss.core.geometry.plane import fuse, offset_variance
+    from quadtree_lss.core.geometry.sphere import basis_at
     from quadtree_lss.core.mapping.division import asks, hides_rock, judge
     from quadtree_lss.core.mapping.features import update_feature
     from quadtree_lss.core.mapping.measure import measure, record
-    from quadtree_lss.core.mapping.residuals import rest
+    from quadtree_lss.core.mapping.residuals import departs, rest, standing_out
     from quadtree_lss.core.tree.leaves import clear
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
@@ -197,6 +198,29 @@ class ScanUpdate:
         off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
         return off * off > CONTRADICTING * CONTRADICTING * (variance + SLACK)
 
+    def _doubt(self, leaf: Record, run: Record) -> None:
+        """How far a run may lie off a leaf's plane where it was seen and both be right, m.
+
+        Twice the deviation: of the plane at the run's place, of the run, of what a plane leaves
+        out that passes for one, and what is news of the pose's error. Its height is taken out
+        where the scan was aligned.
+        """
+        basis = cython.declare(cython.double[6])
+        basis_at(leaf.normal, basis)
+        x = run.centroid[0] - (leaf.x - self.origin[0])
+        y = run.centroid[1] - (leaf.y - self.origin[1])
+        z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
+        first = basis[0] * x + basis[1] * y + basis[2] * z
+        second = basis[3] * x + basis[4] * y + basis[5] * z
+        factor = self.rules.division_factor
+        own = run.variance * (1.0 / run.points + factor * factor - 1.0)
+        pose = offset_variance(leaf.pose_part, first, second) + run.pose_part[8]
+        if self.aligned:
+            square = leaf.normal[2] * leaf.normal[2]
+            pose = max(pose - 2.0 * square * self.sigma[2, 2], 0.0)
+        pose *= 1.0 - self.common(leaf.last_time)
+        run.doubt = 2.0 * sqrt(own + offset_variance(leaf.range_part, first, second) + pose)
+
     def _fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
         """Fuse a run's fit with what the leaf knows (paper IV.C), however little either is.
 
@@ -256,6 +280,7 @@ class ScanUpdate:
         square = run.variance
         if leaf.division_weight > 0.0:
             square = max(leaf.square_sum / leaf.division_weight, square)
+        square = max(square, leaf.greatest * leaf.greatest)
         side = 0.5 * self.table.side(leaf.level)
         tilt = 12.0 * run.variance / (self.rules.slope_points * side * side)
         if not self.table.divide(row, square, min(tilt, 1.0)):
@@ -274,6 +299,7 @@ class ScanUpdate:
     ) -> None:
         """Take a run of points into a leaf or its descendants."""
         leaf = self.table.at(row)
+        side = self.table.side(leaf.level)
         if self._contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
@@ -291,9 +317,21 @@ class ScanUpdate:
             if leaf.views >= PATIENCE and self._divide(row, run):
                 self._go_on(row, begin, end, False)
                 return
+        if leaf.known >= INHERITED:
+            self._doubt(leaf, run)
+            if run.unseen >= PARTIAL and departs(
+                self.rules, leaf, run, self.points, begin, end, self.origin, side
+            ):
+                if self._divide(row, run):
+                    self._go_on(row, begin, end, False)
+                    return
         first: cython.bint = leaf.known != MEASURED
         judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
+        x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
         self._fuse(leaf, run, same_scan)
+        moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(leaf.normal[1] / leaf.normal[2] - y)
+        if fabs(leaf.z - z) + 0.5 * side * moved > standing_out(self.rules, leaf, run.variance):
+            self.table.unknow(leaf)  # what was known, was by another plane
         if leaf.known != MEASURED:
             self._mark(begin, end, SEEN)
             return
@@ -302,7 +340,7 @@ class ScanUpdate:
         asked: cython.bint = asks(self.rules, leaf, run)
         if not (asked and self._divide(row, run)):
             self._rest(leaf, begin, end, run)
-            if not hides_rock(self.rules, leaf, run, self.table.side(leaf.level)):
+            if not hides_rock(self.rules, leaf, run, side):
                 return
             if asked or not self._divide(row, run):
                 return
