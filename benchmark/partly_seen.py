@@ -18,10 +18,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import configuration, machine, table
-from common.claims import Claims, claims, summary
+from common.claims import Claims, claims, summary, within
 from common.rays import Scene, View, fan, rocks, view
 from scipy.interpolate import RegularGridInterpolator
-from scipy.spatial import cKDTree
 
 from quadtree_lss.arrays import Array
 from quadtree_lss.config.settings import Config
@@ -32,7 +31,7 @@ from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.replay.steps import scans
-from quadtree_lss.simulation.safety import Lander, contact_safe
+from quadtree_lss.simulation.safety import Lander, worst_contact
 from quadtree_lss.simulation.simulate import simulate
 from quadtree_lss.simulation.terrain import Terrain, load_terrain
 
@@ -66,6 +65,7 @@ class Verdict:
         found: The assessment.
         safe: Grid points called safe.
         wrong: (K, 2) places of those that are not.
+        rise: By how much the ground rises above the lander's pads at the worst of them, m.
         risk: Least risk told for these, NaN for none.
         aim: Greatest probability told for these, NaN for none.
     """
@@ -73,6 +73,7 @@ class Verdict:
     found: LandingAssessment
     safe: int
     wrong: Array
+    rise: float
     risk: float
     aim: float
 
@@ -83,14 +84,16 @@ def verdict(cells: CellMap, config: Config, scene: Scene) -> Verdict:
     row, column = np.nonzero(found.safe)
     places = np.column_stack([found.x[column], found.y[row]])
     if not len(places):
-        return Verdict(found, 0, places, np.nan, np.nan)
+        return Verdict(found, 0, places, np.nan, np.nan, np.nan)
     reach = 0.5 * Lander().diameter + 0.5
     x, y = (np.arange(v.min() - reach, v.max() + reach, POST) for v in places.T)
-    wrong = ~contact_safe(x, y, scene.dem(x, y), places)
+    slope, rises = worst_contact(x, y, scene.dem(x, y), places, Lander())
+    wrong = (slope > np.tan(np.radians(Lander().max_slope_deg))) | (rises > Lander().max_roughness)
     row, column, some = row[wrong], column[wrong], wrong.any()
+    rise = rises[wrong].max() if some else np.nan
     risk = found.risk[row, column].min() if some else np.nan
     aim = found.probability[row, column].max() if some else np.nan
-    return Verdict(found, len(wrong), places[wrong], risk, aim)
+    return Verdict(found, len(wrong), places[wrong], rise, risk, aim)
 
 
 def mapped(config: Config, views: list[View]) -> CellMap:
@@ -265,7 +268,7 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
         blame = np.bincount(blame.argmin(axis=0), minlength=matter.sum()) * (returns[matter] >= 50)
         rows.append(
             [seed, len(high), int((returns[matter] >= 50).sum()), found.safe, len(found.wrong)]
-            + [int(blame.sum()), int((blame > 0).sum()), told(found.risk)]
+            + [int(blame.sum()), int((blame > 0).sum()), told(found.rise, ".2f"), told(found.risk)]
         )
         worst += [
             [seed, f"{high[k]:.2f}", int(returns[k]), int(blame[k])]
@@ -274,7 +277,8 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
         ]
     table(
         "inside: 180 scans over 40 x 40 m; rocks of 0.25-0.5 m with 50 returns and more",
-        ["seed", "rocks", "of these", "safe", "unsafe", "by these", "rocks to blame", "least risk"],
+        ["seed", "rocks", "of these", "safe", "unsafe", "by these", "rocks to blame"]
+        + ["worst rise m", "least risk"],
         rows,
     )
     worst.sort(key=lambda row: -row[3])
@@ -438,16 +442,6 @@ def autzen(seeds: list[int] | None, quick: bool) -> None:
         + ["beyond 0.3 m"],
         rows,
     )
-
-
-def within(returns: Array, x: Array, y: Array, reach: float = 1.0) -> tuple[Array, Array]:
-    """Lowest and highest return (K,) within reach of each place, NaN where there is none."""
-    places, low, high = np.column_stack([x, y]), np.full(len(x), np.nan), np.full(len(x), np.nan)
-    tree = cKDTree(returns[:, :2])
-    for k, near in enumerate(tree.query_ball_point(places, reach)):
-        if near:
-            low[k], high[k] = returns[near, 2].min(), returns[near, 2].max()
-    return low, high
 
 
 CASES = {

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.ndimage import maximum_filter
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 
+from common.claims import within
 from common.rays import Scene, View, fan, looking, rocks, view
 
 from quadtree_lss.config.loading import load_config
@@ -29,7 +30,9 @@ from quadtree_lss.simulation.safety import Lander, worst_contact
 NOISE, HALF = 0.06, 8.0
 #: Ground is seen within this of the origin, m.
 AREA = 5.0
-NARROW, WIDE = fan(1.0, 64), fan(2.0, 64)
+#: The ground east of this is not scanned where there is an edge.
+EDGE = 1.0
+NARROW = fan(1.0, 64)
 KINDS = ("footprints", "strips", "edge", "few looks")
 #: m, by which the lander must truly be beyond its clearance; deg, beyond its slope.
 SPARE, SPARE_DEG = 0.02, 0.5
@@ -45,36 +48,31 @@ def configured(rng: np.random.Generator) -> Config:
 
 def views(rng: np.random.Generator, scene: Scene, kind: str) -> list[View]:
     """The scene as it is seen, in any order."""
-    found = []
-    turn = 2.0 * np.pi * rng.random()
+    found: list[View] = []
+    turn, times = 2.0 * np.pi * rng.random(), 1.0 + 0.05 * rng.permutation(3000)
 
-    def look(aim: np.ndarray, up: float, away: float, rays: np.ndarray, keep=None) -> None:
-        aim = np.array([*aim, float(scene.plane(*aim))])
-        heading = turn + rng.normal(0.0, 0.3)
-        back = np.array([np.cos(away) * np.cos(heading), np.cos(away) * np.sin(heading)])
-        position = aim + up * np.array([*back, np.sin(away)])
-        stamp = float(times[len(found)])
-        found.append(view(scene, position, aim, rays, NOISE, rng, stamp, keep=keep))
+    def look(aim: np.ndarray, far: float, up: float, rays: np.ndarray, keep=None) -> None:
+        heading, target = turn + rng.normal(0.0, 0.3), np.array([*aim, float(scene.plane(*aim))])
+        level = np.cos(up) * np.array([np.cos(heading), np.sin(heading)])
+        position, stamp = target + far * np.array([*level, np.sin(up)]), times[len(found)]
+        found.append(view(scene, position, target, rays, NOISE, rng, stamp, keep=keep))
 
-    times = 1.0 + 0.05 * rng.permutation(2000)
     if kind == "footprints":
-        step = rng.uniform(1.0, 1.6)
-        for _ in range(rng.integers(1, 4)):
-            for place in np.ndindex(*[int(2.0 * AREA / step) + 1] * 2):
-                look(step * np.array(place) - AREA, 45.0, np.pi / 2.0, WIDE)
-    for _ in range(0 if kind == "footprints" else int(rng.integers(6, 40))):
-        away, width = np.radians(rng.uniform(25.0, 70.0)), rng.uniform(0.5, 3.0)
-        aim, side = rng.uniform(-AREA, AREA, 2), 2.0 * np.pi * rng.random()
-        if kind == "edge":
-            side = turn
-        across = np.array([np.cos(side), np.sin(side)])
-        middle = across @ aim
+        width = rng.uniform(0.8, 1.6)
+        steps = np.arange(-AREA, AREA + width, 0.8 * width)
+        rays = fan(np.degrees(2.0 * np.arctan(0.5 * width / 60.0)), 48)
+        for aim in np.repeat(np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2), 2, axis=0):
+            look(aim, 60.0, np.pi / 2.0, rays)
+        return sorted(found, key=lambda one: one.pose.stamp_ns)
+    for _ in range(rng.integers(10, 50)):
+        up, aim = np.radians(rng.uniform(25.0, 70.0)), rng.uniform(-AREA, AREA, 2)
+        side, half = 2.0 * np.pi * rng.random(), rng.uniform(0.25, 1.5)
 
-        def keep(x: np.ndarray, y: np.ndarray, at=across, to=middle, half=width / 2.0):
-            there = at[0] * x + at[1] * y
-            return there < 1.0 if kind == "edge" else np.abs(there - to) < half
+        def in_strip(x: np.ndarray, y: np.ndarray, aim=aim, side=side, half=half):
+            return np.abs(np.cos(side) * (x - aim[0]) + np.sin(side) * (y - aim[1])) < half
 
-        look(aim, 300.0, away, NARROW, keep if kind != "few looks" else None)
+        keeps = {"strips": in_strip, "edge": lambda x, _: x < EDGE}
+        look(aim, 300.0, up, NARROW, keeps.get(kind))
     return sorted(found, key=lambda one: one.pose.stamp_ns)
 
 
@@ -93,10 +91,13 @@ def mapped(config: Config, seen: list[View]) -> CellMap:
     return mapper.snapshot()
 
 
-def strewn(rng: np.random.Generator) -> tuple[Scene, np.ndarray]:
-    """A few rocks of 0.25 to 0.5 m on level or inclined ground, and their heights."""
+def strewn(rng: np.random.Generator, kind: str) -> tuple[Scene, np.ndarray]:
+    """Rocks of 0.25 to 0.5 m on level or inclined ground, and their heights."""
     plane = Scene(gradient=tuple(rng.uniform(-0.07, 0.07, 2)))
     places, high = rng.uniform(-AREA, AREA, (5, 2)), rng.uniform(0.25, 0.5, 5)
+    if kind == "edge":
+        # Where the scanned ground ends.
+        places[:, 0] = EDGE - rng.uniform(0.1, 0.6, 5)
     spheres = rocks(places[:3], high[:3], high[:3] * rng.uniform(0.8, 1.3, 3), plane)
     ground = plane.plane(*places.T)
     cone = [*places[3], ground[3], rng.uniform(0.3, 0.6), high[3]]
@@ -123,7 +124,7 @@ def test_no_rock_that_was_measured_is_stood_on(kind):
     judged, wrong = 0, []
     for seed in range(12):
         rng = np.random.default_rng([seed, KINDS.index(kind)])
-        config, (scene, high) = configured(rng), strewn(rng)
+        config, (scene, high) = configured(rng), strewn(rng, kind)
         seen = views(rng, scene, kind)
         found = LandingSiteSelector(config).assess(mapped(config, seen))
         row, column = np.nonzero(found.safe)
@@ -154,16 +155,10 @@ def test_no_height_is_beyond_what_was_measured(kind):
         z = raster.elevation[row, column]
         side = cells.domain.finest_size
         x, y = cells.domain.xmin + side * (column + 0.5), cells.domain.ymin + side * (row + 0.5)
-        points = points_of(seen)
-        points = points[np.isfinite(points).all(axis=1)]
-        near = cKDTree(points[:, :2]).query_ball_point(np.column_stack([x, y]), 1.0)
-        excess = [
-            max(at - points[of, 2].max(), points[of, 2].min() - at)
-            for at, of in zip(z, near, strict=True)
-            if of
-        ]
-        if max(excess) > 5.0 * NOISE:
-            wrong.append(f"seed {seed}: {np.sum(np.array(excess) > 0.3)}, by {max(excess):.2f} m")
+        low, high = within(points_of(seen), x, y)
+        excess = np.fmax(z - high, low - z)
+        if np.nanmax(excess) > 5.0 * NOISE:
+            wrong.append(f"seed {seed}: {(excess > 0.3).sum()}, by {np.nanmax(excess):.2f} m")
     assert not wrong, wrong
 
 
@@ -183,10 +178,10 @@ def overgrown(rng: np.random.Generator) -> Scene:
 def test_what_is_hit_is_where_it_stands():
     """The ray caster against the surface itself: without noise every return lies on it."""
     rng = np.random.default_rng(3)
-    for make in (lambda: strewn(rng)[0], lambda: overgrown(rng)):
+    for make in (lambda: strewn(rng, "strips")[0], lambda: overgrown(rng)):
         scene = make()
         position = np.array([60.0, -40.0, 90.0])
-        rays = WIDE.reshape(-1, 3) @ looking(position, np.zeros(3)).T
+        rays = fan(4.0, 64).reshape(-1, 3) @ looking(position, np.zeros(3)).T
         away, hit = scene.cast(position, rays)
         places = position + away[:, None] * rays
         axis = np.arange(-9.0, 9.0, 0.01)
@@ -195,6 +190,6 @@ def test_what_is_hit_is_where_it_stands():
         # Faces of boxes are upright: their returns lie below the top.
         upright = hit >= len(scene.spheres) + len(scene.cones)
         off = places[:, 2] - dem[row, column]
-        assert np.abs(off[~upright]).max() < 0.15
         assert np.median(np.abs(off[~upright])) < 0.01
-        assert off[upright].max() < 0.15
+        top = maximum_filter(dem, 5)[row, column]
+        assert (places[:, 2] - top).max() < 0.01
