@@ -245,7 +245,7 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
     config, rows, worst = configuration("flight"), [], []
     for seed in seeds or range(421, 423 if quick else 431):
         rng = np.random.default_rng(seed)
-        count = int(rng.integers(40, 120))
+        count = int(rng.integers(20, 80))
         low, high = rng.uniform(0.05, 0.25, 2 * count), rng.uniform(0.25, 0.5, count)
         high = np.concatenate([high, low])
         places = rng.uniform(-20.0, 20.0, (len(high), 2))
@@ -256,7 +256,7 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
         for k in range(180):
             aim = rng.uniform(-20.0, 20.0, 2)
             turn = heading + rng.normal(0.0, 0.1)
-            position = from_glide_slope(aim, turn, rng.uniform(200.0, 350.0), 35.0)
+            position = from_glide_slope(aim, turn, rng.uniform(100.0, 300.0), 35.0)
             aim = np.array([*aim, float(flat.plane(*aim))])
             one = view(scene, position, aim, FLASH, NOISE, rng, 1.0 + 0.05 * k)
             returns += np.bincount(one.hit[one.hit >= 0], minlength=len(high))
