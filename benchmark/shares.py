@@ -23,6 +23,7 @@ from common.claims import Claims, claims, summary
 from common.rays import EXACT, looking
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy.special import erfc
 
 from quadtree_lss.arrays import Array
 from quadtree_lss.config.settings import Config, config_from_values
@@ -34,7 +35,6 @@ NOISE = 0.06
 SIDES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 #: Shares of the leaf that are shown apart.
 SHARES = (0.01, 0.1, 0.25, 0.5, 0.75, 1.0)
-BINS = np.linspace(-6.0, 6.0, 61)
 
 
 @dataclass(frozen=True)
@@ -159,27 +159,27 @@ def strip(rng: np.random.Generator, scans: int) -> Draw:
 
 
 def draw(file: Path, found: list[Draw]) -> None:
-    """Distribution of the ratios by share of the leaf seen, against the normal one."""
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    """How many leaves are off by more than so many deviations, by the share of the leaf seen."""
+    figure = Figure(figsize=(11.0, 4.4), layout="constrained")
     FigureCanvasAgg(figure)
     colours = ("#d55e00", "#e69f00", "#009e73", "#56b4e9", "#0072b2")
-    middle = 0.5 * (BINS[1:] + BINS[:-1])
+    at = np.linspace(0.0, 8.0, 401)
     for axes, of in zip(figure.subplots(1, 2), ("height", "slope"), strict=True):
         for low, high, colour in zip(SHARES, SHARES[1:], colours, strict=False):
             ratios = pooled([d for d in found if low <= d.share <= high], of)
             if not len(ratios):
                 continue
-            density, _ = np.histogram(np.clip(ratios, BINS[0], BINS[-1]), BINS)
-            density = density / (len(ratios) * (BINS[1] - BINS[0]))
-            rms, beyond, _ = summary(ratios)
-            name = f"{100 * low:g} to {100 * high:g} %: RMS {rms:.2f}, {100 * beyond:.2f} % over 4"
-            axes.step(middle, density, where="mid", color=colour, lw=1.2, label=name)
-        normal = np.exp(-0.5 * middle**2) / np.sqrt(2.0 * np.pi)
-        axes.plot(middle, normal, color="black", ls="--", lw=1.2, label="normal")
-        axes.set(yscale="log", ylim=(1e-5, 2.0), xlim=(BINS[0], BINS[-1]))
-        axes.set(xlabel="error / claimed deviation", ylabel="density")
-        axes.set_title(f"{of}, by the share of the leaf that was seen", fontsize="medium")
-        axes.legend(fontsize="x-small", loc="upper right")
+            size = np.sort(np.abs(ratios))
+            beyond = 1.0 - np.searchsorted(size, at, side="right") / len(size)
+            rms = f"RMS {np.sqrt(np.mean(size**2)):.2f}"
+            name = f"{100 * low:g} to {100 * high:g} % seen: {rms}, {len(size)} ratios"
+            axes.plot(at, beyond, color=colour, lw=1.4, label=name)
+        axes.plot(at, erfc(at / np.sqrt(2.0)), color="black", ls="--", lw=1.4, label="$\\chi_1$")
+        axes.axvline(4.0, color="#bbbbbb", lw=0.8)
+        axes.set(yscale="log", ylim=(1e-4, 1.0), xlim=(0.0, 8.0))
+        axes.set(xlabel="deviations", ylabel="share of leaves that are off by more")
+        axes.set_title(of, fontsize="medium")
+        axes.legend(fontsize="small", loc="upper right")
     figure.savefig(file, dpi=100)
 
 

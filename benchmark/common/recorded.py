@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Section VI over the paper's ground and over real terrain, and recorded lidar: heights judged.
 
-Files that others measured lie in ``shared/data`` beside the checkout; what is not there is left out.
+Files that others measured lie in ``shared/data`` beside the checkout; what is not there is left
+out.
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
 from common.claims import within
 from common.flights import configuration
 from common.tables import table
-from scipy.interpolate import RegularGridInterpolator
-
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing.raster import rasterise
 from quadtree_lss.core.landing.sites import LandingSiteSelector

@@ -72,7 +72,7 @@ def views(rng: np.random.Generator, scene: Scene, kind: str) -> list[View]:
             return np.abs(np.cos(side) * (x - aim[0]) + np.sin(side) * (y - aim[1])) < half
 
         keeps = {"strips": in_strip, "edge": lambda x, _: x < EDGE}
-        look(aim, 300.0, up, NARROW, keeps.get(kind))
+        look(aim, rng.uniform(80.0, 300.0), up, NARROW, keeps.get(kind))
     return sorted(found, key=lambda one: one.pose.stamp_ns)
 
 
@@ -145,7 +145,7 @@ def test_no_rock_that_was_measured_is_stood_on(kind):
 def test_no_height_is_beyond_what_was_measured(kind):
     """Trees, walls and steps: planes end where measurements end; within 1 m, give or take noise."""
     wrong = []
-    for seed in range(8):
+    for seed in range(6):
         rng = np.random.default_rng([seed, 7, KINDS.index(kind)])
         config, scene = configured(rng), overgrown(rng)
         seen = views(rng, scene, kind)
