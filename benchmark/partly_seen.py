@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,27 +19,21 @@ import numpy as np
 from common import configuration, machine, table
 from common.claims import Claims, claims, summary
 from common.rays import Scene, View, fan, rocks, view
-from scipy.interpolate import RegularGridInterpolator
-from scipy.spatial import cKDTree
+from common.recorded import autzen, section_vi
 
 from quadtree_lss.arrays import Array
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.raster import rasterise
 from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.replay.steps import scans
-from quadtree_lss.simulation.safety import Lander, contact_safe
-from quadtree_lss.simulation.simulate import simulate
-from quadtree_lss.simulation.terrain import Terrain, load_terrain
+from quadtree_lss.simulation.safety import Lander, worst_contact
 
 NOISE = 0.06
 #: m: posts of the true ground that the lander is set down on.
 POST = 0.05
 FLASH = fan(1.0, 128)
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SAID = ("error", "claimed")
 
 
@@ -66,6 +59,7 @@ class Verdict:
         found: The assessment.
         safe: Grid points called safe.
         wrong: (K, 2) places of those that are not.
+        rise: By how much the ground rises above the lander's pads at the worst of them, m.
         risk: Least risk told for these, NaN for none.
         aim: Greatest probability told for these, NaN for none.
     """
@@ -73,6 +67,7 @@ class Verdict:
     found: LandingAssessment
     safe: int
     wrong: Array
+    rise: float
     risk: float
     aim: float
 
@@ -83,14 +78,16 @@ def verdict(cells: CellMap, config: Config, scene: Scene) -> Verdict:
     row, column = np.nonzero(found.safe)
     places = np.column_stack([found.x[column], found.y[row]])
     if not len(places):
-        return Verdict(found, 0, places, np.nan, np.nan)
+        return Verdict(found, 0, places, np.nan, np.nan, np.nan)
     reach = 0.5 * Lander().diameter + 0.5
     x, y = (np.arange(v.min() - reach, v.max() + reach, POST) for v in places.T)
-    wrong = ~contact_safe(x, y, scene.dem(x, y), places)
+    slope, rises = worst_contact(x, y, scene.dem(x, y), places, Lander())
+    wrong = (slope > np.tan(np.radians(Lander().max_slope_deg))) | (rises > Lander().max_roughness)
     row, column, some = row[wrong], column[wrong], wrong.any()
+    rise = rises[wrong].max() if some else np.nan
     risk = found.risk[row, column].min() if some else np.nan
     aim = found.probability[row, column].max() if some else np.nan
-    return Verdict(found, len(wrong), places[wrong], risk, aim)
+    return Verdict(found, len(wrong), places[wrong], rise, risk, aim)
 
 
 def mapped(config: Config, views: list[View]) -> CellMap:
@@ -242,7 +239,7 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
     config, rows, worst = configuration("flight"), [], []
     for seed in seeds or range(421, 423 if quick else 431):
         rng = np.random.default_rng(seed)
-        count = int(rng.integers(40, 120))
+        count = int(rng.integers(20, 80))
         low, high = rng.uniform(0.05, 0.25, 2 * count), rng.uniform(0.25, 0.5, count)
         high = np.concatenate([high, low])
         places = rng.uniform(-20.0, 20.0, (len(high), 2))
@@ -253,7 +250,7 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
         for k in range(180):
             aim = rng.uniform(-20.0, 20.0, 2)
             turn = heading + rng.normal(0.0, 0.1)
-            position = from_glide_slope(aim, turn, rng.uniform(200.0, 350.0), 35.0)
+            position = from_glide_slope(aim, turn, rng.uniform(100.0, 300.0), 35.0)
             aim = np.array([*aim, float(flat.plane(*aim))])
             one = view(scene, position, aim, FLASH, NOISE, rng, 1.0 + 0.05 * k)
             returns += np.bincount(one.hit[one.hit >= 0], minlength=len(high))
@@ -265,7 +262,7 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
         blame = np.bincount(blame.argmin(axis=0), minlength=matter.sum()) * (returns[matter] >= 50)
         rows.append(
             [seed, len(high), int((returns[matter] >= 50).sum()), found.safe, len(found.wrong)]
-            + [int(blame.sum()), int((blame > 0).sum()), told(found.risk)]
+            + [int(blame.sum()), int((blame > 0).sum()), told(found.rise, ".2f"), told(found.risk)]
         )
         worst += [
             [seed, f"{high[k]:.2f}", int(returns[k]), int(blame[k])]
@@ -274,7 +271,8 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
         ]
     table(
         "inside: 180 scans over 40 x 40 m; rocks of 0.25-0.5 m with 50 returns and more",
-        ["seed", "rocks", "of these", "safe", "unsafe", "by these", "rocks to blame", "least risk"],
+        ["seed", "rocks", "of these", "safe", "unsafe", "by these", "rocks to blame"]
+        + ["worst rise m", "least risk"],
         rows,
     )
     worst.sort(key=lambda row: -row[3])
@@ -338,116 +336,6 @@ def one_strip(
         pose = Pose(one.pose.stamp_ns, position + off, one.pose.rotation_map_lidar, covariance)
         mapper.update(one.points, pose)
     return claims(mapper.snapshot())
-
-
-def section_vi(seeds: list[int] | None, quick: bool) -> None:
-    """The paper's flight over its parabola, and over real terrain: quadtree and fixed cells."""
-    configs = [configuration("parabola"), configuration("parabola", "parabola_fixed")]
-    rows = []
-    for name, terrain in terrains():
-        for seed in seeds or ([201] if quick else range(441, 447)):
-            with tempfile.TemporaryDirectory() as folder:
-                bag, duration = Path(folder) / "bag", 12.0 if quick else None
-                simulate("parabola", bag, seed=seed, duration=duration, terrain=terrain)
-                with np.load(bag.parent / "truth.npz") as truth:
-                    x, y, z = (truth[of].astype(float) for of in ("x", "y", "elevation"))
-                flight = list(scans(bag, configs[0]))
-            ground = RegularGridInterpolator((y, x), z, bounds_error=False)
-            tree, fixed = (flown(config, flight, ground) for config in configs)
-            ratio = [f"{a / b:.2f}" for a, b in zip(tree[:3], fixed[:3], strict=True)]
-            both = [f"{v:.3f}" for pair in zip(tree[:3], fixed[:3], strict=True) for v in pair]
-            rows.append([name, seed, *both, *ratio, *tree[3:], *fixed[3:]])
-    table(
-        "section_vi: quadtree, fixed cells, and their ratio; height at points over seen cells",
-        ["ground", "seed", "mean", "fixed", "RMS", "fixed", "greatest", "fixed"]
-        + ["mean", "RMS", "greatest", "leaves", "ms, all scans", "fixed", "ms"],
-        rows,
-    )
-
-
-def terrains() -> list[tuple[str, Path | Terrain | None]]:
-    """The paper's parabola, and those of others that are at hand, made as large as a flight."""
-    found: list[tuple[str, Path | Terrain | None]] = [("parabola", None)]
-    if (DATA / "apollo15.npz").exists():
-        found.append(("apollo15", DATA / "apollo15.npz"))
-    if (DATA / "marsyard2021.npz").exists():
-        # 36 m of it: four times as wide and high.
-        yard = load_terrain(DATA / "marsyard2021.npz")
-        wide = (4.0 * np.asarray(v) for v in (yard.x, yard.y, yard.elevation))
-        found.append(("marsyard2021, 4 x", Terrain(*wide)))
-    return found
-
-
-def flown(config: Config, flight: list, ground: RegularGridInterpolator) -> list:
-    """Mean, RMS and greatest error, leaves, and CPU time of all scans, ms."""
-    mapper, spent = Mapper(config), 0.0
-    for scan in flight:
-        began = time.process_time()
-        mapper.update(scan.points_lidar, scan.pose, scan.sweep)
-        spent += time.process_time() - began
-    cells = mapper.snapshot()
-    row, column = np.nonzero(cells.observed)
-    side = cells.domain.finest_size
-    part = (np.stack(np.meshgrid(*[np.arange(4)] * 2), axis=-1).reshape(-1, 2) + 0.5) / 4.0
-    x = cells.domain.xmin + side * (column[:, None] + part[:, 0])
-    y = cells.domain.ymin + side * (row[:, None] + part[:, 1])
-    error = np.abs(cells.at(x, y).height - ground(np.stack([y, x], axis=-1)))
-    error = error[np.isfinite(error)]
-    rms = np.sqrt(np.mean(error**2))
-    leaves = int(cells.estimated.sum())
-    return [error.mean(), rms, error.max(), leaves, f"{1e3 * spent:.1f}"]
-
-
-def autzen(seeds: list[int] | None, quick: bool) -> None:
-    """Recorded lidar: heights that are given out, against the returns within a metre."""
-    bag = DATA / "autzen_meadow"
-    if not bag.exists():
-        print("\nautzen: the recording is not at hand")
-        return
-    rows = []
-    for names in (("default",), ("morpheus",), ("flight",)):
-        config = configuration(*names)
-        mapper, points = Mapper(config), []
-        for scan in scans(bag, config, duration=5.0 if quick else None):
-            mapper.update(scan.points_lidar, scan.pose, scan.sweep)
-            flat = scan.points_lidar.reshape(-1, 3)
-            flat = flat[np.isfinite(flat).all(axis=1)]
-            points.append(flat @ scan.pose.rotation_map_lidar.T + scan.pose.position)
-        cells, returns = mapper.snapshot(), np.concatenate(points)
-        found = LandingSiteSelector(config).assess(cells)
-        side = cells.domain.finest_size
-        row, column = np.nonzero(cells.observed)
-        x, y = cells.domain.xmin + side * (column + 0.5), cells.domain.ymin + side * (row + 0.5)
-        at = [("leaf planes", x, y, cells.at(x, y).height)]
-        raster = rasterise(cells, config.lss.max_gap).elevation[row, column]
-        at.append(("raster", x, y, raster))
-        row, column = np.nonzero(np.isfinite(found.elevation))
-        at.append(("grid elevation", found.x[column], found.y[row], found.elevation[row, column]))
-        for what, x, y, z in at:
-            low, high = within(returns, x, y)
-            excess = np.fmax(z - high, low - z)
-            excess = excess[np.isfinite(excess)]
-            rows.append(
-                [f"{names[0]}, {what}", len(excess), f"{returns[:, 2].min():.1f}"]
-                + [f"{returns[:, 2].max():.1f}", f"{np.nanmin(z):.1f}", f"{np.nanmax(z):.1f}"]
-                + [f"{excess.max():.2f}", int((excess > 0.3).sum())]
-            )
-    table(
-        "autzen: heights at seen places, beyond the returns within 1 m",
-        ["", "places", "returns from", "to", "heights from", "to", "greatest excess m"]
-        + ["beyond 0.3 m"],
-        rows,
-    )
-
-
-def within(returns: Array, x: Array, y: Array, reach: float = 1.0) -> tuple[Array, Array]:
-    """Lowest and highest return (K,) within reach of each place, NaN where there is none."""
-    places, low, high = np.column_stack([x, y]), np.full(len(x), np.nan), np.full(len(x), np.nan)
-    tree = cKDTree(returns[:, :2])
-    for k, near in enumerate(tree.query_ball_point(places, reach)):
-        if near:
-            low[k], high[k] = returns[near, 2].min(), returns[near, 2].max()
-    return low, high
 
 
 CASES = {

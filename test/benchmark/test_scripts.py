@@ -27,6 +27,21 @@ SMALL = {
         ["--seeds", "21000", "--cases", "default", "--draws", "2", "--figure", "p.png"],
         ["predicted", "Brier", "unsafe first sites", "terrains drawn"],
     ),
+    "partly_seen": (
+        ["--quick", "--seeds", "201"],
+        [
+            "edge: rock",
+            "footprints: 1 degree",
+            "inside: 180",
+            "strips: flat",
+            "section_vi",
+            "autzen",
+        ],
+    ),
+    "shares": (
+        ["--draws", "200", "--of-twenty", "50", "--figure", "c.png"],
+        ["error over claimed deviation", "20, all"],
+    ),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (
         ["--seeds", "201", "--duration", "2"],

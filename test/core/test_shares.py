@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A leaf claims what it errs by, whatever part of it was seen, from wherever, in whatever points.
+
+The leaves are those of ``benchmark/shares.py``: strips of 1 to 100 % of a leaf of 0.25 to 8 m,
+in any direction, incidences of 0 to 75 degrees, 5 to 5,000 points a scan, planar ground.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
+
+import shares
+
+
+@pytest.fixture(scope="module")
+def leaves() -> list[shares.Draw]:
+    """Of one scan, and of twenty."""
+    return shares.drawn(4501, 1500, 1) + shares.drawn(4502, 400, 20)
+
+
+def sizes(draws: list[shares.Draw], of: str) -> np.ndarray:
+    """How many deviations measured leaves are off by."""
+    return np.abs(shares.pooled(draws, of))
+
+
+@pytest.mark.parametrize("of", ["height", "slope"])
+def test_errors_are_as_claimed_over_all_shares(leaves, of):
+    """Root mean square of the ratios, and how many are beyond any normal distribution."""
+    ratios = sizes(leaves, of)
+    assert len(ratios) > 1000
+    assert 0.7 < np.sqrt(np.mean(ratios**2)) < 1.2
+    assert np.mean(ratios > 4.0) < 1e-3
+
+
+@pytest.mark.parametrize("scans", [1, 20])
+@pytest.mark.parametrize(("low", "high"), [(0.01, 0.25), (0.25, 0.5), (0.5, 1.0)])
+def test_no_share_is_trusted_too_much(leaves, scans, low, high):
+    """Claims may be wide where little is seen; they are not narrow anywhere."""
+    some = [d for d in leaves if d.scans == scans and low <= d.share <= high]
+    ratios = sizes(some, "all")
+    assert np.sqrt(np.mean(ratios**2)) < 1.3
+    assert np.mean(ratios > 4.0) < 3e-3
+
+
+@pytest.mark.parametrize("scans", [1, 20])
+def test_most_leaves_are_measured(leaves, scans):
+    """A map that claims nothing is never wrong: of half of a leaf a plane is known."""
+    wide = [d for d in leaves if d.scans == scans and d.share > 0.6]
+    assert np.mean([len(d.found.height) > 0 for d in wide]) > 0.7
