@@ -134,7 +134,8 @@ class GridSampler:
         x = domain.xmin + self.column * domain.finest_size
         y = domain.ymin + self.row * domain.finest_size
         heights = cells.heights(leaf, x, y[:, None])
-        return np.where(np.isnan(heights), raster.elevation[cell[0]][:, cell[1]], heights)
+        bridged, borrowed = (of[cell[0]][:, cell[1]] for of in (raster.bridged, raster.elevation))
+        return np.where(bridged, borrowed, heights)
 
 
 @lru_cache(maxsize=4)

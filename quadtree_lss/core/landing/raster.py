@@ -43,6 +43,7 @@ class TerrainRaster:
             is not borders on unseen ground: it may be the drop that casts the shadow.
         unmapped: True where a point fell whose return is not part of the map yet: seen by the
             lidar, but nobody knows what is there.
+        bridged: True where the height is the nearest known cell's.
         cells: The map.
     """
 
@@ -56,6 +57,7 @@ class TerrainRaster:
     seen: Mask
     firm: Mask
     unmapped: Mask
+    bridged: Mask
     cells: CellMap
 
 
@@ -86,16 +88,17 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
         leaf,
         layers,
     )
-    missing = np.isnan(elevation)
-    known = cells.observed & cells.known & ~missing
+    known = cells.observed & cells.known & ~np.isnan(elevation)
+    bridged = ~known
     unmapped = cells.observed & ~known
     seen = grown(known, max_gap, side, short=0.5) & ~unmapped
     firm = known | ~grown(~seen, max_gap, side, short=0.5)
     if not known.any():
         elevation[:] = np.nan
-    elif missing.any():
-        elevation[missing] = elevation.take(nearest_marked(known)[1][missing])
-    found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped)
+    elif bridged.any():
+        elevation[bridged] = elevation.take(nearest_marked(known)[1][bridged])
+        slope_x[bridged] = slope_y[bridged] = 0.0
+    found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged)
     return TerrainRaster(domain, leaf, *found, cells)
 
 

@@ -29,7 +29,6 @@ if not cython.compiled:
 
 
 #: A view that leaves out more than this share of a cell's width does not stand for the cell.
-PATIENCE = cython.declare(cython.double, float(__import__("os").environ.get("PAT","1")))
 PARTIAL = cython.declare(cython.double, 0.5)
 #: A slope less certain than this (rad, one sigma) is none.
 MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
@@ -283,7 +282,8 @@ class ScanUpdate:
         square = max(square, leaf.greatest * leaf.greatest)
         side = 0.5 * self.table.side(leaf.level)
         tilt = 12.0 * run.variance / (self.rules.slope_points * side * side)
-        if not self.table.divide(row, square, min(tilt, 1.0)):
+        spread = standing_out(self.rules, leaf, run.variance)
+        if not self.table.divide(row, square, min(tilt, 1.0), spread):
             self.refused += 1
             return False
         self.divisions += 1
@@ -307,14 +307,14 @@ class ScanUpdate:
                 return
             clear(leaf)
             self.table.unknow(leaf)
+            leaf.low, leaf.high = INFINITE, -INFINITE
             leaf.known = NOTHING
             leaf.normal[0] = leaf.normal[1] = 0.0
             leaf.normal[2] = 1.0
         fresh: cython.bint = leaf.known <= HINTS
         if fresh and run.unseen >= PARTIAL and run.points >= self.rules.min_residuals:
             # Smaller cells can hold what this one cannot.
-            leaf.views += 1.0
-            if leaf.views >= PATIENCE and self._divide(row, run):
+            if self._divide(row, run):
                 self._go_on(row, begin, end, False)
                 return
         if leaf.known >= INHERITED:
@@ -325,18 +325,16 @@ class ScanUpdate:
                 if self._divide(row, run):
                     self._go_on(row, begin, end, False)
                     return
-        first: cython.bint = leaf.known != MEASURED
         judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
         x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
         self._fuse(leaf, run, same_scan)
         moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(leaf.normal[1] / leaf.normal[2] - y)
         if fabs(leaf.z - z) + 0.5 * side * moved > standing_out(self.rules, leaf, run.variance):
             self.table.unknow(leaf)  # what was known, was by another plane
+            leaf.low, leaf.high = INFINITE, -INFINITE
         if leaf.known != MEASURED:
             self._mark(begin, end, SEEN)
             return
-        if first:
-            leaf.low, leaf.high = INFINITE, -INFINITE
         asked: cython.bint = asks(self.rules, leaf, run)
         if not (asked and self._divide(row, run)):
             self._rest(leaf, begin, end, run)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport NAN
+from libc.math cimport NAN, fabs
 from quadtree_lss.core.geometry.morton cimport encode
 from quadtree_lss.core.geometry.plane cimport shift_origin
 from quadtree_lss.core.geometry.sphere cimport basis_at
@@ -42,7 +42,6 @@ cdef struct Leaf:
     double low
     double high
     double greatest
-    double views
     double feature[5]
     double feature_information[25]
 
@@ -72,7 +71,7 @@ cdef class LeafTable:
     cdef double side(self, int level) noexcept nogil
     cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
     cdef void unknow(self, Leaf* leaf) noexcept nogil
-    cdef bint divide(self, Py_ssize_t row, double square, double tilt) noexcept nogil
+    cdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread) noexcept nogil
     cpdef reserve(self, Py_ssize_t more)
 
 cpdef unfold(unsigned char[::1] values, unsigned char[:, ::1] out)

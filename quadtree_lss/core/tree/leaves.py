@@ -19,6 +19,8 @@ from quadtree_lss.core.geometry.morton import SPREAD
 from quadtree_lss.core.tree.domain import Domain
 
 if not cython.compiled:
+    from math import fabs
+
     from quadtree_lss.core.geometry.morton import encode
     from quadtree_lss.core.geometry.plane import shift_origin
     from quadtree_lss.core.geometry.sphere import basis_at
@@ -60,7 +62,7 @@ LEAF = np.dtype(
     + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
     + [("raised_sum", "f8"), ("raised_noise", "f8"), ("residuals", "f8")]
     + [("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
-    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("views", "f8")]
+    + [("low", "f8"), ("high", "f8"), ("greatest", "f8")]
     + [("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
 
@@ -187,12 +189,14 @@ class LeafTable:
         row: cython.Py_ssize_t,
         square: float,
         tilt: float,
+        spread: float,
     ) -> cython.bint:
         """Divide a leaf above the maximum level; its children inherit what it knows.
 
         An inherited plane is the parent's moved to the child's centre, and less certain: by
-        ``square`` m^2 in height and ``tilt`` rad^2 in either slope. The first child (in Morton's
-        order) has the parent's row, the others follow the last leaf.
+        ``square`` m^2 in height and ``tilt`` rad^2 in either slope. Finest cells whose returns lay
+        within ``spread`` (m) of it stay known. The first child (in Morton's order) has the parent's
+        row, the others follow the last leaf.
 
         Returns:
             False, and nothing is done, where ``max_cells`` leaves no room. The caller has made room
@@ -221,6 +225,10 @@ class LeafTable:
                 first = basis[0] * x + basis[1] * y + basis[2] * z
                 second = basis[3] * x + basis[4] * y + basis[5] * z
                 leaf.z += z
+                # No return that is known there lay farther from the plane.
+                z = quarter * (fabs(leaf.normal[0]) + fabs(leaf.normal[1])) + spread
+                leaf.low = max(leaf.low, leaf.z - z / leaf.normal[2])
+                leaf.high = min(leaf.high, leaf.z + z / leaf.normal[2])
                 shift_origin(leaf.range_part, first, second)
                 shift_origin(leaf.pose_part, first, second)
                 leaf.range_part[0] += tilt
@@ -243,10 +251,12 @@ class LeafTable:
             if self.seen[code] > SEEN:
                 self.seen[code] = SEEN
 
-    def make_room_and_divide(self, row: int, square: float, tilt: float) -> cython.bint:
+    def make_room_and_divide(
+        self, row: int, square: float, tilt: float, spread: float = 0.0
+    ) -> cython.bint:
         """`divide` one leaf."""
         self.reserve(3)
-        return self.divide(row, square, tilt)
+        return self.divide(row, square, tilt, spread)
 
     def in_order(self) -> Index:
         """Rows of the leaves in Morton order: neighbours in space are near in the table."""
