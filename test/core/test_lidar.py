@@ -109,6 +109,24 @@ def test_points_of_a_cell_are_one_run_in_the_order_of_the_scan(form):
     assert found.centre is None
 
 
+def test_a_scan_that_somebody_keeps_is_not_written_over():
+    config = configured()
+    scans = [
+        scan(flat(z), *lattice(0.0, 0.0, 16.0, 40), make_pose((8.0, 8.0, 100.0)), 0.0)
+        for z in (0.0, 1.0, 2.0)
+    ]
+    args = (make_pose((8.0, 8.0, 100.0)), config.lidar, domain_of(config))
+    kept, _ = register(scans[0], *args)
+    part = register(scans[1], *args)[0].points[5:]
+    key = memoryview(register(scans[1], *args)[0].key)
+    before = kept.points.copy(), part.copy(), bytes(key)
+    last, _ = register(scans[2], *args)
+    np.testing.assert_array_equal(kept.points, before[0])
+    np.testing.assert_array_equal(part, before[1])
+    assert bytes(key) == before[2]
+    np.testing.assert_allclose(last.points[:, 2], -98.0)
+
+
 def test_a_scan_that_misses_the_domain_says_where_it_fell():
     pose = make_pose((80.0, 80.0, 100.0))
     config = configured()

@@ -126,7 +126,7 @@ def find_runs(codes: Ints, runs: Keys, begins: Ints) -> cython.Py_ssize_t:
     begins[0] = 0
     with cython.nogil:
         for i in range(codes.shape[0]):
-            code = codes[i]
+            code = cython.cast(cython.longlong, codes[i])
             # Without a branch, which nobody could foretell.
             run += code != last
             last = code

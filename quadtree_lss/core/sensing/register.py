@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from dataclasses import dataclass
 
@@ -106,7 +107,7 @@ def register(
     sound = len(flat) - missing - beyond - isolated
     run_count = find_runs(work.codes, work.runs, work.begins)
     runs, spare = work.runs[:run_count], work.spare[:run_count]
-    points, key = np.empty((inside, 3)), np.empty(inside, np.int64)
+    points, key = work.answer(inside)
     arrange(work.points, spare if sort_packed(runs, spare) else runs, work.begins, points, key)
     middle = None
     if sound and not inside:
@@ -139,6 +140,18 @@ class _Workspace:
         self.points, self.ranges = np.empty((size, 3)), np.empty(size)
         self.runs, self.spare = np.empty((2, size), np.int64)
         self.codes, self.begins = np.empty(size, np.int32), np.empty(size + 1, np.int32)
+        self._fresh()
+
+    def _fresh(self) -> None:
+        size = len(self.ranges)
+        self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
+        self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
+
+    def answer(self, count: int) -> tuple[Array, Keys]:
+        """For points (count, 3) and keys (count,): the last scan's, unless somebody has them."""
+        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
+            self._fresh()
+        return self._arranged[:count], self._key[:count]
 
 
 def _workspace(size: int) -> _Workspace:
