@@ -26,11 +26,15 @@ BELIEVED = cython.declare(cython.double, 10.0)
 #: Share of a scan's cells in which errors that no rigid motion explains may be the same: a quarter
 #: of its width, squared.
 TOGETHER = cython.declare(cython.double, 1.0 / 16.0)
+#: Cells first seen within this are of the same scans, s: shorter than scans are apart.
+INSTANT = cython.declare(cython.double, 1e-3)
 #: Rounds of reweighting; a cell's weight then changes by less than a hundredth.
 ROUNDS = cython.declare(cython.int, 4)
 #: Variance of a scan's height that no covariance tells and more cells do not make smaller, m^2:
 #: by so much ranges of a lidar are off in common.
 FLOOR = 0.04**2
+#: The same of its tilt, rad^2: a lidar is mounted to a milliradian.
+MOUNTED = cython.declare(cython.double, 1e-3**2)
 #: Cells of which a motion of three degrees of freedom can be told.
 MIN_CELLS = 3
 
@@ -68,8 +72,8 @@ def departure(
     what is off sideways. Heights and tilts are all that a footprint of ground shows of e: the
     offsets b_i = h + t.(r_i - r_0) + noise_i give theta = (h, t) by least squares with Huber's
     weights w_i / v_i, v_i the cell's own variance: A = X W X^T, theta = A^-1 X W b. Left out are
-    cells that neither pose explains, b_i^2 > limit^2 (v_i + S_i + M_i): rocks and wrong ground in
-    the map. By the hypothesis that both poses are what they claim, theta is of
+    cells that neither pose explains, b_i^2 > limit^2 (v_i + S_i + M_i + `FLOOR`): rocks and
+    wrong ground in the map. By the hypothesis that both poses are what they claim, theta is of
     covariance V,
 
     - P = T Sigma T^T, T = A^-1 X W J: of the scan's pose;
@@ -78,7 +82,7 @@ def departure(
       exp(-dt / correlation_time), but no less than the larger one: errors may be whiter than is
       said. Tilts likewise. Cells first seen at other times, by dT, have other errors: of M
       1 - exp(-dT / correlation_time) also is a tilt;
-    - `FLOOR`, of heights;
+    - `FLOOR` of heights and `MOUNTED` of tilts;
     - s^2 A^-1 of the cells' own noise, where s^2 is the mean square residual over v_i, with
       `BELIEVED` for prior. What is in excess of v_i may be the same in `TOGETHER` of the cells:
       max(s^2 - 1, 0) `TOGETHER` M A^-1 more, so that no rough or partly seen ground is a
@@ -134,7 +138,7 @@ def departure_of(
     weight = x0 = y0 = 0.0
     square = mapped = tilted = last = first = second = 0.0
     for i in range(count):
-        may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i])
+        may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
         if cells[0, i] * cells[0, i] <= may:
             agreeing += 1
             weight += 1.0 / cells[1, i]
@@ -156,7 +160,7 @@ def departure_of(
         right[0] = right[1] = right[2] = 0.0
         weight = square = mapped = tilted = last = first = second = 0.0
         for i in range(count):
-            may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i])
+            may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
             if cells[0, i] * cells[0, i] > may:
                 continue
             cell[0] = 1.0
@@ -199,7 +203,7 @@ def departure_of(
     if correlation_time > 0.0:
         common = exp(-fabs(last / weight) / correlation_time)
         other = 1.0 - exp(-apart / correlation_time)
-    elif apart > 0.0:
+    elif apart > INSTANT:
         other = 1.0
     square = (square + BELIEVED) / (agreeing - 3 + BELIEVED)
     noise = square + max(square - 1.0, 0.0) * TOGETHER * agreeing
@@ -223,6 +227,8 @@ def departure_of(
     for j in range(9):
         total[j] += noise * inverse[j]
     total[0] += floor
+    total[4] += MOUNTED
+    total[8] += MOUNTED
     # The inverse of the lower right two by two.
     along = total[4] * theta[2] * theta[2] + total[8] * theta[1] * theta[1]
     along -= 2.0 * total[5] * theta[1] * theta[2]
