@@ -15,7 +15,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.arrays import Array
-from quadtree_lss.core.mapping.departure import FLOOR
+from quadtree_lss.core.mapping.departure import FLOOR, Departure
 from quadtree_lss.core.tree.leaves import LeafTable
 
 if not cython.compiled:
@@ -93,8 +93,22 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     noise = 1.0 / total + FLOOR
     if height * height > JUMP**2 * (news * (of_scan + of_map) + noise):
         news = 1.0
-    share = height * news / (news * (of_scan + of_map) + noise)
-    return Offset(height, share * of_scan, share * of_map, since, noise)
+    share = news / (news * (of_scan + of_map) + noise)
+    most = JUMP**2 * max(of_scan, of_map, noise)
+    if height * height > most and until > since:
+        share *= (most / (height * height)) ** 2
+    scan = 1.0 - share * (of_map + noise) if news == 1.0 else share * of_scan
+    return Offset(height, height * scan, height * share * of_map, since, noise)
+
+
+def lower(points: Array, found: Departure) -> None:
+    """Tilt points (N, 3) about the lidar in place, m, so that a scan lies along the map.
+
+    That is done to a scan whose tilt is beyond what is claimed (`JUMP`), and which is not refused:
+    fused, it would tilt the map by its share, for pose errors in common decide nothing there.
+    """
+    (along_x, along_y), (x, y) = found.tilt, found.centre
+    points[:, 2] -= along_x * (points[:, 0] - x) + along_y * (points[:, 1] - y)
 
 
 @cython.boundscheck(False)

@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 
 from quadtree_lss.arrays import Array
-from quadtree_lss.core.mapping.departure import departure
+from quadtree_lss.core.mapping.departure import Departure
 
 #: A scan contradicts the map if less than this share of its cells stands where they may, ...
 SHARE = 1.0 / 3.0
@@ -43,18 +43,19 @@ class Contradiction:
     height: float = 0.0
     variance: float = 0.0
 
-    def judge(self, cells: Array, sigma: Array, now: float, correlation_time: float) -> Verdict:
+    def judge(self, cells: Array, found: Departure | None) -> Verdict:
         """Judge a scan by how its ground stands over the map's.
 
         Rocks, shadows and edges are in few cells, and wrong ground in the map is in some: only
         where a height or an attitude is beyond what is claimed do most cells, or all in common,
-        depart (`departure`). `AGREEING` refused scans whose heights are the same but for what their
-        own poses claim win.
+        depart. `AGREEING` refused scans whose heights are the same but for what their own poses
+        claim win.
 
         Args:
-            cells, sigma, now, correlation_time: As of `departure`.
+            cells: (12, M) of `ScanUpdate.compare`.
+            found: Of `departure`.
         """
-        if not departs(cells, sigma, now, correlation_time):
+        if not departs(found):
             self.count = 0
             return Verdict.SOUND
         height, variance = float(np.median(cells[0])), float(np.median(cells[1] + cells[2]))
@@ -68,12 +69,6 @@ class Contradiction:
         return Verdict.OVERRULES
 
 
-def departs(
-    cells: Array, sigma: Array, now: float, correlation_time: float, lifted: float = 0.0
-) -> bool:
-    """Whether a scan contradicts a map lifted by so many m."""
-    if lifted:
-        cells = cells.copy()
-        cells[0] -= lifted
-    found = departure(cells, sigma, now, correlation_time, DEVIATIONS)
+def departs(found: Departure | None) -> bool:
+    """Whether a scan contradicts the map."""
     return found is not None and (found.share < SHARE or found.deviations > DEVIATIONS)

@@ -7,10 +7,10 @@ any of them, and is to be judged by what the pose claims in common.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cython
-import numpy as np
 
 from quadtree_lss.arrays import Array
 
@@ -23,11 +23,18 @@ if not cython.compiled:
 HUBER = cython.declare(cython.double, 2.0)
 #: What cells claim of their own noise is believed as if so many others had confirmed it.
 BELIEVED = cython.declare(cython.double, 10.0)
+#: Share of a scan's cells in which errors that no rigid motion explains may be the same: a quarter
+#: of its width, squared.
+TOGETHER = cython.declare(cython.double, 1.0 / 16.0)
+#: Cells first seen within this are of the same scans, s: shorter than scans are apart.
+INSTANT = cython.declare(cython.double, 1e-3)
 #: Rounds of reweighting; a cell's weight then changes by less than a hundredth.
 ROUNDS = cython.declare(cython.int, 4)
 #: Variance of a scan's height that no covariance tells and more cells do not make smaller, m^2:
 #: by so much ranges of a lidar are off in common.
 FLOOR = 0.04**2
+#: The same of its tilt, rad^2: a lidar is mounted to a milliradian.
+MOUNTED = cython.declare(cython.double, 1e-3**2)
 #: Cells of which a motion of three degrees of freedom can be told.
 MIN_CELLS = 3
 
@@ -40,15 +47,19 @@ class Departure:
         share: Of the cells that stand where both poses may have put them, each by itself.
         height: Of the scan over the map in the middle of these cells, m.
         tilt: (2,) rise of that along x and along y.
+        centre: (2,) x and y of that middle about the lidar, m.
         variance: Of ``height`` by what the scan's pose claims and by the cells' noise, m^2.
         deviations: All three over what they may be, sqrt(chi^2); 0 if too few cells tell it.
+        tilted: The same of the tilt alone.
     """
 
     share: float
     height: float
     tilt: tuple[float, float]
+    centre: tuple[float, float]
     variance: float
     deviations: float
+    tilted: float
 
 
 def departure(
@@ -61,8 +72,8 @@ def departure(
     what is off sideways. Heights and tilts are all that a footprint of ground shows of e: the
     offsets b_i = h + t.(r_i - r_0) + noise_i give theta = (h, t) by least squares with Huber's
     weights w_i / v_i, v_i the cell's own variance: A = X W X^T, theta = A^-1 X W b. Left out are
-    cells that neither pose explains, b_i^2 > limit^2 (v_i + S_i + M_i): rocks and wrong ground in
-    the map. By the hypothesis that both poses are what they claim, theta is of
+    cells that neither pose explains, b_i^2 > limit^2 (v_i + S_i + M_i + `FLOOR`): rocks and
+    wrong ground in the map. By the hypothesis that both poses are what they claim, theta is of
     covariance V,
 
     - P = T Sigma T^T, T = A^-1 X W J: of the scan's pose;
@@ -71,10 +82,11 @@ def departure(
       exp(-dt / correlation_time), but no less than the larger one: errors may be whiter than is
       said. Tilts likewise. Cells first seen at other times, by dT, have other errors: of M
       1 - exp(-dT / correlation_time) also is a tilt;
-    - `FLOOR`, of heights;
+    - `FLOOR` of heights and `MOUNTED` of tilts;
     - s^2 A^-1 of the cells' own noise, where s^2 is the mean square residual over v_i, with
-      `BELIEVED` for prior. What is in excess of v_i may be the same in all cells:
-      max(s^2 - 1, 0) M A^-1 more, so that no rough or partly seen ground is a contradiction.
+      `BELIEVED` for prior. What is in excess of v_i may be the same in `TOGETHER` of the cells:
+      max(s^2 - 1, 0) `TOGETHER` M A^-1 more, so that no rough or partly seen ground is a
+      contradiction.
 
     theta^T V^-1 theta is chi^2 of three degrees of freedom.
 
@@ -87,10 +99,12 @@ def departure(
     """
     if cells.shape[1] < MIN_CELLS:
         return None
-    share, height, along_x, along_y, variance, square = departure_of(
+    share, height, along_x, along_y, x, y, variance, square, tilted = departure_of(
         cells, sigma, now, correlation_time, limit, FLOOR
     )
-    return Departure(share, height, (along_x, along_y), variance, float(np.sqrt(square)))
+    return Departure(
+        share, height, (along_x, along_y), (x, y), variance, math.sqrt(square), math.sqrt(tilted)
+    )
 
 
 def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
@@ -107,8 +121,8 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
 @cython.boundscheck(False)
 def departure_of(
     cells: Array, sigma: Array, now: float, correlation_time: float, limit: float, floor: float
-) -> tuple[float, float, float, float, float, float]:
-    """`departure` as numbers: share, h, t_x, t_y, variance of h, chi^2."""
+) -> tuple[float, ...]:
+    """`departure` as numbers: share, h, t, r_0, variance of h, chi^2 of all and of the tilt."""
     cell = cython.declare(cython.double[3])
     normal = cython.declare(cython.double[9])
     inverse = cython.declare(cython.double[9])
@@ -124,7 +138,7 @@ def departure_of(
     weight = x0 = y0 = 0.0
     square = mapped = tilted = last = first = second = 0.0
     for i in range(count):
-        may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i])
+        may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
         if cells[0, i] * cells[0, i] <= may:
             agreeing += 1
             weight += 1.0 / cells[1, i]
@@ -133,7 +147,7 @@ def departure_of(
     share: cython.double = agreeing
     share /= count
     if agreeing < MIN_CELLS:
-        return share, 0.0, 0.0, 0.0, 0.0, 0.0
+        return share, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     x0 /= weight
     y0 /= weight
     theta[0] = theta[1] = theta[2] = 0.0
@@ -146,7 +160,7 @@ def departure_of(
         right[0] = right[1] = right[2] = 0.0
         weight = square = mapped = tilted = last = first = second = 0.0
         for i in range(count):
-            may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i])
+            may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
             if cells[0, i] * cells[0, i] > may:
                 continue
             cell[0] = 1.0
@@ -189,10 +203,10 @@ def departure_of(
     if correlation_time > 0.0:
         common = exp(-fabs(last / weight) / correlation_time)
         other = 1.0 - exp(-apart / correlation_time)
-    elif apart > 0.0:
+    elif apart > INSTANT:
         other = 1.0
     square = (square + BELIEVED) / (agreeing - 3 + BELIEVED)
-    noise = square + max(square - 1.0, 0.0) * agreeing
+    noise = square + max(square - 1.0, 0.0) * TOGETHER * agreeing
     for j in range(3):
         for k in range(6):
             takes[6 * j + k] = 0.0
@@ -213,9 +227,16 @@ def departure_of(
     for j in range(9):
         total[j] += noise * inverse[j]
     total[0] += floor
+    total[4] += MOUNTED
+    total[8] += MOUNTED
+    # The inverse of the lower right two by two.
+    along = total[4] * theta[2] * theta[2] + total[8] * theta[1] * theta[1]
+    along -= 2.0 * total[5] * theta[1] * theta[2]
+    tilted = along / max(total[4] * total[8] - total[5] * total[5], 1e-300)
     inverse_symmetric(total, normal)
     square = 0.0
     for j in range(3):
         for k in range(3):
             square += theta[j] * normal[3 * j + k] * theta[k]
-    return share, theta[0], theta[1], theta[2], variance, max(square, 0.0)
+    square, tilted = max(square, 0.0), max(tilted, 0.0)
+    return share, theta[0], theta[1], theta[2], x0, y0, variance, square, tilted

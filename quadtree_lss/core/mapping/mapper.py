@@ -9,8 +9,14 @@ import numpy as np
 
 from quadtree_lss.arrays import Array, Points
 from quadtree_lss.config.settings import Config
-from quadtree_lss.core.mapping.alignment import LEAST_LIFT, lift, offset_of
-from quadtree_lss.core.mapping.contradiction import Contradiction, Verdict, departs
+from quadtree_lss.core.mapping.alignment import JUMP, LEAST_LIFT, lift, lower, offset_of
+from quadtree_lss.core.mapping.contradiction import (
+    DEVIATIONS,
+    Contradiction,
+    Verdict,
+    departs,
+)
+from quadtree_lss.core.mapping.departure import Departure, departure
 from quadtree_lss.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
@@ -151,22 +157,34 @@ class Mapper:
 
         Where it overrules the map, that is put right.
         """
-        change = ScanUpdate(self.leaves, self._rules, scan, now)
-        change.fit()
-        cells = change.compare()
-        by = (scan.pose.covariance, now, self.config.pose.correlation_time)
-        verdict = self._against.judge(cells, *by)
+        change, cells, found = self._compare(scan, now)
+        verdict = self._against.judge(cells, found)
         if verdict is Verdict.OVERRULES:
             height = float(np.median(cells[0]))
             self._owed = 0.0
-            if departs(cells, *by, lifted=height):
+            cells[0] -= height
+            if departs(self._departure(scan, cells, now)):
                 self.leaves.plant()
             else:
                 lift(self.leaves, height, -np.inf)
-            change = ScanUpdate(self.leaves, self._rules, scan, now)
-            change.fit()
-            cells = change.compare()
+            change, cells, found = self._compare(scan, now)
+        elif found is not None and found.tilted > JUMP and verdict is Verdict.SOUND:
+            lower(scan.points, found)
+            change, cells, found = self._compare(scan, now)
         return change, cells, verdict
+
+    def _compare(
+        self, scan: RegisteredScan, now: float
+    ) -> tuple[ScanUpdate, Array, Departure | None]:
+        """A scan fitted to the leaves, its cells beside the map's, and what they have in common."""
+        change = ScanUpdate(self.leaves, self._rules, scan, now)
+        change.fit()
+        cells = change.compare()
+        return change, cells, self._departure(scan, cells, now)
+
+    def _departure(self, scan: RegisteredScan, cells: Array, now: float) -> Departure | None:
+        time = self.config.pose.correlation_time
+        return departure(cells, scan.pose.covariance, now, time, DEVIATIONS)
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         """Let the scan and the map meet at one height; by how much it lay over the map, m.

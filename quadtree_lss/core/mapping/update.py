@@ -123,9 +123,9 @@ class ScanUpdate:
                 run = record(self.runs, i)
                 square = leaf.normal[2] * leaf.normal[2]
                 own = run.range_part[8] + leaf.range_part[8]
-                misfit = leaf.square_sum / max(leaf.division_weight, 1.0)
+                misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
                 self.columns[0, found] = run.z + self.origin[2] - leaf.z
-                self.columns[1, found] = own / square + misfit
+                self.columns[1, found] = own / square + max(misfit, 0.0)
                 self.columns[2, found] = run.pose_part[8] / square
                 self.columns[3, found] = leaf.pose_part[8] / square
                 self.columns[4, found] = leaf.first_time
