@@ -365,7 +365,7 @@ class LssConfig:
     )
     max_gap: float = _p(
         0.6,
-        "ground farther from any measurement is unseen",
+        "ground farther from any that is mapped is unseen",
         unit="m",
         low=0.0,
         high=1000.0,

@@ -51,16 +51,19 @@ class ErrorField:
 
 @dataclass(frozen=True)
 class Detection:
-    """Hazard and safe detection (Table 3) over seen ground with small holes filled."""
+    """Hazard and safe detection (Table 3) over seen ground with small holes filled.
+
+    Ground that is seen but not yet mapped is scored, too: it is unknown, as the holes are.
+    """
 
     hazardous_found: float
     """Fraction of the truly hazardous grid points not called safe; unknown counts as hazardous."""
     safe_found: float
     """Fraction of the truly safe grid points called safe."""
     hazardous_unknown: float
-    """Fraction of the truly hazardous grid points found only because they were not seen."""
+    """Fraction of the truly hazardous grid points found only because they are unknown."""
     safe_unknown: float
-    """Fraction of the truly safe grid points that were not seen."""
+    """Fraction of the truly safe grid points that are unknown."""
     hazardous_grid_points: int
     safe_grid_points: int
     missed_grid_points: int
@@ -189,7 +192,7 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
         truly_safe=truly_safe,
         called_safe=grid.safe[window],
         seen=grid.seen[window],
-        scored=fill_holes(grid.seen, grid.spacing)[window],
+        scored=fill_holes(grid.looked_at, grid.spacing)[window],
         risk=None if grid.risk is None else grid.risk[window],
     )
 

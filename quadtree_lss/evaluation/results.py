@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.arrays import Array, Bytes, Mask
+from quadtree_lss.core.geometry.bounds import bounded
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import QuadtreeLssError
 from quadtree_lss.replay.result import ReplayResult
@@ -25,11 +26,12 @@ from quadtree_lss.simulation.safety import Lander
 from quadtree_lss.simulation.simulate import TRUTH_NAME
 from quadtree_lss.simulation.terrain import bilinear
 
-UNSEEN = 128
-"""Bit of ``grid.npz`` ``hazard`` for ground that was not seen."""
+UNMAPPED, UNSEEN = 64, 128
+"""Bits of ``grid.npz`` ``hazard`` for ground that is not known; what was seen but is not yet mapped
+has both."""
 
 _CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measured", "domain")
-_CELLS_EXTRA = ("observed",)
+_CELLS_EXTRA = ("observed", "low", "high")
 _GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
 _GRID_EXTRA = ("risk",)
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
@@ -57,6 +59,9 @@ class Leaves:
     domain: Domain
     observed: NDArray[np.int64]
     """Number of the finest cells of each leaf in which a point fell; 0 if the file tells none."""
+    low: Array
+    high: Array
+    """What the heights of each plane keep to (m); NaN for no bound."""
 
     @property
     def fixed(self) -> bool:
@@ -89,7 +94,8 @@ class Leaves:
         return float(self.observed[~self.estimated].sum() / of_all) if of_all else float("nan")
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Elevation (m) of the leaf planes at map coordinates; NaN without an estimate."""
+        """Elevation (m) of the map at map coordinates, the leaves' planes within their bounds; NaN
+        without an estimate."""
         x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         n, size = self.domain.finest_count, self.domain.finest_size
         i = np.floor((x_map - self.domain.xmin) / size).astype(np.int64)
@@ -100,7 +106,7 @@ class Leaves:
         with np.errstate(divide="ignore", invalid="ignore"):
             run = normal[..., 0] * (x_map - self.x[leaf]) + normal[..., 1] * (y_map - self.y[leaf])
             z = self.z[leaf] - run / normal[..., 2]
-        return np.where(leaf >= 0, z, np.nan)
+        return np.where(leaf >= 0, bounded(z, self.low[leaf], self.high[leaf]), np.nan)
 
 
 @dataclass(frozen=True)
@@ -124,8 +130,13 @@ class Grid:
 
     @property
     def seen(self) -> Mask:
-        """Grid points on seen ground (ny, nx)."""
+        """Grid points on seen ground that is mapped (ny, nx)."""
         return np.asarray((self.hazard & UNSEEN) == 0)
+
+    @property
+    def looked_at(self) -> Mask:
+        """Grid points on seen ground, mapped or not yet (ny, nx)."""
+        return np.asarray(self.seen | ((self.hazard & UNMAPPED) > 0))
 
 
 @dataclass(frozen=True)
@@ -240,6 +251,8 @@ def load_leaves(path: Path) -> Leaves:
 def _leaves(path: Path, a: dict[str, Any]) -> Leaves:
     _check_length(path, "domain", a["domain"], 5, "xmin, ymin, size, min_level, max_level")
     a.setdefault("observed", np.zeros_like(a["level"]))
+    for name in ("low", "high"):
+        a.setdefault(name, np.full(a["level"].size, np.nan))
     for name in (*_CELLS[:-1], *_CELLS_EXTRA):
         _check_length(path, name, a[name], a["level"].size, "one per leaf")
     xmin, ymin, size, min_level, max_level = np.asarray(a["domain"], float)
@@ -255,6 +268,8 @@ def _leaves(path: Path, a: dict[str, Any]) -> Leaves:
         measured=a["measured"].astype(bool),
         domain=Domain(*map(float, (xmin, ymin, size)), int(min_level), int(max_level)),
         observed=a["observed"].astype(np.int64),
+        low=a["low"].astype(float),
+        high=a["high"].astype(float),
     )
 
 

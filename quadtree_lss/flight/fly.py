@@ -132,14 +132,15 @@ def flight_config(settings: FlightSettings, ground: Ground) -> Config:
 
 
 def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict[str, Any]:
-    """What the last map said of the ground of the touchdown: safe, unsafe, unseen or nothing."""
+    """What the last map said of the ground of the touchdown: safe, unsafe, unseen, unmapped
+    (seen, not yet mapped) or nothing."""
     said = "nothing"
     if last is not None:
         column = int(np.abs(last.x - figures["x"]).argmin())
         row = int(np.abs(last.y - figures["y"]).argmin())
         said = "safe" if last.safe[row, column] else "margin"
         if last.hazard[row, column] & 0x80:
-            said = "unseen"
+            said = "unmapped" if last.hazard[row, column] & 0x40 else "unseen"
         elif last.hazard[row, column] & 0x08:
             said = "unsafe"
     return {"map_said": said}

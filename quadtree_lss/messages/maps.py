@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
 from quadtree_lss.config.settings import LssConfig
+from quadtree_lss.core.geometry.bounds import bounded
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.core.tree.leaves import leaf_raster
@@ -110,7 +111,8 @@ def record_dtype(fields: tuple[tuple[str, str], ...]) -> np.dtype[np.void]:
 def encode_cells(cells: CellMap) -> NDArray[np.void]:
     """One record per leaf, (M,) of ``record_dtype(CELL_FIELDS)``."""
     out = np.zeros(len(cells.level), dtype=record_dtype(CELL_FIELDS))
-    out["x"], out["y"], out["z"], out["size"] = cells.x, cells.y, cells.z, cells.size
+    out["x"], out["y"], out["size"] = cells.x, cells.y, cells.size
+    out["z"] = bounded(cells.z, cells.low, cells.high)
     out["elevation"] = cells.z
     for axis, name in enumerate(("normal_x", "normal_y", "normal_z")):
         out[name] = cells.normal[:, axis]

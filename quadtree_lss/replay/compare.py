@@ -14,8 +14,9 @@ from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.replay.results import plain, write_bytes
 from quadtree_lss.replay.saved import Grid, Results, ResultsError, load_results
 
-UNSEEN = 128
-HAZARDS = {1: "slope", 2: "elevation", 4: "exception", 8: "touchdown", UNSEEN: "unseen"}
+UNMAPPED, UNSEEN = 64, 128
+HAZARDS = {1: "slope", 2: "elevation", 4: "exception", 8: "touchdown"}
+HAZARDS |= {UNMAPPED: "seen, not yet mapped", UNSEEN: "unseen"}
 SIGMAS = 3.0
 
 
@@ -241,6 +242,7 @@ def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
     if grid["safe"][row, column].all():
         return f"allowed in the {name}, but others rank before it"
     bits = int(grid["hazard"][row, column][0, 0])
+    bits &= ~UNSEEN if bits & UNMAPPED else 255
     kinds = ", ".join(kind for bit, kind in HAZARDS.items() if bits & bit)
     return f"not allowed in the {name}{f' ({kinds})' if kinds else ', which has a hazard near it'}"
 

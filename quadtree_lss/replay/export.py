@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.arrays import Bytes
+from quadtree_lss.core.landing.raster import rasterise
 from quadtree_lss.exchange.geojson import sites_geojson
 from quadtree_lss.exchange.geotiff import reference, write_geotiff
 from quadtree_lss.exchange.libraries import ExchangeError
@@ -18,7 +19,7 @@ from quadtree_lss.exchange.map_server import write_map
 from quadtree_lss.exchange.mesh import write_meshes
 from quadtree_lss.replay.saved import Results, load_results
 
-UNSEEN = 128
+IDENTIFIED, UNSEEN = 0x3F, 128
 
 
 def export_results(
@@ -61,13 +62,17 @@ def export_results(
 
 
 def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
-    """Every layer of the landing grid, and height and deviation of the map's own cells."""
+    """Every layer of the landing grid, and height and deviation of the map's own cells where the
+    ground is known."""
     grid, domain = results.grid, results.map.domain
     layers = [(name, values, grid.x, grid.y) for name, values in grid.layers.items()]
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
     x, y = domain.xmin + middles, domain.ymin + middles
-    ground = results.map.at(x, y[:, None])
-    layers += [("map_height", ground.height, x, y), ("map_deviation", ground.deviation, x, y)]
+    raster = rasterise(results.map, results.config.lss.max_gap)
+    deviation = results.map.at(x, y[:, None]).deviation
+    known = (np.where(raster.seen, values, np.nan) for values in (raster.elevation, deviation))
+    names = ("map_height", "map_deviation")
+    layers += [(name, v, x, y) for name, v in zip(names, known, strict=True)]
     written = []
     for name, values, across, along in layers:
         path = folder / f"{name}.tif"
@@ -116,7 +121,7 @@ def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
     hazard, safe = np.asarray(grid["hazard"]), np.asarray(grid["safe"])
     unseen = (hazard & UNSEEN) > 0
     maps = {
-        "hazards": np.where((hazard & ~np.uint8(UNSEEN)) > 0, 100, np.where(unseen, -1, 0)),
+        "hazards": np.where((hazard & IDENTIFIED) > 0, 100, np.where(unseen, -1, 0)),
         "landing": np.where(safe, 0, np.where(unseen, -1, 100)),
     }
     written: list[Path] = []

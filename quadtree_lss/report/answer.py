@@ -21,6 +21,7 @@ class Areas:
 
     seen: float
     safe: float
+    unmapped: float
 
     @property
     def share(self) -> float:
@@ -48,12 +49,13 @@ class NearestMiss:
 
 
 def areas(content: Content) -> Areas:
-    """How much is seen and how much of it is safe."""
+    """How much is seen, how much of it is safe, and how much more is seen but not yet mapped."""
     x, y = (np.gradient(content.grid[name]) for name in "xy")
     x[[0, -1]] *= 0.5  # the outer points stand at the map's edge
     y[[0, -1]] *= 0.5
     each = y[:, None] * x
-    return Areas(float(each[content.seen].sum()), float(each[content.grid["safe"]].sum()))
+    of = (content.seen, content.grid["safe"], content.unmapped)
+    return Areas(*(float(each[part].sum()) for part in of))
 
 
 def largest_circle(content: Content) -> Circle | None:
@@ -70,6 +72,8 @@ def largest_circle(content: Content) -> Circle | None:
     edge = ~clear & (away < radius + 1.5 * content.spacing)
     unseen, blocked = np.count_nonzero(edge & ~content.seen), np.count_nonzero(edge & hazardous)
     limit = "hazards" if blocked > unseen else "unseen ground" if unseen else "the map's edge"
+    if unseen >= blocked and 2 * np.count_nonzero(edge & content.unmapped) > unseen:
+        limit = "ground not yet mapped"
     return Circle(float(grid["x"][column]), float(grid["y"][row]), radius, limit)
 
 
@@ -101,6 +105,8 @@ def headline(content: Content) -> tuple[str, str]:
     ground = f"{100.0 * found.share:.0f} % of the {found.seen:,.0f} m² seen is safe"
     if found.safe:
         ground += f": {found.safe:,.0f} m²"
+    if found.unmapped >= 0.5:
+        ground += f"; {found.unmapped:,.0f} m² more are seen, not yet mapped"
     number = len(sites["x"])
     if not number:
         return "No safe site.", _without(content, ground)

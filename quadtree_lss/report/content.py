@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.arrays import Array, Mask
 from quadtree_lss.config.settings import Config, config_from_values
-from quadtree_lss.core.landing.hazards import UNSEEN
+from quadtree_lss.core.landing.hazards import UNMAPPED, UNSEEN
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -48,9 +48,15 @@ class Content:
 
     @property
     def seen(self) -> Mask:
-        """(ny, nx) of the grid points."""
+        """(ny, nx) of the grid points whose ground is seen and mapped."""
         seen: Mask = (self.grid["hazard"] & UNSEEN) == 0
         return seen
+
+    @property
+    def unmapped(self) -> Mask:
+        """(ny, nx) of those whose ground is seen, but not yet mapped."""
+        unmapped: Mask = (self.grid["hazard"] & UNMAPPED) > 0
+        return unmapped
 
     @property
     def spacing(self) -> float:

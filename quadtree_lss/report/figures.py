@@ -23,6 +23,9 @@ from quadtree_lss.report.palette import (
     MAPS,
     SAFE_COLOUR,
     SITE_COLOUR,
+    UNKNOWN,
+    UNMAPPED_COLOUR,
+    UNMAPPED_NAME,
     UNSEEN_COLOUR,
     colour_limits,
     excluding,
@@ -70,7 +73,7 @@ def hazard_figure(content: Content) -> Figure:
     right.set_ylabel("")
     grid = content.grid
     bits = excluding(content.config.lss.assessment)
-    filled = [row for row in HAZARDS if row[0] & (bits | 128)]
+    filled = [row for row in HAZARDS if row[0] & (bits | UNKNOWN)]
     kind = np.zeros(grid["hazard"].shape, dtype=np.int64)
     for place, (bit, _, _) in reversed(list(enumerate(filled, start=1))):
         kind[(grid["hazard"] & bit) > 0] = place
@@ -78,11 +81,12 @@ def hazard_figure(content: Content) -> Figure:
     kinds = _draw_classes(left, content, kind, names)
     for bit, name, colour in HAZARDS:
         shown = ((grid["hazard"] & bit) > 0) & content.seen
-        if not (bits | 128) & bit and shown.any():
+        if not (bits | UNKNOWN) & bit and shown.any():
             left.contour(grid["x"], grid["y"], shown, [0.5], colors=colour, linewidths=0.7)
             kinds.append(Patch(facecolor="none", edgecolor=colour, label=f"{name}, not excluding"))
-    allowed = np.where(grid["safe"], 1, np.where(content.seen, 0, 2))
+    allowed = np.where(grid["safe"], 1, np.where(content.seen, 0, np.where(content.unmapped, 3, 2)))
     names = [("excluded", EXCLUDED_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
+    names += [(UNMAPPED_NAME, UNMAPPED_COLOUR)]
     decisions = _draw_classes(right, content, allowed, names)
     figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
     figure.legend(handles=decisions, loc="lower right", ncols=3, frameon=False)
@@ -226,8 +230,9 @@ def _draw_classes(
             edgecolor="black",
             linewidth=0.4,
             label=name
-            if name == "unseen"
+            if name in ("unseen", UNMAPPED_NAME)
             else f"{name} {100.0 * np.count_nonzero((kind == number) & content.seen) / seen:.1f} %",
         )
         for number, (name, colour) in enumerate(classes)
+        if name != UNMAPPED_NAME or content.unmapped.any()
     ]

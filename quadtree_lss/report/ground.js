@@ -31,7 +31,8 @@ function gridPointAt(x, y) {
   const j = Math.round((y - grid.ymin) / grid.spacing);
   return i >= 0 && j >= 0 && i < grid.nx && j < grid.ny ? j * grid.nx + i : -1;
 }
-const UNSEEN = data.hazards[0];
+const UNSEEN = data.hazards.find(h => h.bit === 128);
+const UNMAPPED = data.hazards.find(h => h.bit === 64); // seen, but nobody knows: it is unseen, too
 function seenAt(x, y) {
   const i = gridPointAt(x, y);
   return i >= 0 && !(grid.hazard[i] & UNSEEN.bit);
@@ -41,9 +42,14 @@ function planeAt(r, x, y) {
   const cx = leaves.xmin + (leaves.ix[r] + 0.5) * size, cy = leaves.ymin + (leaves.iy[r] + 0.5) * size;
   return leaves.z[r] + leaves.slope_x[r] * (x - cx) + leaves.slope_y[r] * (y - cy);
 }
+// A height keeps to what was measured; a bound that is NaN is none.
+const within = (z, low, high) => (z < low ? low : z > high ? high : z);
 function heightAt(x, y) { // the leaf's plane; bridged where the leaf was not measured
   const r = leafAt(x, y);
-  if (r >= 0 && leaves.z && leaves.measured[r]) return planeAt(r, x, y);
+  if (r >= 0 && leaves.z && leaves.measured[r]) {
+    const z = planeAt(r, x, y);
+    return within(z, leaves.low ? leaves.low[r] : NaN, leaves.high ? leaves.high[r] : NaN);
+  }
   const i = gridPointAt(x, y);
   return i < 0 ? NaN : grid.elevation[i];
 }

@@ -5,11 +5,14 @@ const UNKNOWN = [205, 205, 205];
 const LAYERS = {}; // by name, in the order of the list
 const hazardNames = bits =>
   data.hazards.filter(h => bits & h.bit).map(h => h.name).join(", ") || "none";
-const excludes = h => h === UNSEEN || (data.excluding & h.bit);
+const isUnknown = h => h.name === UNSEEN.name || h.name === UNMAPPED.name;
+const excludes = h => isUnknown(h) || (data.excluding & h.bit);
 const centred = "Judged for the lander's centre: a site's circle is the ground it needs, and may " +
   "reach over ground where another landing would fail. ";
 
 function makeLayers() {
+  const partly = grid.hazard.some(bits => bits & UNMAPPED.bit);
+  const notKnown = partly ? "unseen or not yet mapped" : UNSEEN.name;
   const onGrid = (name, title, unit, values, map, none, more = {}) =>
     (LAYERS[name] = { title, unit, of: "grid", values, limits: values.limits, map, none, ...more });
   const onLeaves = (name, title, unit, values, limits) => (LAYERS[name] =
@@ -21,19 +24,21 @@ function makeLayers() {
   }
   if (grid.probability) {
     onGrid("probability", "Probability of a safe touchdown", "%", grid.probability, "probability",
-           "unseen", { ofTime: true, note: "If the lander is aimed here, with its dispersion. A site's " +
+           notKnown, { ofTime: true, note: "If the lander is aimed here, with its dispersion. A site's " +
              "circle is the ground it needs; aiming elsewhere in it may be less safe." });
   }
   LAYERS.allowed = {
     title: "Where landing is allowed", of: "grid", values: grid.safe, note: centred, ofTime: true,
-    value: i => (grid.hazard[i] & UNSEEN.bit ? 2 : grid.safe[i] ? 0 : 1),
+    value: i => (grid.hazard[i] & UNMAPPED.bit ? 3 : grid.hazard[i] & UNSEEN.bit ? 2 :
+      grid.safe[i] ? 0 : 1),
     classes: [
       { name: "allowed", colour: data.colours.safe },
       { name: "excluded", colour: data.colours.excluded }, { ...UNSEEN },
+      { ...UNMAPPED },
     ],
   };
   LAYERS.elevation = { title: "Elevation of the map's planes", unit: "m", of: "fine",
-    at: k => fine.z[k], limits: limitsOf(fine.z), map: "elevation", none: "unseen" };
+    at: k => fine.z[k], limits: limitsOf(fine.z), map: "elevation", none: notKnown };
   const filled = data.hazards.filter(excludes), lines = data.hazards.filter(h => !excludes(h));
   LAYERS.hazards = {
     title: "Hazards by kind", of: "grid", outlines: lines,
@@ -41,7 +46,7 @@ function makeLayers() {
     value: i => filled.findIndex(h => grid.hazard[i] & h.bit) + 1,
     note: (data.centred ? centred : "") + (lines.length ? "Outlines do not exclude landing. " : ""),
   };
-  onGrid("slope", "Slope at the lander's scale", "deg", grid.slope, "slope", "unseen",
+  onGrid("slope", "Slope at the lander's scale", "deg", grid.slope, "slope", notKnown,
          { mark: grid.slope.mark });
   onGrid("score", "Score, lower is better", "", grid.score, "score", "excluded");
   const sizes = [leaves.max_level, leaves.min_level].map(l => Math.log2(leafSize(l)));
@@ -130,9 +135,9 @@ function legend() {
         layer.value ? layer.value(k) : layer.values[k]] += weight;
     }
     const seen = counts.reduce((sum, c, i) =>
-      sum + (layer.classes[i].name === UNSEEN.name ? 0 : c), 0);
+      sum + (isUnknown(layer.classes[i]) ? 0 : c), 0);
     const each = grid.spacing ** 2;
-    const share = (k, i) => (k.name === UNSEEN.name ? `${Math.round(counts[i] * each)} m²` :
+    const share = (k, i) => (isUnknown(k) ? `${Math.round(counts[i] * each)} m²` :
       `${(100 * counts[i] / (seen || 1)).toFixed(1)} % · ${Math.round(counts[i] * each)} m²`);
     box.innerHTML = layer.classes.map((k, i) =>
       (counts[i] ? swatch(`background:${k.colour}`, k.name, share(k, i)) : "")).join("") +

@@ -143,17 +143,26 @@ def _leaves(cells: Mapping[str, NDArray[Any]], columns: Columns) -> dict[str, An
     shown = np.isfinite(cells["feature"][:, 0])
     height = np.full(found["number"], np.nan)
     height[shown] = peak(cells["feature"][shown])
-    return found | {
-        "z": columns.quantised(cells["z"]),
-        "slope_x": columns.quantised(np.where(estimated, -cells["nx"] / cells["nz"], np.nan)),
-        "slope_y": columns.quantised(np.where(estimated, -cells["ny"] / cells["nz"], np.nan)),
-        "deviation": columns.quantised(deviation) | {"limits": palette.top_limit(deviation)},
-        "roughness": columns.quantised(rough) | {"limits": palette.top_limit(rough)},
-        "exceptions": columns.quantised(cells["exception_fraction"], "u1"),
-        "feature": columns.quantised(height),
-        "count": columns.whole(cells["count"], "u4"),
-        "measured": columns.whole(cells["measured"], "u1"),
+    bounds = {
+        name: columns.quantised(cells[name])
+        for name in ("low", "high")
+        if name in cells and np.isfinite(cells[name]).any()
     }
+    return (
+        found
+        | bounds
+        | {
+            "z": columns.quantised(cells["z"]),
+            "slope_x": columns.quantised(np.where(estimated, -cells["nx"] / cells["nz"], np.nan)),
+            "slope_y": columns.quantised(np.where(estimated, -cells["ny"] / cells["nz"], np.nan)),
+            "deviation": columns.quantised(deviation) | {"limits": palette.top_limit(deviation)},
+            "roughness": columns.quantised(rough) | {"limits": palette.top_limit(rough)},
+            "exceptions": columns.quantised(cells["exception_fraction"], "u1"),
+            "feature": columns.quantised(height),
+            "count": columns.whole(cells["count"], "u4"),
+            "measured": columns.whole(cells["measured"], "u1"),
+        }
+    )
 
 
 def _sites(content: Content) -> list[dict[str, Any]]:
@@ -190,9 +199,12 @@ def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] 
         rows = np.unpackbits(history[name][shown], axis=1, count=shape[0] * shape[1])
         return rows.reshape(-1, *shape)[:, ::stride, ::stride]
 
-    seen = bits("seen").astype(bool)
-    # The first answer in which ground is seen: with a map that forgets nothing it stays so.
-    since = np.where(seen.any(axis=0), seen.argmax(axis=0), 255)
+    def packed(name: str) -> NDArray[Any]:
+        return np.packbits(bits(name).reshape(len(shown), -1), axis=1)
+
+    # Of what is seen hardly anything changes from one answer to the next.
+    seen = packed("seen")
+    seen[1:] ^= seen[:-1].copy()
     place = {answer: k for k, answer in enumerate(shown.tolist())}
     likely = {}
     if "probability" in history:
@@ -212,10 +224,8 @@ def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] 
     outline = history["scan_outline"]
     return {
         "seconds": _seconds(answers[shown], first),
-        "since": columns.whole(since, "u1"),
-        "allowed": columns.whole(
-            np.packbits(bits("allowed").reshape(len(shown), -1), axis=1), "u1"
-        ),
+        "seen": columns.whole(seen, "u1"),
+        "allowed": columns.whole(packed("allowed"), "u1"),
         **likely,
         "sites": sites,
         "targets": [[_json(value) for value in row] for row in history["target"][shown]],

@@ -10,8 +10,11 @@ from quadtree_lss.arrays import Array, Bytes
 from quadtree_lss.config.sections import LssConfig
 
 UNSEEN, UNSEEN_COLOUR = 128, "#bbbbbb"
+UNMAPPED, UNMAPPED_NAME, UNMAPPED_COLOUR = 64, "seen, not yet mapped", "#8c8ca6"
+UNKNOWN = UNSEEN | UNMAPPED
 # Bit, name and colour of hazards, the first that applies is drawn.
 HAZARDS = (
+    (UNMAPPED, UNMAPPED_NAME, UNMAPPED_COLOUR),
     (UNSEEN, "unseen", UNSEEN_COLOUR),
     (8, "touchdown", "#e69f00"),
     (4, "exception", "#56b4e9"),

@@ -5,7 +5,10 @@ function values(x, y) {
   const i = gridPointAt(x, y), r = leafAt(x, y);
   const rows = [["place", `${x.toFixed(2)}, ${y.toFixed(2)} m`]];
   const k = view.answer, seen = i >= 0 && (k < 0 ? !(grid.hazard[i] & UNSEEN.bit) : !laterThan(i, k));
-  if (!seen) rows.push(["ground", "unseen"]);
+  if (!seen) {
+    const hit = k < 0 && i >= 0 && grid.hazard[i] & UNMAPPED.bit;
+    rows.push(["ground", hit ? UNMAPPED.name : UNSEEN.name]);
+  }
   else {
     const h = heightAt(x, y), s = r >= 0 && leaves.deviation ? leaves.deviation[r] : NaN;
     rows.push(["height", Number.isNaN(s) ? withUnit(h, 2, "m") :

@@ -10,6 +10,8 @@ async function start() {
   layOut();
   const likely = data.history && data.history.probability, all = grid.nx * grid.ny;
   if (likely) for (let i = all; i < likely.length; i++) likely[i] += likely[i - all]; // they are changes
+  const seen = data.history && data.history.seen, row = Math.ceil(all / 8);
+  if (seen) for (let i = row; i < seen.length; i++) seen[i] ^= seen[i - row];
   extent = seenBox();
   makeLayers();
   view.layer = Object.keys(LAYERS)[0];

@@ -12,7 +12,10 @@ const probabilityAt = (i, k) => { // per cent
   const v = found[k * grid.nx * grid.ny + i];
   return v === 255 ? NaN : v;
 };
-const laterThan = (i, k) => i < 0 || data.history.since[i] > k;
+const laterThan = (i, k) => { // whether the ground was not known by the k-th answer
+  const row = Math.ceil(grid.nx * grid.ny / 8);
+  return i < 0 || !(data.history.seen[k * row + (i >> 3)] >> (7 - (i & 7)) & 1);
+};
 let playing = 0, lastRows = "";
 function setInstant(k) { // of the answers; the last one is the map as it lies
   const h = data.history, last = h.seconds.length - 1;

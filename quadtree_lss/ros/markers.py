@@ -90,7 +90,7 @@ class MarkerPublisher:
 def cell_markers(cells: CellMap, frame: str) -> bytes:
     """``map/markers``, serialised: of each level one marker with two triangles per plane."""
     known = np.flatnonzero(cells.estimated)
-    colour = elevation_colours(cells.z[known])
+    colour = elevation_colours(cells.heights(known, cells.x[known], cells.y[known]))
     writer = CdrWriter()
     levels = range(cells.domain.min_level, cells.domain.max_level + 1)
     writer.numbers("I", len(levels))
@@ -118,14 +118,15 @@ def cell_markers(cells: CellMap, frame: str) -> bytes:
 
 
 def patch_vertices(cells: CellMap, rows: Index) -> Array:
-    """Corners (K, 6, 3) of two triangles on the planes of leaves ``rows``, map frame, m."""
+    """Corners (K, 6, 3) of two triangles on the planes of leaves ``rows``, map frame, m.
+
+    They keep to what was measured in the leaf: the corners of a steep one may lie level.
+    """
     offset = CORNERS * cells.size[rows, None, None]
-    normal = cells.normal[rows]
-    slope = -normal[:, :2] / normal[:, 2:]
     out = np.empty((len(rows), len(CORNERS), 3))
     out[..., 0] = cells.x[rows, None] + offset[..., 0]
     out[..., 1] = cells.y[rows, None] + offset[..., 1]
-    out[..., 2] = cells.z[rows, None] + np.einsum("kci,ki->kc", offset, slope)
+    out[..., 2] = cells.heights(rows[:, None], out[..., 0], out[..., 1])
     return out
 
 

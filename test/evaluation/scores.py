@@ -45,13 +45,16 @@ def write_results(
     observed=None,
     called_safe=None,
     unseen=None,
+    unmapped=None,
+    bounds=None,
     sites=((0.0, 0.0),),
     spacing=SPACING,
 ):
     """A results folder over 16 m × 16 m: coarse leaves in the west, fine ones in the east.
 
     Leaves lie on `ground` plus ``offset``; ``estimated`` and ``observed`` (all of the leaf or
-    nothing) are functions of their x, y, ``called_safe`` and ``unseen`` of the grid points'.
+    nothing) are functions of their x, y, ``called_safe``, ``unseen`` and ``unmapped`` (seen, not
+    yet mapped) of the grid points'. ``bounds`` are the least and the greatest height of every leaf.
     """
     folder.mkdir(parents=True, exist_ok=True)
     rows = [(3, i, j) for i in range(4) for j in range(8)]  # 2 m
@@ -79,10 +82,13 @@ def write_results(
         measured=np.ones(x.size, bool),
         domain=np.array([-8.0, -8.0, 16.0, 3, 5]),
         observed=cells if observed is None else observed(x, y) * cells,
+        **({} if bounds is None else {"low": z * 0 + bounds[0], "high": z * 0 + bounds[1]}),
     )
     axis = -8.0 + spacing * np.arange(round(16.0 / spacing) + 1)
     gx, gy = np.meshgrid(axis, axis)
     hidden = np.zeros(gx.shape, bool) if unseen is None else unseen(gx, gy)
+    partly = np.zeros(gx.shape, bool) if unmapped is None else unmapped(gx, gy)
+    hidden |= partly
     safe = np.ones(gx.shape, bool) if called_safe is None else called_safe(gx, gy)
     np.savez(
         folder / "grid.npz",
@@ -90,7 +96,7 @@ def write_results(
         y=axis,
         elevation=ground(gx, gy) + offset,
         slope_deg=np.full(gx.shape, 6.4),
-        hazard=np.where(hidden, 128, 0).astype(np.uint8),
+        hazard=(np.where(hidden, 128, 0) + np.where(partly, 64, 0)).astype(np.uint8),
         safe=safe & ~hidden,
         score=np.where(safe & ~hidden, gx, np.nan),
     )

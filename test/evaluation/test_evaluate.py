@@ -133,6 +133,28 @@ def test_unknown_counts_as_hazardous_and_is_reported_apart(tmp_path):
     assert result.unseen_box == pytest.approx(1.0 - columns / 65)
 
 
+def test_ground_not_yet_mapped_is_unknown_and_scored(tmp_path):
+    """However wide it is: what was seen stays in the score."""
+    result = _evaluate(
+        tmp_path, truth={"safe": lambda x, y: y > 0.0}, unmapped=lambda x, y: x > 0.0
+    )
+    found = result.detection
+    assert found.unseen_box == 0.0 and found.hazardous_grid_points == 65 * 33
+    assert found.safe_unknown == pytest.approx(32 / 65)
+    assert found.safe_found == pytest.approx(33 / 65)
+    assert found.hazardous_unknown == pytest.approx(32 / 65)
+
+
+def test_the_elevation_is_within_the_bounds_of_the_leaves(tmp_path):
+    low, high = -0.2, 0.1
+    free = _evaluate(tmp_path / "free").elevation
+    kept = _evaluate(tmp_path / "kept", bounds=(low, high)).elevation
+    x, y = np.meshgrid(*[np.linspace(-8.0, 8.0, 401)] * 2)
+    expected = np.abs(np.clip(ground(x, y), low, high) - ground(x, y)).mean()
+    assert free.maximum < 1e-9
+    assert kept.mean_absolute == pytest.approx(expected, rel=0.02)
+
+
 @pytest.mark.parametrize(("width", "filled"), [(1.75, True), (2.5, False)])
 def test_holes_up_to_two_metres_are_filled(width, filled):
     axis = np.arange(-10.0, 10.1, 0.25)

@@ -48,6 +48,10 @@ def test_no_site_names_the_largest_circle_and_what_ends_it(content):
     assert circle.radius == pytest.approx(1.2, abs=content.spacing) and circle.limit == "hazards"
     unseen = without_sites(content, np.where(away < 1.2, 0, 128).astype(np.uint8))
     assert answer.largest_circle(unseen).limit == "unseen ground"
+    unmapped = without_sites(content, np.where(away < 1.2, 0, 192).astype(np.uint8))
+    assert answer.largest_circle(unmapped).limit == "ground not yet mapped"
+    more = answer.areas(unmapped).unmapped
+    assert f"; {more:,.0f} m² more are seen, not yet mapped" in answer.headline(unmapped)[1]
     words, text = answer.headline(found)
     assert words == "No safe site." and text.count("Nothing fits") == 1
     assert "Largest circle of clear ground" in text and "are needed" in text

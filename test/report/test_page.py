@@ -15,6 +15,7 @@ from quadtree_lss.config.settings import config_from_values
 from quadtree_lss.replay.replay import replay
 from quadtree_lss.report import page_data, palette, template
 from quadtree_lss.report.content import read
+from quadtree_lss.report.figures import hazard_figure
 from quadtree_lss.report.report import page
 
 CONFIG = config_from_values(GROUND)
@@ -82,6 +83,30 @@ def test_the_embedded_leaves_are_those_of_the_map(result, text):
     )
 
 
+def test_bounds_of_the_leaves_are_embedded_where_there_are_any(content):
+    assert "low" not in unpacked(content)[0]["leaves"]
+    low = np.where(content.cells["measured"], content.cells["z"] - 0.5, np.nan)
+    data, get = unpacked(dataclasses.replace(content, cells={**content.cells, "low": low}))
+    np.testing.assert_allclose(get(data["leaves"]["low"]), low, atol=data["leaves"]["low"]["step"])
+    assert "high" not in data["leaves"]
+
+
+def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
+    """Before what is merely unseen: the first that applies is drawn."""
+    names = [kind["name"] for kind in unpacked(content)[0]["hazards"]]
+    assert names[:2] == ["seen, not yet mapped", "unseen"]
+
+    def words(figure):
+        return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+    hazard = content.grid["hazard"].copy()
+    hazard[20:30, 20:30] = 192
+    figure = hazard_figure(dataclasses.replace(content, grid={**content.grid, "hazard": hazard}))
+    assert words(figure).count("seen, not yet mapped") == 2
+    none = dataclasses.replace(content, grid={**content.grid, "hazard": hazard & 63})
+    assert "seen, not yet mapped" not in words(hazard_figure(none))
+
+
 def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):
     """A map whose leaves lie 7 mm off their planes in the mean, large ones and small ones."""
     cells = {**content.cells, "roughness": 0.007 * content.cells["size"] ** 2}
@@ -118,12 +143,17 @@ def test_probability_is_embedded_where_the_grid_has_it(content):
     np.testing.assert_allclose(get(data["grid"]["probability"]), 100.0 * known.ravel())
 
 
-def test_history_tells_since_when_ground_is_seen(result, text):
+def test_history_tells_at_what_time_ground_is_seen(result, text, content):
+    """Ground may be known in one answer and not in the next; the last is the map as it lies."""
     found = Page(text)
     history = found.data["history"]
-    since = found.column(history["since"])
+    changes = found.column(history["seen"]).reshape(len(history["seconds"]), -1)
+    rows = np.unpackbits(np.bitwise_xor.accumulate(changes), axis=1)
     seen = found.column(found.data["grid"]["hazard"]) & palette.UNSEEN == 0
-    np.testing.assert_array_equal(since < 255, seen)
+    np.testing.assert_array_equal(rows[-1, : len(seen)], seen)
+    every = np.unpackbits(content.history["seen"], axis=1, count=len(seen))
+    assert len(np.unique(rows[:, : len(seen)].sum(axis=1))) > 1
+    assert {row.tobytes() for row in rows[:, : len(seen)]} <= {row.tobytes() for row in every}
     assert len(history["seconds"]) == len(history["sites"]) > 1
     last = [site[1:3] for site in history["sites"][-1]]
     np.testing.assert_allclose(last, result.assessment.sites.position[:, :2])

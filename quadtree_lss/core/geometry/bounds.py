@@ -22,11 +22,12 @@ def within(z: float, low: float, high: float) -> float:
 
 def bounded(z: ArrayLike, low: ArrayLike, high: ArrayLike) -> Array:
     """`within` of each; shapes broadcast."""
-    given = (np.asarray(values, dtype=np.float64) for values in (z, low, high))
-    heights, lowest, highest = np.broadcast_arrays(*given)
-    out = heights.ravel().copy()
-    keep_within(out, lowest.ravel(), highest.ravel())
-    return out.reshape(heights.shape)
+    shape = np.broadcast_shapes(*(np.shape(values) for values in (z, low, high)))
+    out = np.empty((3, *shape))
+    out[0], out[1], out[2] = z, low, high
+    flat = out.reshape(3, -1)
+    keep_within(flat[0], flat[1], flat[2])
+    return np.asarray(out[0])
 
 
 @cython.boundscheck(False)
