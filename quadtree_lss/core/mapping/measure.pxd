@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport fabs, sqrt
+from libc.math cimport NAN as nan, fabs, sqrt
 from quadtree_lss.core.geometry.plane cimport (
     covariance_about, height_normal, moments, orthogonal_normal, pose_part, slope_covariance
 )
@@ -25,6 +25,7 @@ cdef struct Run:
     double greatest
     double range_part[9]
     double pose_part[9]
+    double bias[3]
 
 cdef class Rules:
     cdef readonly double range_noise, noise_per_metre, divergence
@@ -42,5 +43,6 @@ cdef Run* record(Run[::1] runs, Py_ssize_t at) noexcept nogil
 cpdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double[:, ::1] sigma) noexcept nogil
 cdef double _unseen(double square, double correlation, double side, double points) noexcept nogil
-cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double* prior, double[:, ::1] sigma, Run* run) noexcept nogil
+cdef void _bias(Run* run, double ray_x, double ray_y, double lean, bint sloped) noexcept nogil
+cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double z, double side, double* prior, double[:, ::1] sigma, Run* run) noexcept nogil
 cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

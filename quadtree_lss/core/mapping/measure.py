@@ -17,7 +17,7 @@ from quadtree_lss.core.geometry.sphere import Vector
 from quadtree_lss.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
-    from math import fabs, sqrt
+    from math import fabs, nan, sqrt
 
     from quadtree_lss.core.geometry.morton import encode, squeeze
     from quadtree_lss.core.geometry.plane import (
@@ -53,12 +53,13 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 #: - square: mean square residual about the fit, m^2; statistic: of division;
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
 #: - raised: points that stand out above the leaf's plane; greatest: |orthogonal distance|, m;
-#: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z).
+#: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
+#: - bias: what noise along the ray may turn the fit by in x and y, and lift it by, m (`_bias`).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
     + [("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
-    + [("range_part", "f8", 9), ("pose_part", "f8", 9)]
+    + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
 )
 
 
@@ -139,6 +140,34 @@ def _unseen(square: float, correlation: float, side: float, points: float) -> cy
     return side - 2.0 * half - side / sqrt(points)
 
 
+def _bias(run: Record, ray_x: float, ray_y: float, lean: float, sloped: cython.bint) -> None:
+    """What range noise may turn a fit by that many scans from one side do not average out.
+
+    Noise e moves a point along the ray u, in height over the plane by e (n.u) / n_z and in place by
+    e (u_x, u_y). Regression of height on place then errs by A^-1 q, A the covariance of the points'
+    x and y, q = var(e) (n.u) / n_z (u_x, u_y), where all edges of what was seen are edges of the
+    scan. Where the ground goes on they are the cell's, and points that noise moves over them, one
+    way and the other, take that away; where they are both, half is left. How much of the edges is
+    which, a leaf does not know: all is taken where half of its width is unseen, half where none is.
+
+    Args:
+        run: Record of type `RUN`: points, scatter and unseen are read, the bias is written.
+        ray_x, ray_y: Of u. lean: var(e) |n.u| / n_z, m^2.
+        sloped: Whether the slope was fitted.
+    """
+    share = 0.5 + min(run.unseen, 0.5)
+    per = 1.0 / run.points
+    xx = max(run.scatter[0] * per, 1e-12)
+    yy = max(run.scatter[3] * per, 1e-12)
+    run.bias[0] = run.bias[1] = 0.0
+    if sloped:
+        xy = run.scatter[1] * per
+        inverse = share * lean / max(xx * yy - xy * xy, 1e-6 * xx * yy)
+        run.bias[0] = inverse * (yy * ray_x - xy * ray_y)
+        run.bias[1] = inverse * (xx * ray_y - xy * ray_x)
+    run.bias[2] = share * lean * sqrt((ray_x * ray_x / xx + ray_y * ray_y / yy) / 12.0)
+
+
 def measure(
     rules: Rules,
     points: Array,
@@ -146,6 +175,7 @@ def measure(
     end: cython.Py_ssize_t,
     x: float,
     y: float,
+    z: float,
     side: float,
     prior: Vector,
     sigma: Array,
@@ -163,6 +193,7 @@ def measure(
     Args:
         points: (N, 3) map axes about the lidar, m; the run is ``begin`` to ``end``.
         x, y: Cell's centre about the lidar, m.
+        z: Height of the plane that is known there, m; NaN for none.
         side: Of the cell, m.
         prior: (3) normal to keep to where the points do not tell the slope.
         sigma: (6, 6) pose covariance.
@@ -235,6 +266,16 @@ def measure(
     run.square = max(quadratic, 0.0) / free
     doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
     uneven = max(run.square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
+    _bias(run, ray_x, ray_y, along * cosine / up, tilt < UNKNOWN_TILT)
+    if tilt == UNKNOWN_TILT and z == z:
+        # Of a strip that is as wide as the noise, place and height err together, along the ray.
+        # Rays are exact: the place is where the ray meets the plane that is known.
+        gap = run.z - z
+        most = 3.0 * sqrt(variance / count) / up
+        gap = min(max(gap, -most), most) * up / cosine
+        off_x -= gap * ray_x
+        off_y -= gap * ray_y
+        rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
     slope_covariance(run.scatter, run.normal, variance, tilt * tilt, slope)
     basis_at(run.normal, basis)
     covariance_about(
@@ -265,7 +306,7 @@ def fit(
     """`measure` of all points (N, 3) and one cell: a record of type `RUN`."""
     normal: cython.double[3] = prior  # type: ignore[valid-type]
     runs = np.zeros(1, dtype=RUN).view(np.recarray)
-    measure(rules, points, 0, len(points), x, y, side, normal, sigma, record(runs, 0))
+    measure(rules, points, 0, len(points), x, y, nan, side, normal, sigma, record(runs, 0))
     return runs
 
 
@@ -288,12 +329,15 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, j=cython.int, first=cython.Py_ssize_t)
     cython.declare(number=cython.Py_ssize_t, seen=cython.Py_ssize_t)
     observed = table.seen
-    slope[1] = slope[2] = 0.0
     with cython.nogil:
         for i in range(rows.shape[0]):
             leaf = table.at(rows[i])
+            slope[0] = leaf.bias[0] * leaf.bias[0]
+            slope[3] = leaf.bias[1] * leaf.bias[1]
+            slope[1] = slope[2] = leaf.bias[0] * leaf.bias[1]
+            covariance_about(slope, leaf.bias[2] * leaf.bias[2], 0.0, 0.0, part)
             for j in range(9):
-                out[i, j] = 0.0
+                out[i, j] = part[j]
             j = 2 * (table.max_level - leaf.level)
             number = 1 << j
             first = encode(leaf.ix, leaf.iy) << j
@@ -326,6 +370,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             )
             tilt = UNSEEN_TILT * min(max(wide / across, 0.0), 1.0)
             slope[0] = slope[3] = tilt * tilt
+            slope[1] = slope[2] = 0.0
             side = table.side(leaf.level) / across
             x = side * (x - 0.5 * across)
             y = side * (y - 0.5 * across)
@@ -340,4 +385,4 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
                 part,
             )
             for j in range(9):
-                out[i, j] = part[j]
+                out[i, j] += part[j]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport INFINITY as INFINITE, exp, fabs, sqrt
+from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
 from quadtree_lss.core.geometry.plane cimport fuse, offset_variance
 from quadtree_lss.core.geometry.sphere cimport basis_at
 from quadtree_lss.core.mapping.bell cimport Heights

@@ -13,7 +13,7 @@ from quadtree_lss.core.sensing.register import RegisteredScan
 from quadtree_lss.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
-    from math import exp, fabs, inf, sqrt
+    from math import exp, fabs, inf, nan, sqrt
 
     from quadtree_lss.core.geometry.plane import fuse, offset_variance
     from quadtree_lss.core.geometry.sphere import basis_at
@@ -26,6 +26,7 @@ if not cython.compiled:
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
     SEEN, KNOWN, OUT = 1, 2, 3
     INFINITE = inf
+    NAN = nan
 
 
 #: A view that leaves out more than this share of a cell's width does not stand for the cell.
@@ -183,7 +184,8 @@ class ScanUpdate:
         x = leaf.x - self.origin[0]
         y = leaf.y - self.origin[1]
         side = self.table.side(leaf.level)
-        measure(self.rules, self.points, begin, end, x, y, side, leaf.normal, self.sigma, run)
+        z = leaf.z - self.origin[2] if leaf.known != NOTHING else NAN
+        measure(self.rules, self.points, begin, end, x, y, z, side, leaf.normal, self.sigma, run)
 
     def _contradicts(self, leaf: Record, run: Record) -> cython.bint:
         """Whether a run is of another place altogether than a plane, beyond any covariance.
@@ -258,6 +260,8 @@ class ScanUpdate:
             leaf.normal[i] = run.normal[i]
         leaf.z = run.z + self.origin[2] + rise[0]
         leaf.points += run.points
+        for i in range(3):
+            leaf.bias[i] += run.points / leaf.points * (run.bias[i] - leaf.bias[i])
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
