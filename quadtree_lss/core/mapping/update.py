@@ -316,11 +316,13 @@ class ScanUpdate:
             leaf.normal[0] = leaf.normal[1] = 0.0
             leaf.normal[2] = 1.0
         fresh: cython.bint = leaf.known <= HINTS
-        if fresh and run.unseen >= PARTIAL and run.points >= self.rules.min_residuals:
-            # Smaller cells can hold what this one cannot.
-            if self._divide(row, run):
+        if fresh and (run.unseen >= PARTIAL or run.points < self.rules.min_points):
+            # It tells no plane of this cell. Smaller ones can hold what this one cannot.
+            if run.points >= self.rules.min_residuals and self._divide(row, run):
                 self._go_on(row, begin, end, False)
-                return
+            else:
+                self._mark(begin, end, SEEN)
+            return
         if leaf.known >= INHERITED:
             self._doubt(leaf, run)
             if run.unseen >= PARTIAL and departs(
