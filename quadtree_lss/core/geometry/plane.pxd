@@ -16,5 +16,5 @@ cdef void keep_up(double* normal) noexcept nogil
 cdef void slope_covariance(double* scatter, double* normal, double variance, double tilt, double* out) noexcept nogil
 cdef void covariance_about(double* slope, double offset_variance, double first, double second, double* out) noexcept nogil
 cdef void pose_part(double* normal, double* arm, double[:, ::1] sigma, double* out) noexcept nogil
-cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, double* out_rise) noexcept nogil
+cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, bint sloped, double* out_rise) noexcept nogil
 cdef double _quadratic(double* scatter, double* a, double* b) noexcept nogil

@@ -321,6 +321,7 @@ def fuse(
     range_part: Vector,
     pose_part: Vector,
     common: float,
+    sloped: cython.bint,
     out_rise: Vector,
 ) -> None:
     """Two estimates of a plane made one (Eq. 37 to Eq. 45), which Eq. 22 does of scans' offsets.
@@ -347,6 +348,8 @@ def fuse(
         normal: (3) measured; replaced by the fused one.
         range_part, pose_part: (9) parts of its covariance; spoilt.
         common: Correlation of the two pose errors, 0 .. 1.
+        sloped: Whether the measured slope counts; if not, the prior's stays, and its error is
+            considered: the covariances above hold for any K.
         out_rise: (1) height of the fused plane above the measured one, m.
     """
     basis = cython.declare(cython.double[6])
@@ -389,6 +392,9 @@ def fuse(
         spread[i] = one[i] + two[i]
     inverse_symmetric(spread, inverse)
     multiply(one, inverse, gain)
+    if not sloped:
+        for i in range(6):
+            gain[i] = 0.0
     for i in range(9):
         rest[i] = (1.0 if i % 4 == 0 else 0.0) - gain[i]
     congruent(rest, prior_range, one)
@@ -513,7 +519,7 @@ def fused(
     range_1: cython.double[9] = other[2].ravel()  # type: ignore[valid-type]
     pose_1: cython.double[9] = other[3].ravel()  # type: ignore[valid-type]
     rise = cython.declare(cython.double[1])
-    fuse(prior_normal, prior[1] - other[1], range_0, pose_0, normal, range_1, pose_1, common, rise)
+    fuse(prior_normal, prior[1] - other[1], range_0, pose_0, normal, range_1, pose_1, common, True, rise)
     parts = (np.array(range_0).reshape(3, 3), np.array(pose_0).reshape(3, 3))
     return np.array(normal), other[1] + rise[0], *parts
 

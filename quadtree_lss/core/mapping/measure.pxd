@@ -19,6 +19,7 @@ cdef struct Run:
     double square
     double statistic
     double unseen
+    double sloped
     double raised
     double raised_by
     double doubt

@@ -58,7 +58,7 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
-    + [("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
+    + [("sloped", "f8"), ("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
     + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
 )
 
@@ -165,7 +165,16 @@ def _bias(run: Record, ray_x: float, ray_y: float, lean: float, sloped: cython.b
         inverse = share * lean / max(xx * yy - xy * xy, 1e-6 * xx * yy)
         run.bias[0] = inverse * (yy * ray_x - xy * ray_y)
         run.bias[1] = inverse * (xx * ray_y - xy * ray_x)
-    run.bias[2] = share * lean * sqrt((ray_x * ray_x / xx + ray_y * ray_y / yy) / 12.0)
+    run.bias[2] = 2.0*share * lean * sqrt((ray_x * ray_x / xx + ray_y * ray_y / yy) / 12.0)
+    free = max(run.points-3.0, 1.0)
+    lost = sqrt(max(run.variance*(1.0-1.0/sqrt(free)) - run.square, 0.0))
+    flat = sqrt(ray_x*ray_x+ray_y*ray_y)
+    run.bias[2] += lost
+    if flat > 0.05:
+        wide = (ray_x*ray_x*xx+2.0*ray_x*ray_y*run.scatter[1] * per+ray_y*ray_y*yy)/(flat*flat)
+        turn = min(lost / sqrt(wide), 1.0)/flat
+        run.bias[0] += turn*ray_x*1.0
+        run.bias[1] += turn*ray_y*1.0
 
 
 def measure(
@@ -291,6 +300,7 @@ def measure(
     else:
         arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, arm, sigma, run.pose_part)
+    run.sloped = 1.0 if tilt < UNKNOWN_TILT else 0.0
     run.statistic = run.raised = run.greatest = 0.0
 
 

@@ -254,6 +254,7 @@ class ScanUpdate:
             run.range_part,
             run.pose_part,
             common,
+            run.sloped > 0.0,
             rise,
         )
         for i in range(3):
