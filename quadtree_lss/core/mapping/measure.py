@@ -40,6 +40,8 @@ UNEVEN = cython.declare(cython.double, 2.25e-4)
 #: An orthogonal fit that stands so much steeper than the regression of height (n_z over n_z) is of
 #: points that are as far apart in height as in place: no plane.
 OVERTURNED = cython.declare(cython.double, 0.5)
+#: How a strip as thin as noise may be lifted: see `_bias`.
+TAIL = cython.declare(cython.double, 12.0)
 #: What is not known of a slope, rad.
 UNKNOWN_TILT = cython.declare(cython.double, 10.0)
 #: By how much a cell's slope may differ from that of the part of it which was seen, rad.
@@ -51,15 +53,16 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 #: - normal, z: the fitted plane's upward unit normal and height at the cell's centre, m;
 #: - cosine: |n.u|, u the ray to the centroid; variance: of a residual from range noise, m^2;
 #: - square: mean square residual about the fit, m^2; statistic: of division;
+#: - sloped: 1 if the points tell the slope, 0 if it is the one before;
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
 #: - raised: points that stand out above the leaf's plane; greatest: |orthogonal distance|, m;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
-#: - bias: what noise along the ray may turn the fit by in x and y, and lift it by, m (`_bias`).
+#: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m (`_bias`).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
     + [("sloped", "f8"), ("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
-    + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
+    + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 2)]
 )
 
 
@@ -140,8 +143,8 @@ def _unseen(square: float, correlation: float, side: float, points: float) -> cy
     return side - 2.0 * half - side / sqrt(points)
 
 
-def _bias(run: Record, ray_x: float, ray_y: float, lean: float, sloped: cython.bint) -> None:
-    """What range noise may turn a fit by that many scans from one side do not average out.
+def _bias(run: Record, ray_x: float, ray_y: float, deviation: float, lean: float) -> None:
+    """What range noise may turn a fit by, and lift it, that scans from one side do not average out.
 
     Noise e moves a point along the ray u, in height over the plane by e (n.u) / n_z and in place by
     e (u_x, u_y). Regression of height on place then errs by A^-1 q, A the covariance of the points'
@@ -150,31 +153,31 @@ def _bias(run: Record, ray_x: float, ray_y: float, lean: float, sloped: cython.b
     way and the other, take that away; where they are both, half is left. How much of the edges is
     which, a leaf does not know: all is taken where half of its width is unseen, half where none is.
 
+    An edge on one side alone lifts the mean by r = sqrt(var(e)) |(u_x, u_y)| / w of a deviation
+    in height, w the width of what was seen along the ray; a strip of less than four deviations may
+    be nothing but what noise moved there: `TAIL` r^2 stands for that, two deviations at most.
+
     Args:
         run: Record of type `RUN`: points, scatter and unseen are read, the bias is written.
-        ray_x, ray_y: Of u. lean: var(e) |n.u| / n_z, m^2.
-        sloped: Whether the slope was fitted.
+        ray_x, ray_y: Of u. deviation: sqrt(var(e)), m. lean: |n.u| / n_z.
     """
     share = 0.5 + min(run.unseen, 0.5)
     per = 1.0 / run.points
-    xx = max(run.scatter[0] * per, 1e-12)
-    yy = max(run.scatter[3] * per, 1e-12)
-    run.bias[0] = run.bias[1] = 0.0
-    if sloped:
-        xy = run.scatter[1] * per
-        inverse = share * lean / max(xx * yy - xy * xy, 1e-6 * xx * yy)
-        run.bias[0] = inverse * (yy * ray_x - xy * ray_y)
-        run.bias[1] = inverse * (xx * ray_y - xy * ray_x)
-    run.bias[2] = 2.0*share * lean * sqrt((ray_x * ray_x / xx + ray_y * ray_y / yy) / 12.0)
-    free = max(run.points-3.0, 1.0)
-    lost = sqrt(max(run.variance*(1.0-1.0/sqrt(free)) - run.square, 0.0))
-    flat = sqrt(ray_x*ray_x+ray_y*ray_y)
-    run.bias[2] += lost
-    if flat > 0.05:
-        wide = (ray_x*ray_x*xx+2.0*ray_x*ray_y*run.scatter[1] * per+ray_y*ray_y*yy)/(flat*flat)
-        turn = min(lost / sqrt(wide), 1.0)/flat
-        run.bias[0] += turn*ray_x*1.0
-        run.bias[1] += turn*ray_y*1.0
+    xx = run.scatter[0] * per
+    xy = run.scatter[1] * per
+    yy = run.scatter[3] * per
+    # A strip has no width beyond what noise gives it, and is not taken for thinner.
+    least = 0.01 * deviation * deviation
+    flat = ray_x * ray_x + ray_y * ray_y
+    along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
+    thin = deviation * flat / sqrt(12.0 * along + least * flat)
+    xx += least
+    yy += least
+    inverse = share * deviation * deviation * lean / max(xx * yy - xy * xy, least * least)
+    turn_x = inverse * (yy * ray_x - xy * ray_y)
+    turn_y = inverse * (xx * ray_y - xy * ray_x)
+    run.bias[0] = sqrt(turn_x * turn_x + turn_y * turn_y) if run.sloped > 0.0 else 0.0
+    run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
 
 
 def measure(
@@ -275,7 +278,8 @@ def measure(
     run.square = max(quadratic, 0.0) / free
     doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
     uneven = max(run.square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
-    _bias(run, ray_x, ray_y, along * cosine / up, tilt < UNKNOWN_TILT)
+    run.sloped = 1.0 if tilt < UNKNOWN_TILT else 0.0
+    _bias(run, ray_x, ray_y, sqrt(along), cosine / up)
     if tilt == UNKNOWN_TILT and z == z:
         # Of a strip that is as wide as the noise, place and height err together, along the ray.
         # Rays are exact: the place is where the ray meets the plane that is known.
@@ -300,7 +304,6 @@ def measure(
     else:
         arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, arm, sigma, run.pose_part)
-    run.sloped = 1.0 if tilt < UNKNOWN_TILT else 0.0
     run.statistic = run.raised = run.greatest = 0.0
 
 
@@ -342,10 +345,9 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     with cython.nogil:
         for i in range(rows.shape[0]):
             leaf = table.at(rows[i])
-            slope[0] = leaf.bias[0] * leaf.bias[0]
-            slope[3] = leaf.bias[1] * leaf.bias[1]
-            slope[1] = slope[2] = leaf.bias[0] * leaf.bias[1]
-            covariance_about(slope, leaf.bias[2] * leaf.bias[2], 0.0, 0.0, part)
+            slope[0] = slope[3] = leaf.bias[0] * leaf.bias[0]
+            slope[1] = slope[2] = 0.0
+            covariance_about(slope, leaf.bias[1] * leaf.bias[1], 0.0, 0.0, part)
             for j in range(9):
                 out[i, j] = part[j]
             j = 2 * (table.max_level - leaf.level)

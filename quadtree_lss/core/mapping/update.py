@@ -261,7 +261,7 @@ class ScanUpdate:
             leaf.normal[i] = run.normal[i]
         leaf.z = run.z + self.origin[2] + rise[0]
         leaf.points += run.points
-        for i in range(3):
+        for i in range(2):
             leaf.bias[i] += run.points / leaf.points * (run.bias[i] - leaf.bias[i])
         leaf.last_time = self.now
         if fresh:
