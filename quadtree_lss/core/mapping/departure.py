@@ -28,6 +28,9 @@ BELIEVED = cython.declare(cython.double, 10.0)
 TOGETHER = cython.declare(cython.double, 1.0 / 16.0)
 #: Cells first seen within this are of the same scans, s: shorter than scans are apart.
 INSTANT = cython.declare(cython.double, 1e-3)
+#: Information on a shift sideways that a fit has at least, m^-2: 10 m, so that level ground and even
+#: slopes, which do not tell it, do not spoil the fit.
+ALONG = cython.declare(cython.double, 1e-2)
 #: Rounds of reweighting; a cell's weight then changes by less than a hundredth.
 ROUNDS = cython.declare(cython.int, 4)
 #: Variance of a scan's height that no covariance tells and more cells do not make smaller, m^2:
@@ -118,25 +121,55 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
     out[5] = x * out[1] - y * out[0]
 
 
+def _invert(a: Array, out: Array) -> None:
+    """Inverse of a symmetric positive definite 5x5 matrix, which is spoilt, by Gauss and Jordan.
+
+    Scaled to a unit diagonal, a pivot below 1e-10 is round-off and taken as that: what cells do
+    not tell is known very badly.
+    """
+    scale = cython.declare(cython.double[5])
+    cython.declare(i=cython.int, j=cython.int, k=cython.int)
+    for i in range(5):
+        scale[i] = 1.0 / sqrt(max(a[6 * i], 1e-24))
+    for i in range(5):
+        for j in range(5):
+            a[5 * i + j] *= scale[i] * scale[j]
+            out[5 * i + j] = 1.0 if i == j else 0.0
+    for k in range(5):
+        pivot = 1.0 / max(a[6 * k], 1e-10)
+        for j in range(5):
+            a[5 * k + j] *= pivot
+            out[5 * k + j] *= pivot
+        for i in range(5):
+            if i != k:
+                factor = a[5 * i + k]
+                for j in range(5):
+                    a[5 * i + j] -= factor * a[5 * k + j]
+                    out[5 * i + j] -= factor * out[5 * k + j]
+    for i in range(5):
+        for j in range(5):
+            out[5 * i + j] *= scale[i] * scale[j]
+
+
 @cython.boundscheck(False)
 def departure_of(
     cells: Array, sigma: Array, now: float, correlation_time: float, limit: float, floor: float
 ) -> tuple[float, ...]:
     """`departure` as numbers: share, h, t, r_0, variance of h, chi^2 of all and of the tilt."""
-    cell = cython.declare(cython.double[3])
-    normal = cython.declare(cython.double[9])
-    inverse = cython.declare(cython.double[9])
-    right = cython.declare(cython.double[3])
-    theta = cython.declare(cython.double[3])
+    cell = cython.declare(cython.double[5])
+    normal = cython.declare(cython.double[25])
+    inverse = cython.declare(cython.double[25])
+    right = cython.declare(cython.double[5])
+    theta = cython.declare(cython.double[5])
     lift = cython.declare(cython.double[6])
-    moved = cython.declare(cython.double[18])
+    moved = cython.declare(cython.double[30])
     takes = cython.declare(cython.double[18])
     total = cython.declare(cython.double[9])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, m=cython.int, step=cython.int)
     count: cython.Py_ssize_t = cells.shape[1]
     agreeing: cython.Py_ssize_t = 0
     weight = x0 = y0 = 0.0
-    square = mapped = tilted = last = first = second = 0.0
+    square = weights = mapped = tilted = last = first = second = 0.0
     for i in range(count):
         may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
         if cells[0, i] * cells[0, i] <= may:
@@ -150,15 +183,18 @@ def departure_of(
         return share, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     x0 /= weight
     y0 /= weight
-    theta[0] = theta[1] = theta[2] = 0.0
+    for j in range(5):
+        theta[j] = 0.0
     # The first round is of plain least squares, the last one only sums up.
     for step in range(ROUNDS + 2):
-        for j in range(9):
+        for j in range(25):
             normal[j] = 0.0
-        for j in range(18):
+        for j in range(30):
             moved[j] = 0.0
-        right[0] = right[1] = right[2] = 0.0
-        weight = square = mapped = tilted = last = first = second = 0.0
+        for j in range(5):
+            right[j] = 0.0
+        normal[18] = normal[24] = ALONG
+        weight = weights = square = mapped = tilted = last = first = second = 0.0
         for i in range(count):
             may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
             if cells[0, i] * cells[0, i] > may:
@@ -166,35 +202,40 @@ def departure_of(
             cell[0] = 1.0
             cell[1] = cells[6, i] - x0
             cell[2] = cells[7, i] - y0
+            cell[3] = -cells[9, i]
+            cell[4] = -cells[10, i]
             w = 1.0 / cells[1, i]
             if step > 0:
-                off = cells[0, i] - theta[0] - theta[1] * cell[1] - theta[2] * cell[2]
+                off = cells[0, i]
+                for j in range(5):
+                    off -= theta[j] * cell[j]
                 away = fabs(off) * sqrt(w)
                 if away > HUBER:
                     w *= HUBER / away
                 square += w * off * off
-            for j in range(3):
+            for j in range(5):
                 right[j] += w * cell[j] * cells[0, i]
-                for k in range(3):
-                    normal[3 * j + k] += w * cell[j] * cell[k]
+                for k in range(5):
+                    normal[5 * j + k] += w * cell[j] * cell[k]
             if step > ROUNDS:
                 _motion(cells, i, lift)
-                for j in range(3):
+                for j in range(5):
                     for k in range(6):
                         moved[6 * j + k] += w * cell[j] * lift[k]
                 weight += w
+                weights += w * w
                 mapped += w * cells[3, i]
                 tilted += w * cells[11, i]
                 last += w * (cells[5, i] - now)
                 middle = 0.5 * (cells[4, i] + cells[5, i]) - now
                 first += w * middle
                 second += w * middle * middle
-        inverse_symmetric(normal, inverse)
+        _invert(normal, inverse)
         if step <= ROUNDS:
-            for j in range(3):
+            for j in range(5):
                 theta[j] = 0.0
-                for k in range(3):
-                    theta[j] += inverse[3 * j + k] * right[k]
+                for k in range(5):
+                    theta[j] += inverse[5 * j + k] * right[k]
     mapped /= weight
     tilted /= weight
     first /= weight
@@ -205,13 +246,15 @@ def departure_of(
         other = 1.0 - exp(-apart / correlation_time)
     elif apart > INSTANT:
         other = 1.0
-    square = (square + BELIEVED) / (agreeing - 3 + BELIEVED)
-    noise = square + max(square - 1.0, 0.0) * TOGETHER * agreeing
+    # As many cells as tell something: one that is hardly known confirms nothing.
+    telling = weight * weight / weights
+    square = (square + BELIEVED) / (max(telling - 5.0, 0.0) + BELIEVED)
+    noise = square + max(square - 1.0, 0.0) * TOGETHER * telling
     for j in range(3):
         for k in range(6):
             takes[6 * j + k] = 0.0
-            for m in range(3):
-                takes[6 * j + k] += inverse[3 * j + m] * moved[6 * m + k]
+            for m in range(5):
+                takes[6 * j + k] += inverse[5 * j + m] * moved[6 * m + k]
     for j in range(3):
         for k in range(3):
             total[3 * j + k] = 0.0
@@ -221,11 +264,12 @@ def departure_of(
     variance = total[0] + floor + noise * inverse[0]
     for j in range(3):
         of_scan = total[4 * j]
-        of_map = mapped if j == 0 else tilted + other * mapped * weight * inverse[4 * j]
+        of_map = mapped if j == 0 else tilted + other * mapped * weight * inverse[6 * j]
         apart = of_scan + of_map - 2.0 * common * sqrt(max(of_scan * of_map, 0.0))
         total[4 * j] = max(of_scan, max(of_map, apart))
-    for j in range(9):
-        total[j] += noise * inverse[j]
+    for j in range(3):
+        for k in range(3):
+            total[3 * j + k] += noise * inverse[5 * j + k]
     total[0] += floor
     total[4] += MOUNTED
     total[8] += MOUNTED
@@ -233,10 +277,10 @@ def departure_of(
     along = total[4] * theta[2] * theta[2] + total[8] * theta[1] * theta[1]
     along -= 2.0 * total[5] * theta[1] * theta[2]
     tilted = along / max(total[4] * total[8] - total[5] * total[5], 1e-300)
-    inverse_symmetric(total, normal)
+    inverse_symmetric(total, inverse)
     square = 0.0
     for j in range(3):
         for k in range(3):
-            square += theta[j] * normal[3 * j + k] * theta[k]
+            square += theta[j] * inverse[3 * j + k] * theta[k]
     square, tilted = max(square, 0.0), max(tilted, 0.0)
     return share, theta[0], theta[1], theta[2], x0, y0, variance, square, tilted
