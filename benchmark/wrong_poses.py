@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one pose that is off by many of its own deviations does to a map.
 
-Gentle hills (0.3 m high, 8 m apart) seen from 60 m, twice a second, by poses that are drawn from
+Level ground, or hills 0.3 m high and 8 m apart, 16 m wide and seen from 60 m, twice a second, by poses that are drawn from
 what they claim, once for the flight (they persist) or anew in each scan (white, with
 ``pose.correlation_time`` 0). Then one scan whose pose is off, in height or in tilt, and by how much
 that moves or tilts the map: share of what the pose is off, the greatest of all seeds.
@@ -22,6 +22,7 @@ from quadtree_lss.config.settings import config_from_values
 from quadtree_lss.core.geometry.rotations import exp
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.core.tree.cell_map import CellMap
 
 SIZE, HEIGHT, NOISE = 16.0, 60.0, 0.05
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -37,35 +38,43 @@ def main() -> None:
     parser.add_argument("--before", type=int, nargs="+", default=[3, 10])
     options = parser.parse_args()
     print(machine())
+    for ground, height in (("level ground", 0.0), ("hills", 0.3)):
+        title = f"{ground}: scans refused, greatest share of the error that the map follows"
+        head = ["errors", "claimed", "scans before", "off in", *(f"{off} dev." for off in OFF)]
+        table(title, head, rows_of(height, options.seeds, options.before))
+
+
+def rows_of(height: float, seeds: int, counts: list[int]) -> list[list[str]]:
+    """The table of one ground."""
     rows = []
     for white in (False, True):
         for claim in CLAIMS:
-            for before in options.before:
+            for before in counts:
                 for axis in ("height", "tilt"):
-                    row = ["white" if white else "persist", f"{claim[0]:g} m, {1e3 * claim[1]:g} mrad"]
+                    row = [
+                        "white" if white else "persist",
+                        f"{claim[0]:g} m, {1e3 * claim[1]:g} mrad",
+                    ]
                     row += [str(before), axis]
                     for off in OFF:
                         found = [
-                            moved(seed, claim, off, axis == "tilt", before, white)
-                            for seed in range(options.seeds)
+                            moved(height, seed, claim, off, axis == "tilt", before, white)
+                            for seed in range(seeds)
                         ]
                         refused, share = np.array(found).T
                         row.append(f"{refused.mean():4.0%} {share.max():5.3f}")
                     rows.append(row)
-    table(
-        f"scans refused, greatest share of the error that the map follows ({options.seeds} seeds)",
-        ["errors", "claimed", "scans before", "off in", *(f"{off} dev." for off in OFF)],
-        rows,
-    )
-
-
-def hills(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Height of the ground, m."""
-    return 0.3 * np.sin(0.8 * x) * np.cos(0.7 * y)
+    return rows
 
 
 def moved(
-    seed: int, claim: tuple[float, float], off: float, tilt: bool, before: int, white: bool
+    height: float,
+    seed: int,
+    claim: tuple[float, float],
+    off: float,
+    tilt: bool,
+    before: int,
+    white: bool,
 ) -> tuple[bool, float]:
     """Whether the scan was refused, and the share of its error that the map follows."""
     rng = np.random.default_rng(seed)
@@ -83,7 +92,7 @@ def moved(
 
     def scan(number: int, wrong: np.ndarray) -> bool:
         x, y = SIZE * (rng.random((2, 6000)) - 0.5)
-        seen = (np.column_stack([x, y, hills(x, y)]) - at) @ DOWN
+        seen = (np.column_stack([x, y, height * np.sin(0.8 * x) * np.cos(0.7 * y)]) - at) @ DOWN
         distance = np.linalg.norm(seen, axis=1, keepdims=True)
         seen *= 1.0 + NOISE * rng.standard_normal(distance.shape) / distance
         pose = Pose(
@@ -100,11 +109,8 @@ def moved(
     extra[3 if tilt else 2] = off * sigma[3 if tilt else 2]
     refused = scan(before, error * (not white) + extra)
     last = mapper.snapshot()
-    x, y, size = first.x, first.y, first.size
-    known = first.measured
     # Leaves may have been divided in between: both maps at the middles of the finest cells.
     ground = [_heights(cells) for cells in (first, last)]
-    del x, y, size, known
     change = ground[1] - ground[0]
     grid = np.linspace(-1.0, 1.0, len(change)) * 0.5 * SIZE * (1.0 - 1.0 / len(change))
     if tilt:
@@ -114,14 +120,15 @@ def moved(
     return refused, abs(float(np.nanmedian(change))) / extra[2]
 
 
-def _heights(cells: object) -> np.ndarray:
-    raster = cells.leaf_raster()  # type: ignore[attr-defined]
+def _heights(cells: CellMap) -> np.ndarray:
+    """Of the planes at the middles of the finest cells, by row and column, m."""
+    raster = cells.leaf_raster()
     n = len(raster)
     middle = SIZE * ((np.arange(n) + 0.5) / n - 0.5)
     x, y = np.meshgrid(middle, middle)
-    normal = cells.normal[raster]  # type: ignore[attr-defined]
-    run = normal[..., 0] * (x - cells.x[raster]) + normal[..., 1] * (y - cells.y[raster])  # type: ignore[attr-defined]
-    return np.asarray(cells.z[raster] - run / normal[..., 2])  # type: ignore[attr-defined]
+    normal = cells.normal[raster]
+    run = normal[..., 0] * (x - cells.x[raster]) + normal[..., 1] * (y - cells.y[raster])
+    return np.asarray(cells.z[raster] - run / normal[..., 2])
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.arrays import Points
 from quadtree_lss.config.settings import Config
+from quadtree_lss.core.mapping.pose_errors import PoseErrors
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.mount import MountedPoses
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS, PoseBuffer
@@ -289,3 +290,39 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
         f" {configured:g} m: {cause}"
     )
     return Notice("range_noise", text)
+
+
+def pose_notices(errors: PoseErrors | None, config: Config) -> list[Notice]:
+    """Warnings where poses err otherwise than they claim; the map's covariance hangs on it.
+
+    Args:
+        errors: Of ``Mapper.pose_errors``.
+        config: Of which ``pose.correlation_time`` matters.
+    """
+    if errors is None:
+        return []
+    time, seen, size = config.pose.correlation_time, errors.seen, errors.size
+    found = []
+    if errors.white:
+        text = (
+            f"poses look white: heights jump from scan to scan by errors of {seen:.2g} m, where"
+            f" pose.correlation_time {time:g} s allows {errors.claimed:.2g} m;"
+            f" correlation_time 0 would say {errors.white_says:.2g} m of the map's height instead"
+            f" of {errors.map_says:.2g}"
+        )
+        found.append(Notice("pose_white", text))
+    if errors.persist:
+        text = (
+            f"pose errors persist, or are smaller than claimed: heights jump from scan to scan by"
+            f" {seen:.2g} m, where white errors (pose.correlation_time {time:g} s) of {size:.2g} m"
+            f" are claimed; if they persist, the map's height may be off by {size:.2g} m, not"
+            f" {errors.map_says:.2g}"
+        )
+        found.append(Notice("pose_persist", text))
+    if errors.too_small:
+        text = (
+            f"poses err by more than they claim: heights jump from scan to scan by errors of"
+            f" {seen:.2g} m, where their covariance says {size:.2g} m"
+        )
+        found.append(Notice("pose_covariance", text))
+    return found

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 from quadtree_lss.config.settings import Config
 from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.mapping.pose_errors import LEAST
 from quadtree_lss.core.tree.cell_map import CellMap
 from quadtree_lss.core.tree.domain import Domain
 from quadtree_lss.errors import one_line
-from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
+from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
 from quadtree_lss.messages.lost_points import MAP_OVERRULED, likely_reason, overruled_text
 from quadtree_lss.messages.maps import MapMessageError
 from quadtree_lss.replay.bags import Bag
@@ -72,6 +73,7 @@ class Run:
         self.intake = Intake(self.config)
         self._notices: Counter[str] = Counter()
         self._texts: dict[str, str] = {}
+        self._pose_texts: dict[str, str] = {}
         self._decode_ms: dict[int, float] = {}
         self._missed_at: tuple[float, float] | None = None
         self._missed_why = ""
@@ -102,6 +104,7 @@ class Run:
                 break
         self.intake.finish()
         self._note()
+        self._judge_poses(mapper)
         self._need(bool(self.timings), bag, "no scan could be mapped", "there is no scan")
         return mapper.snapshot()
 
@@ -167,6 +170,7 @@ class Run:
         lines += [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
         if self.refused_divisions:
             lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
+        lines += self._pose_texts.values()
         noise = noise_notice(self.noise_ratio, self.config)
         if noise is not None:
             lines.append(noise.text)
@@ -206,6 +210,8 @@ class Run:
             self._tell(MAP_OVERRULED, overruled)
         self.refused_divisions += report.refused_divisions
         self.noise_ratio = report.noise_ratio
+        if len(self.timings) % LEAST == 0:
+            self._judge_poses(mapper)
         self.timings.append(
             ScanTiming(
                 report.stamp_ns,
@@ -216,6 +222,10 @@ class Run:
                 map_ms,
             )
         )
+
+    def _judge_poses(self, mapper: Mapper) -> None:
+        notices = pose_notices(mapper.pose_errors(), self.config)
+        self._pose_texts.update({notice.reason: notice.text for notice in notices})
 
     @property
     def losses(self) -> list[str]:

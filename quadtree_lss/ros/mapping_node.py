@@ -19,7 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.core.sensing.pose_buffer import seconds
-from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice
+from quadtree_lss.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
 from quadtree_lss.messages.lost_points import (
     MAP_OVERRULED,
     NO_POINTS_USED,
@@ -330,6 +330,15 @@ class MappingNode(Node):
         noise = noise_notice(report.noise_ratio, config)
         if noise is not None:
             status.note(WARN, noise.text)
+        errors = self._mapper.pose_errors()
+        if errors is not None:
+            status.add(
+                {"pose.step": f"{errors.seen:.2g}", "pose.step_claimed": f"{errors.claimed:.2g}"}
+            )
+        for notice in pose_notices(errors, config):
+            status.note(WARN, notice.text)
+            if notice.reason not in self._problems.counts:
+                self._problems.report(notice.reason, notice.text)
 
 
 def main(args: Sequence[str] | None = None) -> int:

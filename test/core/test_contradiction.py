@@ -23,7 +23,8 @@ def hills(x, y):
 class Flight:
     """A lander that hovers over hills; each scan half a second after the one before."""
 
-    def __init__(self, seed: int = 1, size: float = 16.0) -> None:
+    def __init__(self, seed: int = 1, size: float = 16.0, ground=hills) -> None:
+        self.ground = ground
         domain = {"xmin": 0.0, "ymin": 0.0, "size": size, "min_level": 2, "max_level": 4}
         config = configured(domain=domain, lidar={"range_noise": NOISE})
         self.size, self.above = size, np.array([0.5 * size, 0.5 * size, 60.0])
@@ -31,23 +32,25 @@ class Flight:
         self.rng = np.random.default_rng(seed)
         self.scans = 0
 
-    def fly(self, off=(0.0, 0.0, 0.0), turned=(0.0, 0.0, 0.0), extent=None) -> ScanReport:
+    def fly(
+        self, off=(0.0, 0.0, 0.0), turned=(0.0, 0.0, 0.0), extent=None, claimed=CLAIMED
+    ) -> ScanReport:
         """One scan from x to x, by default of all, its pose off and turned by so much."""
         west, east = extent or (0.0, self.size)
         self.scans += 1
-        true = make_pose(self.above, CLAIMED, self.scans * 500_000_000)
+        true = make_pose(self.above, claimed, self.scans * 500_000_000)
         x = self.rng.uniform(west, east, 6000)
         y = self.rng.uniform(0.0, self.size, 6000)
-        points = scan(hills, x, y, true, NOISE, self.rng)
+        points = scan(self.ground, x, y, true, NOISE, self.rng)
         rotation = exp(np.array(turned)) @ true.rotation_map_lidar
-        pose = Pose(true.stamp_ns, true.position + off, rotation, CLAIMED)
+        pose = Pose(true.stamp_ns, true.position + off, rotation, claimed)
         return self.mapper.update(points, pose)
 
     def errors(self, datum: float = 0.0) -> np.ndarray:
         """Elevation over the ground, at the leaves with a plane, less the datum."""
         cells = self.mapper.snapshot()
         known = cells.estimated
-        return (cells.z - hills(cells.x, cells.y))[known] - datum
+        return (cells.z - self.ground(cells.x, cells.y))[known] - datum
 
 
 def rows(mapper: Mapper) -> bytes:
@@ -165,3 +168,63 @@ def test_no_claim_moves_the_map_beyond_what_the_others_allow(seed):
         x, y = scattered(rng, 0.0, 0.0, 16.0, 3000)
         flight.mapper.update(scan(hills, x, y, true, NOISE, rng), true)
         assert np.abs(flight.errors()).max(initial=0.0) < 0.25 or number < 3
+
+
+@pytest.mark.parametrize("position", [0.05, 0.3])
+@pytest.mark.parametrize("deviations", [5.0, 8.0, 20.0, 200.0])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_height_far_beyond_its_claim_moves_the_map_by_less_than_a_tenth(
+    position, deviations, sign
+):
+    flight = Flight()
+    claimed = pose_covariance(position, 1e-3)
+    for _ in range(4):
+        flight.fly(claimed=claimed)
+    off = sign * deviations * position
+    flight.fly(off=(0.0, 0.0, off), claimed=claimed)
+    assert abs(np.median(flight.errors())) < 0.1 * abs(off)
+
+
+def plain(x, y):
+    """Level ground."""
+    return 0.0 * x
+
+
+@pytest.mark.parametrize("deviations", [5.0, 8.0, 20.0])
+def test_a_tilt_far_beyond_its_claim_tilts_the_map_by_less_than_a_tenth(deviations):
+    flight = Flight(ground=plain)
+    for _ in range(4):
+        flight.fly()
+    angle = deviations * 1e-3
+    flight.fly(turned=(angle, 0.0, 0.0))
+    cells = flight.mapper.snapshot()
+    known = cells.measured
+    slope = np.polyfit(cells.y[known], cells.z[known], 1)[0]
+    assert abs(slope) < 0.1 * angle
+
+
+def cliffs(x, y):
+    """Ground of 25 degrees with steps of 3 m."""
+    return 0.47 * x + 3.0 * (np.mod(x + 0.4 * y, 7.0) > 3.5)
+
+
+def rubble(x, y):
+    """Steep in all directions, metre by metre."""
+    return 0.3 * x + 0.6 * np.sin(2.1 * x + 0.5) * np.cos(1.7 * y)
+
+
+@pytest.mark.parametrize("ground", [cliffs, rubble])
+@pytest.mark.parametrize("position", [0.05, 0.3])
+def test_steep_ground_is_no_contradiction(ground, position):
+    """Poses drawn from what they claim, sideways above all, each anew."""
+    claimed = pose_covariance(position, 1e-3)
+    refused = 0
+    for seed in range(5):
+        flight = Flight(seed, ground=ground)
+        for _ in range(20):
+            off = position * flight.rng.standard_normal(3)
+            turned = 1e-3 * flight.rng.standard_normal(3)
+            west = flight.rng.uniform(0.0, 8.0)
+            report = flight.fly(off, turned, extent=(west, west + 8.0), claimed=claimed)
+            refused += report.points_used == 0
+    assert refused == 0

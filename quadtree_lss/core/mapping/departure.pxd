@@ -4,3 +4,4 @@ from quadtree_lss.core.geometry.plane cimport inverse_symmetric
 
 cpdef departure_of(double[:, :] cells, double[:, ::1] sigma, double now, double correlation_time, double limit, double floor)
 cdef void _motion(double[:, :] cells, Py_ssize_t i, double* out) noexcept nogil
+cdef void _invert(double* a, double* out) noexcept nogil

@@ -28,6 +28,11 @@ BELIEVED = cython.declare(cython.double, 10.0)
 TOGETHER = cython.declare(cython.double, 1.0 / 16.0)
 #: Cells first seen within this are of the same scans, s: shorter than scans are apart.
 INSTANT = cython.declare(cython.double, 1e-3)
+#: Information on a shift sideways that a fit has at least, m^-2: of 10 m, so that level ground and
+#: even slopes, which do not tell it, do not spoil the fit.
+ALONG = cython.declare(cython.double, 1e-2)
+#: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2.
+SMOOTHED = cython.declare(cython.double, 0.01**2)
 #: Rounds of reweighting; a cell's weight then changes by less than a hundredth.
 ROUNDS = cython.declare(cython.int, 4)
 #: Variance of a scan's height that no covariance tells and more cells do not make smaller, m^2:
@@ -48,7 +53,10 @@ class Departure:
         height: Of the scan over the map in the middle of these cells, m.
         tilt: (2,) rise of that along x and along y.
         centre: (2,) x and y of that middle about the lidar, m.
-        variance: Of ``height`` by what the scan's pose claims and by the cells' noise, m^2.
+        claimed, mapped: Variance of ``height`` from the scan's pose error and from the map's, as
+            either claims, m^2.
+        noise: The same from the cells' own noise, m^2.
+        since: When the ground that was compared was first seen, on average, s.
         deviations: All three over what they may be, sqrt(chi^2); 0 if too few cells tell it.
         tilted: The same of the tilt alone.
     """
@@ -57,7 +65,10 @@ class Departure:
     height: float
     tilt: tuple[float, float]
     centre: tuple[float, float]
-    variance: float
+    claimed: float
+    mapped: float
+    noise: float
+    since: float
     deviations: float
     tilted: float
 
@@ -67,26 +78,27 @@ def departure(
 ) -> Departure | None:
     """The rigid motion that M cells have in common, and how likely it is; None of fewer than 3.
 
-    A pose error e = (dm, dw) lifts the ground of cell i by J_i e, with m_i = (-g_x, -g_y, 1) of
-    its slope g and a_i its place about the lidar J_i = (m_i, a_i x m_i): height, and slope times
-    what is off sideways. Heights and tilts are all that a footprint of ground shows of e: the
-    offsets b_i = h + t.(r_i - r_0) + noise_i give theta = (h, t) by least squares with Huber's
-    weights w_i / v_i, v_i the cell's own variance: A = X W X^T, theta = A^-1 X W b. Left out are
-    cells that neither pose explains, b_i^2 > limit^2 (v_i + S_i + M_i + `FLOOR`): rocks and
-    wrong ground in the map. By the hypothesis that both poses are what they claim, theta is of
-    covariance V,
+    A pose error e = (dm, dw) lifts the ground of cell i by J_i e, with m_i = (-g_i, 1) of its
+    slope g_i and a_i its place about the lidar J_i = (m_i, a_i x m_i): height, and slope times what
+    is off sideways. The offsets b_i = h + t.(r_i - r_0) - g_i.s + noise_i give height, tilt and
+    shift by least squares with Huber's weights w_i / v_i, v_i the cell's own variance and
+    `SMOOTHED`:
+    A = X W X^T, (theta, s) = A^-1 X W b. The shift, which few grounds tell (`ALONG`), is only
+    there not to be taken for a tilt: judged is theta = (h, t). Left out are cells that neither
+    pose explains, b_i^2 > limit^2 (v_i + S_i + M_i + `FLOOR`): rocks and wrong ground in the map.
+    By the hypothesis that both poses are what they claim, theta is of covariance V,
 
     - P = T Sigma T^T, T = A^-1 X W J: of the scan's pose;
     - the map's, from what its cells claim of height, M, and of slope, Q. Of either height
       variance P_hh + M - 2 rho sqrt(P_hh M) is left of what they have in common, rho =
       exp(-dt / correlation_time), but no less than the larger one: errors may be whiter than is
-      said. Tilts likewise. Cells first seen at other times, by dT, have other errors: of M
-      1 - exp(-dT / correlation_time) also is a tilt;
+      said. Tilts likewise; if cells were not seen by the same scans, M across the scan also is
+      one: Q + M / (mean square of r - r_0);
     - `FLOOR` of heights and `MOUNTED` of tilts;
     - s^2 A^-1 of the cells' own noise, where s^2 is the mean square residual over v_i, with
-      `BELIEVED` for prior. What is in excess of v_i may be the same in `TOGETHER` of the cells:
-      max(s^2 - 1, 0) `TOGETHER` M A^-1 more, so that no rough or partly seen ground is a
-      contradiction.
+      `BELIEVED` for prior and N = (sum w)^2 / sum w^2 cells that tell it. What is in excess of
+      v_i may be the same in `TOGETHER` of them: max(s^2 - 1, 0) `TOGETHER` N A^-1 more, so that
+      no rough or partly seen ground is a contradiction.
 
     theta^T V^-1 theta is chi^2 of three degrees of freedom.
 
@@ -99,12 +111,10 @@ def departure(
     """
     if cells.shape[1] < MIN_CELLS:
         return None
-    share, height, along_x, along_y, x, y, variance, square, tilted = departure_of(
-        cells, sigma, now, correlation_time, limit, FLOOR
-    )
-    return Departure(
-        share, height, (along_x, along_y), (x, y), variance, math.sqrt(square), math.sqrt(tilted)
-    )
+    found = departure_of(cells, sigma, now, correlation_time, limit, FLOOR)
+    share, height, along_x, along_y, x, y, *variances, since, square, tilted = found
+    tilt, deviations = (along_x, along_y), (math.sqrt(square), math.sqrt(tilted))
+    return Departure(share, height, tilt, (x, y), *variances, since, *deviations)
 
 
 def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
@@ -118,47 +128,80 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
     out[5] = x * out[1] - y * out[0]
 
 
+def _invert(a: Array, out: Array) -> None:
+    """Inverse of a symmetric positive definite 5x5 matrix, which is spoilt, by Gauss and Jordan.
+
+    Scaled to a unit diagonal, a pivot below 1e-10 is round-off and taken as that: what cells do
+    not tell is known very badly.
+    """
+    scale = cython.declare(cython.double[5])
+    cython.declare(i=cython.int, j=cython.int, k=cython.int)
+    for i in range(5):
+        scale[i] = 1.0 / sqrt(max(a[6 * i], 1e-24))
+    for i in range(5):
+        for j in range(5):
+            a[5 * i + j] *= scale[i] * scale[j]
+            out[5 * i + j] = 1.0 if i == j else 0.0
+    for k in range(5):
+        pivot = 1.0 / max(a[6 * k], 1e-10)
+        for j in range(5):
+            a[5 * k + j] *= pivot
+            out[5 * k + j] *= pivot
+        for i in range(5):
+            if i != k:
+                factor = a[5 * i + k]
+                for j in range(5):
+                    a[5 * i + j] -= factor * a[5 * k + j]
+                    out[5 * i + j] -= factor * out[5 * k + j]
+    for i in range(5):
+        for j in range(5):
+            out[5 * i + j] *= scale[i] * scale[j]
+
+
 @cython.boundscheck(False)
 def departure_of(
     cells: Array, sigma: Array, now: float, correlation_time: float, limit: float, floor: float
 ) -> tuple[float, ...]:
-    """`departure` as numbers: share, h, t, r_0, variance of h, chi^2 of all and of the tilt."""
-    cell = cython.declare(cython.double[3])
-    normal = cython.declare(cython.double[9])
-    inverse = cython.declare(cython.double[9])
-    right = cython.declare(cython.double[3])
-    theta = cython.declare(cython.double[3])
+    """`departure` as numbers, chi^2 for deviations."""
+    cell = cython.declare(cython.double[5])
+    normal = cython.declare(cython.double[25])
+    inverse = cython.declare(cython.double[25])
+    right = cython.declare(cython.double[5])
+    theta = cython.declare(cython.double[5])
     lift = cython.declare(cython.double[6])
-    moved = cython.declare(cython.double[18])
+    moved = cython.declare(cython.double[30])
     takes = cython.declare(cython.double[18])
     total = cython.declare(cython.double[9])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, m=cython.int, step=cython.int)
     count: cython.Py_ssize_t = cells.shape[1]
     agreeing: cython.Py_ssize_t = 0
     weight = x0 = y0 = 0.0
-    square = mapped = tilted = last = first = second = 0.0
+    square = weights = mapped = tilted = began = last = first = second = 0.0
     for i in range(count):
         may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
         if cells[0, i] * cells[0, i] <= may:
             agreeing += 1
-            weight += 1.0 / cells[1, i]
-            x0 += cells[6, i] / cells[1, i]
-            y0 += cells[7, i] / cells[1, i]
+            weight += 1.0 / (cells[1, i] + SMOOTHED)
+            x0 += cells[6, i] / (cells[1, i] + SMOOTHED)
+            y0 += cells[7, i] / (cells[1, i] + SMOOTHED)
     share: cython.double = agreeing
     share /= count
     if agreeing < MIN_CELLS:
-        return share, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return share, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, now, 0.0, 0.0
     x0 /= weight
     y0 /= weight
-    theta[0] = theta[1] = theta[2] = 0.0
+    for j in range(5):
+        theta[j] = 0.0
     # The first round is of plain least squares, the last one only sums up.
     for step in range(ROUNDS + 2):
-        for j in range(9):
+        for j in range(25):
             normal[j] = 0.0
-        for j in range(18):
+        for j in range(30):
             moved[j] = 0.0
-        right[0] = right[1] = right[2] = 0.0
-        weight = square = mapped = tilted = last = first = second = 0.0
+        for j in range(5):
+            right[j] = 0.0
+        normal[18] = normal[24] = ALONG
+        weight = weights = square = mapped = tilted = began = last = first = second = 0.0
         for i in range(count):
             may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
             if cells[0, i] * cells[0, i] > may:
@@ -166,66 +209,74 @@ def departure_of(
             cell[0] = 1.0
             cell[1] = cells[6, i] - x0
             cell[2] = cells[7, i] - y0
-            w = 1.0 / cells[1, i]
+            cell[3] = -cells[9, i]
+            cell[4] = -cells[10, i]
+            w = 1.0 / (cells[1, i] + SMOOTHED)
             if step > 0:
-                off = cells[0, i] - theta[0] - theta[1] * cell[1] - theta[2] * cell[2]
+                off = cells[0, i]
+                for j in range(5):
+                    off -= theta[j] * cell[j]
                 away = fabs(off) * sqrt(w)
                 if away > HUBER:
                     w *= HUBER / away
                 square += w * off * off
-            for j in range(3):
+            for j in range(5):
                 right[j] += w * cell[j] * cells[0, i]
-                for k in range(3):
-                    normal[3 * j + k] += w * cell[j] * cell[k]
+                for k in range(5):
+                    normal[5 * j + k] += w * cell[j] * cell[k]
             if step > ROUNDS:
                 _motion(cells, i, lift)
-                for j in range(3):
+                for j in range(5):
                     for k in range(6):
                         moved[6 * j + k] += w * cell[j] * lift[k]
                 weight += w
+                weights += w * w
                 mapped += w * cells[3, i]
                 tilted += w * cells[11, i]
+                began += w * cells[4, i]
                 last += w * (cells[5, i] - now)
                 middle = 0.5 * (cells[4, i] + cells[5, i]) - now
                 first += w * middle
                 second += w * middle * middle
-        inverse_symmetric(normal, inverse)
+        _invert(normal, inverse)
         if step <= ROUNDS:
-            for j in range(3):
+            for j in range(5):
                 theta[j] = 0.0
-                for k in range(3):
-                    theta[j] += inverse[3 * j + k] * right[k]
+                for k in range(5):
+                    theta[j] += inverse[5 * j + k] * right[k]
     mapped /= weight
     tilted /= weight
     first /= weight
     apart = sqrt(max(second / weight - first * first, 0.0))
-    common = other = 0.0
+    other = mapped if apart > INSTANT else 0.0
+    common = 0.0
     if correlation_time > 0.0:
         common = exp(-fabs(last / weight) / correlation_time)
-        other = 1.0 - exp(-apart / correlation_time)
-    elif apart > INSTANT:
-        other = 1.0
-    square = (square + BELIEVED) / (agreeing - 3 + BELIEVED)
-    noise = square + max(square - 1.0, 0.0) * TOGETHER * agreeing
+    # As many cells as tell something: one that is hardly known confirms nothing.
+    telling = weight * weight / weights
+    square = (square + BELIEVED) / (max(telling - 5.0, 0.0) + BELIEVED)
+    noise = square + max(square - 1.0, 0.0) * TOGETHER * telling
     for j in range(3):
         for k in range(6):
             takes[6 * j + k] = 0.0
-            for m in range(3):
-                takes[6 * j + k] += inverse[3 * j + m] * moved[6 * m + k]
+            for m in range(5):
+                takes[6 * j + k] += inverse[5 * j + m] * moved[6 * m + k]
     for j in range(3):
         for k in range(3):
             total[3 * j + k] = 0.0
             for m in range(6):
                 for step in range(6):
                     total[3 * j + k] += takes[6 * j + m] * sigma[m, step] * takes[6 * k + step]
-    variance = total[0] + floor + noise * inverse[0]
+    claimed = total[0]
+    unsure = noise * inverse[0]
     for j in range(3):
         of_scan = total[4 * j]
-        of_map = mapped if j == 0 else tilted + other * mapped * weight * inverse[4 * j]
+        of_map = mapped if j == 0 else tilted + other * weight * inverse[6 * j]
         apart = of_scan + of_map - 2.0 * common * sqrt(max(of_scan * of_map, 0.0))
         total[4 * j] = max(of_scan, max(of_map, apart))
-    for j in range(9):
-        total[j] += noise * inverse[j]
+    for j in range(3):
+        for k in range(3):
+            total[3 * j + k] += noise * inverse[5 * j + k]
     total[0] += floor
     total[4] += MOUNTED
     total[8] += MOUNTED
@@ -233,10 +284,11 @@ def departure_of(
     along = total[4] * theta[2] * theta[2] + total[8] * theta[1] * theta[1]
     along -= 2.0 * total[5] * theta[1] * theta[2]
     tilted = along / max(total[4] * total[8] - total[5] * total[5], 1e-300)
-    inverse_symmetric(total, normal)
+    inverse_symmetric(total, inverse)
     square = 0.0
     for j in range(3):
         for k in range(3):
-            square += theta[j] * normal[3 * j + k] * theta[k]
+            square += theta[j] * inverse[3 * j + k] * theta[k]
     square, tilted = max(square, 0.0), max(tilted, 0.0)
-    return share, theta[0], theta[1], theta[2], x0, y0, variance, square, tilted
+    motion = (share, theta[0], theta[1], theta[2], x0, y0)
+    return (*motion, claimed, mapped, unsure, began / weight, square, tilted)

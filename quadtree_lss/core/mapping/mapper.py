@@ -12,12 +12,14 @@ from quadtree_lss.config.settings import Config
 from quadtree_lss.core.mapping.alignment import JUMP, LEAST_LIFT, lift, lower, offset_of
 from quadtree_lss.core.mapping.contradiction import (
     DEVIATIONS,
+    SHARE,
     Contradiction,
     Verdict,
     departs,
 )
 from quadtree_lss.core.mapping.departure import Departure, departure
 from quadtree_lss.core.mapping.measure import Rules, unseen_parts
+from quadtree_lss.core.mapping.pose_errors import PoseErrors, Steps
 from quadtree_lss.core.mapping.update import ScanUpdate
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.core.sensing.pose_buffer import SECOND_NS
@@ -109,6 +111,9 @@ class Mapper:
         self._against = Contradiction()
         # By how much the map ought to be lifted, m: too little to be done.
         self._owed = 0.0
+        # By how much it was, or ought to be.
+        self._lifted = 0.0
+        self._steps = Steps()
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan.
@@ -158,6 +163,8 @@ class Mapper:
         Where it overrules the map, that is put right.
         """
         change, cells, found = self._compare(scan, now)
+        if found is not None:
+            self._note_step(cells, found, now)
         verdict = self._against.judge(cells, found)
         if verdict is Verdict.OVERRULES:
             height = float(np.median(cells[0]))
@@ -168,6 +175,7 @@ class Mapper:
             else:
                 lift(self.leaves, height, -np.inf)
             change, cells, found = self._compare(scan, now)
+            self._steps = Steps()
         elif found is not None and found.tilted > JUMP and verdict is Verdict.SOUND:
             lower(scan.points, found)
             change, cells, found = self._compare(scan, now)
@@ -181,6 +189,15 @@ class Mapper:
         change.fit()
         cells = change.compare()
         return change, cells, self._departure(scan, cells, now)
+
+    def _note_step(self, cells: Array, found: Departure, now: float) -> None:
+        """Remember where a scan lay, refused or not, by the ground as it was before any lift."""
+        height, known = found.height, (found.claimed, found.mapped, found.noise, found.since)
+        if found.share < SHARE:
+            rise, noise, of_scan, of_map, since = np.median(cells[:5], axis=1).tolist()
+            height, known = rise, (of_scan, of_map, noise, since)
+        time = self.config.pose.correlation_time
+        self._steps.add(now, height + self._lifted, *known, time)
 
     def _departure(self, scan: RegisteredScan, cells: Array, now: float) -> Departure | None:
         time = self.config.pose.correlation_time
@@ -199,12 +216,17 @@ class Mapper:
         if offset is None:
             return 0.0
         self._owed += offset.map
+        self._lifted += offset.map
         if abs(self._owed) >= LEAST_LIFT:
             lift(self.leaves, self._owed, offset.since)
             self._owed = 0.0
         self._offset = (offset.height - offset.map + self._owed, offset.variance)
         change.align(offset.scan + self._owed)
         return offset.height
+
+    def pose_errors(self) -> PoseErrors | None:
+        """Whether the last scans' poses err as they claim; None if that is not known yet."""
+        return self._steps.judge()
 
     def _check_noise(self, ratio: Array) -> None:
         """Running mean of observed over configured range noise.
@@ -301,5 +323,6 @@ class Mapper:
         height, variance = state["offset"].tolist()
         self._offset = (height, variance)
         self._owed = float(state["owed"])
+        self._lifted, self._steps = 0.0, Steps()
         count, height, variance = state["against"].tolist()
         self._against = Contradiction(int(count), height, variance)

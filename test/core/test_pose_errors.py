@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors that are white, that persist and that are larger than claimed are told apart, by draws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from core.builders import configured, make_pose, pose_covariance, scan, scattered
+
+from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.core.mapping.pose_errors import LEAST, PoseErrors, Steps
+from quadtree_lss.messages.intake import pose_notices
+
+SIGMA, NOISE = 0.3, 0.01
+DRAWS = 300
+
+
+def errors(rng: np.random.Generator, kind: str, rate: float, count: int) -> np.ndarray:
+    """Errors (count,) of deviation SIGMA: white, constant, or Gauss-Markov of 100 s."""
+    if kind == "constant":
+        return np.full(count, SIGMA * rng.standard_normal())
+    keep = 0.0 if kind == "white" else np.exp(-1.0 / (rate * 100.0))
+    out = np.empty(count)
+    state = rng.standard_normal()
+    for k in range(count):
+        out[k] = SIGMA * state
+        state = keep * state + np.sqrt(1.0 - keep**2) * rng.standard_normal()
+    return out
+
+
+def judged(rng, kind, claimed_time, rate=20.0, scans=61, claimed=SIGMA) -> PoseErrors | None:
+    """What is said of a hover over ground that is their mean, as a filter would map it."""
+    steps, ground = Steps(), 0.0
+    found = errors(rng, kind, rate, scans)
+    for k, error in enumerate(found):
+        height = error - ground + NOISE * rng.standard_normal()
+        mapped = claimed**2 if claimed_time else claimed**2 / max(k, 1)
+        if k:
+            steps.add(k / rate, height, claimed**2, mapped, NOISE**2, 0.0, claimed_time)
+        ground += (error - ground) / (k + 1)
+    return steps.judge()
+
+
+@pytest.mark.parametrize("rate", [1.0, 20.0])
+@pytest.mark.parametrize(
+    ("kind", "claimed_time"),
+    [("white", 0.0), ("Gauss-Markov", 100.0), ("Gauss-Markov", 300.0), ("constant", 300.0)],
+)
+def test_what_is_as_claimed_is_not_told(kind, claimed_time, rate):
+    rng = np.random.default_rng(1)
+    for _ in range(DRAWS):
+        found = judged(rng, kind, claimed_time, rate)
+        assert not (found.white or found.persist or found.too_small), found
+
+
+def test_cautious_claims_are_not_told():
+    """Half as much again and twice the errors, as navigation mostly claims."""
+    rng = np.random.default_rng(2)
+    for claimed in (1.5 * SIGMA, 2.0 * SIGMA):
+        for kind, time in (("white", 0.0), ("Gauss-Markov", 300.0), ("constant", 300.0)):
+            for _ in range(DRAWS // 3):
+                found = judged(rng, kind, time, claimed=claimed)
+                assert not (found.white or found.persist or found.too_small), found
+
+
+def test_white_errors_that_are_claimed_to_persist_are_told_with_what_the_map_would_say():
+    rng = np.random.default_rng(3)
+    found = [judged(rng, "white", 300.0) for _ in range(DRAWS)]
+    assert all(one.white and not one.persist for one in found)
+    assert np.median([one.seen for one in found]) == pytest.approx(SIGMA, rel=0.05)
+    assert np.median([one.white_says for one in found]) == pytest.approx(SIGMA / 61**0.5, rel=0.1)
+    assert found[0].map_says == pytest.approx(SIGMA)
+    (notice,) = pose_notices(found[0], configured())
+    assert notice.text.startswith("poses look white")
+    assert "instead of 0.3" in notice.text
+
+
+@pytest.mark.parametrize("kind", ["Gauss-Markov", "constant"])
+def test_errors_that_persist_but_are_claimed_white_are_told(kind):
+    rng = np.random.default_rng(4)
+    for _ in range(DRAWS):
+        found = judged(rng, kind, 0.0)
+        assert found.persist
+        assert not (found.white or found.too_small)
+        assert found.white_says == pytest.approx(SIGMA)
+    (notice,) = pose_notices(found, configured(pose={"correlation_time": 0.0}))
+    assert "persist" in notice.text
+
+
+def test_errors_four_times_as_large_as_claimed_are_told():
+    rng = np.random.default_rng(5)
+    for time in (0.0, 300.0):
+        found = [judged(rng, "white", time, claimed=SIGMA / 4.0) for _ in range(DRAWS)]
+        assert all(one.too_small for one in found)
+
+
+def test_single_wrong_poses_say_nothing_of_the_others():
+    rng = np.random.default_rng(6)
+    steps = Steps()
+    for k in range(60):
+        height = 0.01 * rng.standard_normal() + (50.0 if k % 7 == 3 else 0.0)
+        steps.add(0.05 * k, height, SIGMA**2, SIGMA**2, NOISE**2, 0.0, 300.0)
+    found = steps.judge()
+    assert not (found.white or found.persist or found.too_small)
+
+
+def test_little_is_not_judged():
+    steps = Steps()
+    for k in range(LEAST):
+        assert steps.judge() is None
+        steps.add(float(k), 0.0, 1.0, 1.0, 1e-4, 0.0, 300.0)
+    assert steps.judge() is None
+    steps.add(float(LEAST), 0.0, 1.0, 1.0, 1e-4, 0.0, 300.0)
+    assert steps.judge() is not None
+    assert not pose_notices(None, configured())
+
+
+@pytest.mark.parametrize(
+    ("kind", "claimed_time", "expected"),
+    [
+        ("white", 300.0, {"pose_white"}),
+        ("white", 0.0, set()),
+        ("constant", 0.0, {"pose_persist"}),
+        ("Gauss-Markov", 100.0, set()),
+    ],
+)
+def test_a_mapper_tells_of_a_hover(kind, claimed_time, expected):
+    config = configured(
+        domain={"min_level": 4, "max_level": 4},
+        lidar={"range_noise": 0.02},
+        pose={"correlation_time": claimed_time},
+    )
+    mapper, rng = Mapper(config), np.random.default_rng(7)
+    sigma = pose_covariance(SIGMA, 1e-3)
+    for k, error in enumerate(errors(rng, kind, 20.0, 61)):
+        true = make_pose((8.0, 8.0, 100.0), sigma, 50_000_000 * (k + 1))
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 3000)
+        points = scan(lambda x, y: 0.0 * x, x, y, true, 0.02, rng)
+        told = make_pose((8.0, 8.0, 100.0 + error), sigma, true.stamp_ns)
+        mapper.update(points, told)
+    assert {notice.reason for notice in pose_notices(mapper.pose_errors(), config)} == expected
