@@ -4,7 +4,7 @@ from libc.math cimport hypot, sqrt
 from quadtree_lss.core.geometry.sphere cimport basis_at, minus_at, plus_at
 
 cdef void multiply(double* a, double* b, double* out) noexcept nogil
-cdef void congruent(double* a, double* c, double* out) noexcept nogil
+cdef void congruent(double* a, double* c, double* d, double* out) noexcept nogil
 cdef void inverse_symmetric(double* c, double* out) noexcept nogil
 cdef void turn_tangent(double* c, double* change) noexcept nogil
 cdef double offset_variance(double* c, double first, double second) noexcept nogil
