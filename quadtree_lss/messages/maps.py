@@ -196,13 +196,15 @@ def decode_cells(
         records[name].astype(np.float64) if name in (records.dtype.names or ()) else unbounded
         for name in ("low", "high")
     )
+    elevation = records["elevation"].astype(np.float64)
+    of_plane = measured if known is None else np.isfinite(elevation)
     cells = CellMap(
         stamp_ns=stamp_ns,
         domain=domain,
         level=level,
         ix=ix,
         iy=iy,
-        z=records["elevation"].astype(np.float64),
+        z=elevation,
         normal=_columns(records, ("normal_x", "normal_y", "normal_z")),
         covariance_range=_matrices(records, _RANGE),
         covariance_pose=_matrices(records, _POSE),
@@ -214,7 +216,7 @@ def decode_cells(
         low=low,
         high=high,
         observed=observed,
-        known=observed & measured[raster] & (True if known is None else known),
+        known=observed & of_plane[raster] & (True if known is None else known),
         offset_z=float(records["offset_z"][0]),
         offset_variance=float(records["offset_variance"][0]),
     )

@@ -70,9 +70,9 @@ class CellMap:
             noise, m; NaN where there is none, or no bound. The plane's heights keep to them (see
             ``geometry.bounds``).
         observed: (n, n) [iy, ix], True for finest cells in which a point fell.
-        known: (n, n) of these, the cells whose returns are part of what their leaf says: it is
-            measured, and they were compared with its present plane. The others are seen, not yet
-            mapped: as bad as unseen.
+        known: (n, n) of these, the cells whose returns are part of what their leaf says: they were
+            compared with its plane, or with that of the leaf it was divided from and did not stand
+            out. The others are seen, not yet mapped: as bad as unseen.
         offset_z: By how much the ground of the newest scan that could be compared with the map lay
             over it by its pose: the map's height plus this is the height by navigation, m. NaN if
             none could be compared.
