@@ -140,5 +140,5 @@ def test_the_papers_criterion_judges_known_cells_by_the_plane_they_had():
     assert mapper.leaves.count == 16
     rng, pose = np.random.default_rng(2), make_pose((8.0, 8.0, 500.0))
     x, y = scattered(rng, 0.0, 0.0, 16.0, 5000)
-    mapper.update(scan(flat(0.5), x, y, pose, 0.02, rng), pose)
+    mapper.update(scan(flat(0.15), x, y, pose, 0.02, rng), pose)
     assert mapper.leaves.count > 16

@@ -29,6 +29,7 @@ from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
 from quadtree_lss.replay.replay import ReplayError, replay
 from quadtree_lss.replay.results import write_cells
 from quadtree_lss.replay.stream import Stream
+from quadtree_lss.simulation.simulate import simulate
 
 CONFIG = config_from_values(GROUND)
 FILES = {
@@ -358,3 +359,17 @@ def test_no_bag_and_a_folder_that_cannot_be_made(bag, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ReplayError, match="file"):
         replay(bag, tmp_path / "file" / "out", CONFIG)
+
+
+def test_poses_that_err_otherwise_than_they_claim_are_told(tmp_path):
+    """White errors of half a metre: with both numbers, unless they are said to be white."""
+    simulate("parabola", tmp_path / "bag", seed=5, duration=30.0, truth=False)
+    told = {}
+    for time in (0.0, 300.0):
+        config = load_config(["parabola"], {"pose.correlation_time": time})
+        replay(tmp_path / "bag", tmp_path / f"{time:g}", config, report=False)
+        summary = json.loads((tmp_path / f"{time:g}" / "summary.json").read_text())
+        told[time] = [line for line in summary["warnings"] if "poses look white" in line]
+    assert not told[0.0]
+    (line,) = told[300.0]
+    assert "correlation_time 0 would say" in line

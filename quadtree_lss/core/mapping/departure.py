@@ -112,9 +112,19 @@ def departure(
     if cells.shape[1] < MIN_CELLS:
         return None
     found = departure_of(cells, sigma, now, correlation_time, limit, FLOOR)
-    share, height, along_x, along_y, x, y, *variances, since, square, tilted = found
-    tilt, deviations = (along_x, along_y), (math.sqrt(square), math.sqrt(tilted))
-    return Departure(share, height, tilt, (x, y), *variances, since, *deviations)
+    share, height, along_x, along_y, x, y, claimed, mapped, noise, since, square, tilted = found
+    return Departure(
+        share=share,
+        height=height,
+        tilt=(along_x, along_y),
+        centre=(x, y),
+        claimed=claimed,
+        mapped=mapped,
+        noise=noise,
+        since=since,
+        deviations=math.sqrt(square),
+        tilted=math.sqrt(tilted),
+    )
 
 
 def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:

@@ -107,5 +107,13 @@ class Steps:
         smaller = CAUTIOUS**2 * (seen + noise) < claimed
         persist = common < NEWS and smaller
         other = size if persist else seen / self.rows[-1][4]
-        roots = (math.sqrt(v) for v in (seen, claimed, size, mapped, other))
-        return PoseErrors(*roots, white=white, persist=persist, too_small=larger)
+        return PoseErrors(
+            seen=math.sqrt(seen),
+            claimed=math.sqrt(claimed),
+            size=math.sqrt(size),
+            map_says=math.sqrt(mapped),
+            white_says=math.sqrt(other),
+            white=white,
+            persist=persist,
+            too_small=larger,
+        )
