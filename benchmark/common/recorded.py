@@ -74,7 +74,7 @@ def flown(config: Config, flight: list, ground: RegularGridInterpolator) -> list
         mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         spent += time.process_time() - began
     cells = mapper.snapshot()
-    row, column = np.nonzero(cells.observed)
+    row, column = np.nonzero(cells.known)
     side = cells.domain.finest_size
     part = (np.stack(np.meshgrid(*[np.arange(4)] * 2), axis=-1).reshape(-1, 2) + 0.5) / 4.0
     x = cells.domain.xmin + side * (column[:, None] + part[:, 0])

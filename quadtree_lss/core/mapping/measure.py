@@ -195,10 +195,11 @@ def measure(
 ) -> None:
     """Fit a plane to a run of points; it is written to ``run``, without the statistic.
 
-    A view of less than half of the cell, or of fewer than ``mapping.min_points`` points, tells its
-    height alone, and the slope is taken to be the one before: a strip at the edge of a scan is as
-    wide as the noise, which moves points along the ray in place as in height and would turn the fit
-    towards it. What the others leave out may differ in slope by `UNSEEN_TILT`. Residuals beyond
+    A view of less than half of the cell, so thin that its slope is known no better than to
+    `UNSEEN_TILT`, or of fewer than ``mapping.min_points`` points, tells its height alone, and the
+    slope is taken to be the one before: a strip at the edge of a scan is as wide as the noise,
+    which moves points along the ray in place as in height and would turn the fit towards it. What
+    the others leave out may differ in slope by `UNSEEN_TILT`. Residuals beyond
     what noise makes of them are of ground that is no plane: as scans see it from elsewhere, its
     height is as uncertain, however many points there are.
 
@@ -238,7 +239,12 @@ def measure(
     ray_x = run.centroid[0] / distance
     ray_y = run.centroid[1] / distance
     ray_z = run.centroid[2] / distance
-    if run.unseen >= 0.5 or count < rules.min_points:
+    # The slope across the thinner width of what was seen: of noise, and of what noise turns it by.
+    half = 0.5 * (xx + yy) / count
+    least = max(half - sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0)), 1e-12)
+    square = rules.range_noise * rules.range_noise
+    across = sqrt(square / (count * least)) + 0.5 * square / least
+    if (run.unseen >= 0.5 and across > UNSEEN_TILT) or count < rules.min_points:
         tilt = UNKNOWN_TILT
         for i in range(3):
             run.normal[i] = prior[i]
