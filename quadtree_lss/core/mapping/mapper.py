@@ -55,7 +55,8 @@ class ScanReport:
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
         noise_ratio: Observed over configured range noise (running mean of the scans' medians), NaN
             if unknown.
-        centre: x and y of the middle of the sound returns, map frame, m; None if there was none.
+        centre: x and y of the middle of the sound returns, map frame, m, if all were outside the
+            domain; else None.
         offset: By how much the scan's ground lay over the map's by its pose, m; 0 where that was
             not compared.
         overruled: Whether the map was lifted to the scan, or forgotten, because the last scans

@@ -51,9 +51,11 @@ def turn(
     inside: cython.longlong = 0
     cython.declare(x=cython.double, y=cython.double, z=cython.double, k=cython.Py_ssize_t)
     at: cython.Py_ssize_t = 0
-    nowhere: cython.int = count * count
+    cython.declare(code=cython.longlong)
+    nowhere: cython.longlong = count * count
     side: cython.double = count
     moving: cython.bint = offsets.shape[0] > 0
+    nearest: cython.double = max(least, 5e-324)  # more than nothing
     r = cython.declare(cython.double[12])
     with cython.nogil:
         for k in range(12):
@@ -63,8 +65,8 @@ def turn(
             y = points_lidar[i, 1]
             z = points_lidar[i, 2]
             distance = sqrt(x * x + y * y + z * z)
-            codes[i] = nowhere
-            if distance > 0.0 and least <= distance <= most:
+            code = nowhere
+            if nearest <= distance <= most:
                 ranges[i] = distance
                 if moving:
                     while at > 0 and offsets[i] < times[at]:
@@ -81,11 +83,9 @@ def turn(
                 points[i, 1] = north
                 column = (east + west) * per_metre
                 row = (north + south) * per_metre
-                if (column >= 0.0) & (column < side) & (row >= 0.0) & (row < side):
-                    codes[i] = (
-                        spread[cython.cast(cython.Py_ssize_t, column)]
-                        | spread[cython.cast(cython.Py_ssize_t, row)] << 1
-                    )
+                if 0.0 <= column < side and 0.0 <= row < side:
+                    code = spread[cython.cast(cython.Py_ssize_t, column)]
+                    code |= spread[cython.cast(cython.Py_ssize_t, row)] << 1
                     inside += 1
             else:
                 ranges[i] = NAN
@@ -94,6 +94,7 @@ def turn(
                     beyond += 1
                 else:
                     missing += 1
+            codes[i] = code
     counts[0] = missing
     counts[1] = beyond
     counts[2] = inside

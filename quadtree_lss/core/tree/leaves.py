@@ -160,7 +160,7 @@ class LeafTable:
         i: cython.int
         if cython.compiled:
             byte: cython.p_char = cython.cast(cython.p_char, cython.address(self.leaf[row]))
-            for i in range(0, 320, 64):
+            for i in range(0, 576, 64):
                 prefetch(byte + i)
 
     def side(self, level: cython.int) -> cython.double:
