@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport erfc, fabs, sqrt
+from libc.math cimport fabs, sqrt
 from quadtree_lss.core.mapping.measure cimport Rules, Run
+from quadtree_lss.core.mapping.tail cimport above
 from quadtree_lss.core.tree.leaves cimport Leaf
 
-cdef double _above(double deviations) noexcept nogil
 cdef void rest(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, double[::1] residual, Py_ssize_t begin, Py_ssize_t end) noexcept nogil
 cdef double exceptions(double[::1] residual, Py_ssize_t begin, Py_ssize_t end, double tolerance, double deviation) noexcept nogil
