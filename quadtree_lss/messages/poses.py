@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.arrays import Array
+from quadtree_lss.core.geometry.portable import eigen, product
 from quadtree_lss.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.core.sensing.lidar import Pose
 from quadtree_lss.errors import one_line
@@ -147,12 +148,13 @@ def _covariance(content: bytes) -> Array | None:
         text = f"pose covariance is not symmetric (relative difference {asymmetry:.2g})"
         raise MessageError("covariance", text)
     scaled = 0.5 * (scaled + scaled.T)
-    eigenvalues, vectors = np.linalg.eigh(scaled)
-    if eigenvalues[0] < -COVARIANCE_TOLERANCE:
-        text = f"pose covariance has a negative eigenvalue (relative {eigenvalues[0]:.2g})"
+    eigenvalues, vectors = eigen(scaled)
+    least = eigenvalues.min()
+    if least < -COVARIANCE_TOLERANCE:
+        text = f"pose covariance has a negative eigenvalue (relative {least:.2g})"
         raise MessageError("covariance", text)
-    if eigenvalues[0] < 0.0:
-        scaled = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
+    if least < 0.0:
+        scaled = product(vectors * np.maximum(eigenvalues, 0.0), vectors.T)
     covariance: Array = scaled * np.outer(scale, scale)
     covariance.flags.writeable = False
     return covariance

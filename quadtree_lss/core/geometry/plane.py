@@ -18,8 +18,9 @@ from quadtree_lss.arrays import Array
 from quadtree_lss.core.geometry.sphere import Vector, tangent_basis
 
 if not cython.compiled:
-    from math import hypot, sqrt
+    from math import sqrt
 
+    from quadtree_lss.core.geometry.portable import length
     from quadtree_lss.core.geometry.sphere import basis_at, minus_at, plus_at
 
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (75.5 deg).
@@ -185,7 +186,7 @@ def keep_up(normal: Vector) -> None:
     if normal[2] < 0.0:
         normal[0], normal[1], normal[2] = -normal[0], -normal[1], -normal[2]
     if normal[2] < MIN_UP:
-        level = sqrt(1.0 - MIN_UP * MIN_UP) / max(hypot(normal[0], normal[1]), 1e-300)
+        level = sqrt(1.0 - MIN_UP * MIN_UP) / max(length(normal[0], normal[1]), 1e-300)
         normal[0] *= level
         normal[1] *= level
         normal[2] = MIN_UP
@@ -234,7 +235,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         determinant = max(h00 * h11 - h01 * h01, 1e-300)
         step[0] = -(h11 * g0 - h01 * g1) / determinant
         step[1] = -(h00 * g1 - h01 * g0) / determinant
-        short = min(1.0, 0.5 / max(hypot(step[0], step[1]), 1e-300))
+        short = min(1.0, 0.5 / max(length(step[0], step[1]), 1e-300))
         step[0] *= short
         step[1] *= short
         plus_at(normal, step, turned)

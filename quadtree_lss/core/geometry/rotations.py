@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.arrays import Array
+from quadtree_lss.core.geometry.portable import product
 
 
 def skew(vectors: ArrayLike) -> Array:
@@ -28,7 +29,7 @@ def exp(rotation_vectors: ArrayLike) -> Array:
     k = skew(v)
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    out: Array = np.eye(3) + first * k + second * (k @ k)
+    out: Array = np.eye(3) + first * k + second * product(k, k)
     return out
 
 
@@ -37,7 +38,8 @@ def log(rotations: ArrayLike) -> Array:
     quaternion = quaternion_from_rotation(rotations)
     vector, scalar = quaternion[..., :3], quaternion[..., 3:]
     sine = np.linalg.norm(vector, axis=-1, keepdims=True)
-    half = np.arctan2(sine, scalar)
+    # NumPy's own arctan2 is another one where there is AVX-512.
+    half = np.frompyfunc(atan2, 2, 1)(sine, scalar).astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.where(sine > 1e-12, 2.0 * half / sine, 2.0)
     return vector * factor
@@ -94,8 +96,8 @@ def quaternion_from_rotation(rotations: ArrayLike) -> Array:
 def slerp(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
     """Rotation at ``fraction`` of the way between two matrices (3, 3), at constant rate."""
     r0, r1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-    x, y, z, w = quaternion_from_rotation(r0.T @ r1).tolist()
+    x, y, z, w = quaternion_from_rotation(product(r0.T, r1)).tolist()
     sine = hypot(x, y, z)
     half = fraction * atan2(sine, w)
     turn = sin(half) / sine if sine > 1e-12 else fraction
-    return r0 @ rotation_from_quaternion((turn * x, turn * y, turn * z, cos(half)))
+    return product(r0, rotation_from_quaternion((turn * x, turn * y, turn * z, cos(half))))

@@ -84,7 +84,8 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     away = np.abs(rise - rise[order[half]]) * np.sqrt(weight)
     weight *= np.minimum(1.0, HUBER / np.maximum(away, HUBER))
     total = float(weight.sum())
-    height, _, of_scan, _, since, until = (cells[:6] @ weight / total).tolist()
+    # The products of BLAS end in other bits on other processors.
+    height, _, of_scan, _, since, until = ((cells[:6] * weight).sum(axis=1) / total).tolist()
     # On slopes either error is another one: the cell best known for what the scan knows of it.
     of_map = (of_scan + EXACT) * float(np.min(cells[3] / (cells[2] + EXACT)))
     news = 1.0

@@ -11,7 +11,9 @@ from quadtree_lss.core.mapping.measure import Rules
 from quadtree_lss.core.tree.leaves import Record
 
 if not cython.compiled:
-    from math import erfc, fabs, sqrt
+    from math import fabs, sqrt
+
+    from quadtree_lss.core.mapping.tail import above
 
 #: A view that leaves out more than this share of a cell's width is held against the leaf's plane.
 PARTIAL = cython.declare(cython.double, 0.5)
@@ -19,11 +21,6 @@ PARTIAL = cython.declare(cython.double, 0.5)
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 #: A point stands out of curved ground if it is this many root mean square residuals above.
 OUTSTANDING = cython.declare(cython.double, 4.0)
-
-
-def _above(deviations: float) -> cython.double:
-    """P(N(0, 1) > deviations)."""
-    return 0.5 * erfc(0.7071067811865476 * deviations)
 
 
 def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
@@ -121,9 +118,9 @@ def rest(
     leaf.distance_sum += total
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
     leaf.raised_sum += raised
-    leaf.raised_noise += count * _above(rules.rock_height / sqrt(variance))
+    leaf.raised_noise += count * above(rules.rock_height / sqrt(variance))
     # xi of a residual that is noise itself: the noise counts twice.
-    leaf.exception_noise += 2.0 * count * _above(rules.tolerance / sqrt(2.0 * variance))
+    leaf.exception_noise += 2.0 * count * above(rules.tolerance / sqrt(2.0 * variance))
     if greatest > rules.tolerance - 3.0 * sqrt(noise):
         leaf.exception_sum += exceptions(residual, begin, end, rules.tolerance, sqrt(noise))
     leaf.residuals += count
@@ -148,5 +145,5 @@ def exceptions(
     for i in range(begin, end):
         e = fabs(residual[i])
         if e > tolerance - 3.0 * deviation:
-            mass += _above((tolerance - e) / deviation) + _above((tolerance + e) / deviation)
+            mass += above((tolerance - e) / deviation) + above((tolerance + e) / deviation)
     return mass

@@ -77,6 +77,6 @@ def leads_to(before: Pose | None, last: Pose, pose: Pose) -> bool:
     moved = SLACK + 0.5 * ACCELERATION * seconds**2 + DEVIATIONS * sqrt(x + y + z)
     turned = TURN + TURN_RATE * seconds + DEVIATIONS * sqrt(roll + pitch + yaw)
     # tr(R_1 R_2^T) = 1 + 2 cos(angle) is the sum of the products of their entries.
-    cosine = 0.5 * float(np.vdot(pose.rotation_map_lidar, last.rotation_map_lidar)) - 0.5
+    cosine = 0.5 * float(np.sum(pose.rotation_map_lidar * last.rotation_map_lidar)) - 0.5
     angle = acos(min(max(cosine, -1.0), 1.0))
     return hypot(*step.tolist()) <= moved and angle <= turned

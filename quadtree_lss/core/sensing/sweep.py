@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from quadtree_lss.arrays import Array, Ints
+from quadtree_lss.core.geometry.portable import product
 from quadtree_lss.core.geometry.rotations import exp, log
 from quadtree_lss.core.sensing.lidar import Pose
 
@@ -69,12 +70,13 @@ def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
     times = np.array([pose.stamp_ns - stamp for pose in poses], dtype=np.float64)
     ways = np.array([pose.position for pose in poses]) - at_stamp.position
     rotations = np.array([pose.rotation_map_lidar for pose in poses])
-    turns = log(rotations[:-1].transpose(0, 2, 1) @ rotations[1:])
+    turns = log(product(rotations[:-1].transpose(0, 2, 1), rotations[1:]))
     parts = np.maximum(np.ceil(np.linalg.norm(turns, axis=1) / STEP), 1.0).astype(np.intp)
     of = np.repeat(np.arange(len(parts)), parts)
     share = (np.arange(len(of)) - (np.cumsum(parts) - parts)[of]) / parts[of]
     motion = np.empty((len(of) + 1, 12))
-    motion[:-1, :9] = (rotations[of] @ exp(share[:, None] * turns[of])).reshape(-1, 9)
+    turned = product(rotations[of], exp(share[:, None] * turns[of]))
+    motion[:-1, :9] = turned.reshape(-1, 9)
     motion[:-1, 9:] = ways[of] + share[:, None] * (ways[of + 1] - ways[of])
     motion[-1, :9], motion[-1, 9:] = rotations[-1].ravel(), ways[-1]
     between = times[of] + share * (times[of + 1] - times[of])

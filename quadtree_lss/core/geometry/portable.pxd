@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
+from libc.math cimport fabs, sqrt
+
+cdef double length(double x, double y) noexcept nogil
+cpdef void multiply(const double[:, :] a, const double[:, :] b, double[:, ::1] out) noexcept
+cpdef void diagonalise(double[:, ::1] a, double[:, ::1] v) noexcept
