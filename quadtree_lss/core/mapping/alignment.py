@@ -22,6 +22,8 @@ if not cython.compiled:
     HINTS = 1
 
 
+#: A cell that is off by more deviations than this is of other ground than the map's.
+AGREES = 4.5
 #: A cell that departs from the others by more than this many deviations counts less.
 HUBER = 2.0
 #: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2.
@@ -75,6 +77,8 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
         now: Time of the scan, s.
         correlation_time: s; 0 if the error is another one in each scan.
     """
+    may = cells[1] + cells[2] + cells[3] + FLOOR
+    cells = cells[:, cells[0] ** 2 <= AGREES**2 * may]
     rise, own = cells[:2]
     if len(rise) < MIN_CELLS:
         return None

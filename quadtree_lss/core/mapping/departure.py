@@ -30,7 +30,7 @@ TOGETHER = cython.declare(cython.double, 1.0 / 16.0)
 INSTANT = cython.declare(cython.double, 1e-3)
 #: Information on a shift sideways that a fit has at least, m^-2: of 10 m, so that level ground and
 #: even slopes, which do not tell it, do not spoil the fit.
-ALONG = cython.declare(cython.double, 1e-2)
+ALONG = cython.declare(cython.double, 1e12)
 #: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2.
 SMOOTHED = cython.declare(cython.double, 0.01**2)
 #: Rounds of reweighting; a cell's weight then changes by less than a hundredth.

@@ -40,6 +40,8 @@ UNEVEN = cython.declare(cython.double, 2.25e-4)
 #: An orthogonal fit that stands so much steeper than the regression of height (n_z over n_z) is of
 #: points that are as far apart in height as in place: no plane.
 OVERTURNED = cython.declare(cython.double, 0.5)
+#: A view that leaves out more than this share of a cell's width does not stand for the cell.
+PARTIAL = cython.declare(cython.double, 0.5)
 #: How a strip as thin as noise may be lifted: see `_bias`.
 TAIL = cython.declare(cython.double, 12.0)
 #: What is not known of a slope, rad.
@@ -53,7 +55,7 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 #: - normal, z: the fitted plane's upward unit normal and height at the cell's centre, m;
 #: - cosine: |n.u|, u the ray to the centroid; variance: of a residual from range noise, m^2;
 #: - square: mean square residual about the fit, m^2; statistic: of division;
-#: - sloped: 1 if the points tell the slope, 0 if it is the one before;
+#: - sloped: 0 of a strip too thin to tell a slope, else 1;
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
 #: - raised: points that stand out above the leaf's plane; greatest: |orthogonal distance|, m;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
@@ -143,7 +145,9 @@ def _unseen(square: float, correlation: float, side: float, points: float) -> cy
     return side - 2.0 * half - side / sqrt(points)
 
 
-def _bias(run: Record, ray_x: float, ray_y: float, deviation: float, lean: float) -> None:
+def _bias(
+    run: Record, ray_x: float, ray_y: float, deviation: float, lean: float, sloped: cython.bint
+) -> None:
     """What range noise may turn a fit by, and lift it, that scans from one side do not average out.
 
     Noise e moves a point along the ray u, in height over the plane by e (n.u) / n_z and in place by
@@ -160,6 +164,7 @@ def _bias(run: Record, ray_x: float, ray_y: float, deviation: float, lean: float
     Args:
         run: Record of type `RUN`: points, scatter and unseen are read, the bias is written.
         ray_x, ray_y: Of u. deviation: sqrt(var(e)), m. lean: |n.u| / n_z.
+        sloped: Whether the slope was fitted.
     """
     share = 0.5 + min(run.unseen, 0.5)
     per = 1.0 / run.points
@@ -176,7 +181,7 @@ def _bias(run: Record, ray_x: float, ray_y: float, deviation: float, lean: float
     inverse = share * deviation * deviation * lean / max(xx * yy - xy * xy, least * least)
     turn_x = inverse * (yy * ray_x - xy * ray_y)
     turn_y = inverse * (xx * ray_y - xy * ray_x)
-    run.bias[0] = sqrt(turn_x * turn_x + turn_y * turn_y) if run.sloped > 0.0 else 0.0
+    run.bias[0] = sqrt(turn_x * turn_x + turn_y * turn_y) if sloped else 0.0
     run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
 
 
@@ -244,7 +249,8 @@ def measure(
     least = max(half - sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0)), 1e-12)
     square = rules.range_noise * rules.range_noise
     across = sqrt(square / (count * least)) + 0.5 * square / least
-    if (run.unseen >= 0.5 and across > UNSEEN_TILT) or count < rules.min_points:
+    run.sloped = 0.0 if run.unseen >= PARTIAL and across > UNSEEN_TILT else 1.0
+    if run.sloped == 0.0 or count < rules.min_points:
         tilt = UNKNOWN_TILT
         for i in range(3):
             run.normal[i] = prior[i]
@@ -284,9 +290,8 @@ def measure(
     run.square = max(quadratic, 0.0) / free
     doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
     uneven = max(run.square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
-    run.sloped = 1.0 if tilt < UNKNOWN_TILT else 0.0
-    _bias(run, ray_x, ray_y, sqrt(along), cosine / up)
-    if tilt == UNKNOWN_TILT and z == z:
+    _bias(run, ray_x, ray_y, sqrt(along), cosine / up, tilt < UNKNOWN_TILT)
+    if run.sloped == 0.0 and z == z:
         # Of a strip that is as wide as the noise, place and height err together, along the ray.
         # Rays are exact: the place is where the ray meets the plane that is known.
         gap = run.z - z

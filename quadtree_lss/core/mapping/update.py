@@ -318,7 +318,7 @@ class ScanUpdate:
             leaf.normal[2] = 1.0
         fresh: cython.bint = leaf.known <= HINTS
         if fresh and run.sloped == 0.0:
-            # It tells no plane of this cell. Smaller ones can hold what this one cannot.
+            # A strip tells no plane of this cell. Smaller ones can hold what this one cannot.
             if run.points >= self.rules.min_residuals and self._divide(row, run):
                 self._go_on(row, begin, end, False)
             else:
