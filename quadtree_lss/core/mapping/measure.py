@@ -315,7 +315,7 @@ def measure(
     else:
         arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, arm, sigma, run.pose_part)
-    run.statistic = run.raised = run.greatest = 0.0
+    run.statistic = run.raised = run.greatest = run.raised_by = run.doubt = 0.0
 
 
 def fit(
