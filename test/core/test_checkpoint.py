@@ -161,8 +161,16 @@ def _unseen(state):
     state["observed"] = state["observed"][:-1]
 
 
-def _half_seen(state):
-    state["observed"][3] = 2
+def _beyond_seen(state):
+    state["observed"][3] = 4
+
+
+def _without_bottom(state):
+    state["leaves"]["low"] = -np.inf
+
+
+def _no_height(state):
+    state["leaves"]["high"] = np.nan
 
 
 def _far_off(state):
@@ -186,7 +194,9 @@ SPOILS = [
     _certain,
     _unheard_of,
     _unseen,
-    _half_seen,
+    _beyond_seen,
+    _without_bottom,
+    _no_height,
     _far_off,
     _two_stamps,
 ]

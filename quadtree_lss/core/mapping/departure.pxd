@@ -2,6 +2,6 @@
 from libc.math cimport exp, fabs, sqrt
 from quadtree_lss.core.geometry.plane cimport inverse_symmetric
 
-cpdef departure_of(double[:, :] cells, double[:, ::1] sigma, double now, double correlation_time, double limit, double floor)
+cpdef departure(double[:, :] cells, double[:, ::1] sigma, double now, double correlation_time, double limit)
 cdef void _motion(double[:, :] cells, Py_ssize_t i, double* out) noexcept nogil
-cdef void _invert(double* a, double* out) noexcept nogil
+cdef double _weight(double[:, :] cells, Py_ssize_t i, double limit, double floor) noexcept nogil

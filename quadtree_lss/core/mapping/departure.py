@@ -7,7 +7,6 @@ any of them, and is to be judged by what the pose claims in common.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cython
@@ -28,9 +27,6 @@ BELIEVED = cython.declare(cython.double, 10.0)
 TOGETHER = cython.declare(cython.double, 1.0 / 16.0)
 #: Cells first seen within this are of the same scans, s: shorter than scans are apart.
 INSTANT = cython.declare(cython.double, 1e-3)
-#: Information on a shift sideways that a fit has at least, m^-2: of 10 m, so that level ground and
-#: even slopes, which do not tell it, do not spoil the fit.
-ALONG = cython.declare(cython.double, 1e12)
 #: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2.
 SMOOTHED = cython.declare(cython.double, 0.01**2)
 #: Rounds of reweighting; a cell's weight then changes by less than a hundredth.
@@ -73,6 +69,26 @@ class Departure:
     tilted: float
 
 
+def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
+    """J_i (6): by how much a scan's pose error lifts its ground in a cell."""
+    x, y, z = cells[6, i], cells[7, i], cells[8, i]
+    out[0] = -cells[9, i]
+    out[1] = -cells[10, i]
+    out[2] = 1.0
+    out[3] = y - z * out[1]
+    out[4] = z * out[0] - x
+    out[5] = x * out[1] - y * out[0]
+
+
+def _weight(cells: Array, i: cython.Py_ssize_t, limit: float, floor: float) -> float:
+    """1 / v_i of a cell; 0 where neither pose explains its offset."""
+    may = cells[1, i] + cells[2, i] + cells[3, i] + floor
+    if cells[0, i] * cells[0, i] > limit * limit * may:
+        return 0.0
+    return 1.0 / (cells[1, i] + SMOOTHED)
+
+
+@cython.boundscheck(False)
 def departure(
     cells: Array, sigma: Array, now: float, correlation_time: float, limit: float
 ) -> Departure | None:
@@ -109,136 +125,68 @@ def departure(
         correlation_time: s; 0 if the error is another one in each scan.
         limit: Deviations.
     """
-    if cells.shape[1] < MIN_CELLS:
-        return None
-    found = departure_of(cells, sigma, now, correlation_time, limit, FLOOR)
-    share, height, along_x, along_y, x, y, claimed, mapped, noise, since, square, tilted = found
-    return Departure(
-        share=share,
-        height=height,
-        tilt=(along_x, along_y),
-        centre=(x, y),
-        claimed=claimed,
-        mapped=mapped,
-        noise=noise,
-        since=since,
-        deviations=math.sqrt(square),
-        tilted=math.sqrt(tilted),
-    )
-
-
-def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
-    """J_i (6): by how much a scan's pose error lifts its ground in a cell."""
-    x, y, z = cells[6, i], cells[7, i], cells[8, i]
-    out[0] = -cells[9, i]
-    out[1] = -cells[10, i]
-    out[2] = 1.0
-    out[3] = y - z * out[1]
-    out[4] = z * out[0] - x
-    out[5] = x * out[1] - y * out[0]
-
-
-def _invert(a: Array, out: Array) -> None:
-    """Inverse of a symmetric positive definite 5x5 matrix, which is spoilt, by Gauss and Jordan.
-
-    Scaled to a unit diagonal, a pivot below 1e-10 is round-off and taken as that: what cells do
-    not tell is known very badly.
-    """
-    scale = cython.declare(cython.double[5])
-    cython.declare(i=cython.int, j=cython.int, k=cython.int)
-    for i in range(5):
-        scale[i] = 1.0 / sqrt(max(a[6 * i], 1e-24))
-    for i in range(5):
-        for j in range(5):
-            a[5 * i + j] *= scale[i] * scale[j]
-            out[5 * i + j] = 1.0 if i == j else 0.0
-    for k in range(5):
-        pivot = 1.0 / max(a[6 * k], 1e-10)
-        for j in range(5):
-            a[5 * k + j] *= pivot
-            out[5 * k + j] *= pivot
-        for i in range(5):
-            if i != k:
-                factor = a[5 * i + k]
-                for j in range(5):
-                    a[5 * i + j] -= factor * a[5 * k + j]
-                    out[5 * i + j] -= factor * out[5 * k + j]
-    for i in range(5):
-        for j in range(5):
-            out[5 * i + j] *= scale[i] * scale[j]
-
-
-@cython.boundscheck(False)
-def departure_of(
-    cells: Array, sigma: Array, now: float, correlation_time: float, limit: float, floor: float
-) -> tuple[float, ...]:
-    """`departure` as numbers, chi^2 for deviations."""
-    cell = cython.declare(cython.double[5])
-    normal = cython.declare(cython.double[25])
-    inverse = cython.declare(cython.double[25])
-    right = cython.declare(cython.double[5])
-    theta = cython.declare(cython.double[5])
+    row = cython.declare(cython.double[3])
+    right = cython.declare(cython.double[3])
+    theta = cython.declare(cython.double[3])
+    normal = cython.declare(cython.double[9])
+    inverse = cython.declare(cython.double[9])
     lift = cython.declare(cython.double[6])
-    moved = cython.declare(cython.double[30])
+    moved = cython.declare(cython.double[18])
     takes = cython.declare(cython.double[18])
     total = cython.declare(cython.double[9])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, m=cython.int, step=cython.int)
     count: cython.Py_ssize_t = cells.shape[1]
     agreeing: cython.Py_ssize_t = 0
+    floor: cython.double = FLOOR
     weight = x0 = y0 = 0.0
     square = weights = mapped = tilted = began = last = first = second = 0.0
+    if count < MIN_CELLS:
+        return None
     for i in range(count):
-        may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
-        if cells[0, i] * cells[0, i] <= may:
-            agreeing += 1
-            weight += 1.0 / (cells[1, i] + SMOOTHED)
-            x0 += cells[6, i] / (cells[1, i] + SMOOTHED)
-            y0 += cells[7, i] / (cells[1, i] + SMOOTHED)
+        w = _weight(cells, i, limit, floor)
+        agreeing += w > 0.0
+        weight += w
+        x0 += w * cells[6, i]
+        y0 += w * cells[7, i]
     share: cython.double = agreeing
     share /= count
     if agreeing < MIN_CELLS:
-        return share, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, now, 0.0, 0.0
+        return Departure(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, now, 0.0, 0.0)
     x0 /= weight
     y0 /= weight
-    for j in range(5):
+    row[0] = 1.0
+    for j in range(3):
         theta[j] = 0.0
     # The first round is of plain least squares, the last one only sums up.
     for step in range(ROUNDS + 2):
-        for j in range(25):
+        for j in range(9):
             normal[j] = 0.0
-        for j in range(30):
+        for j in range(18):
             moved[j] = 0.0
-        for j in range(5):
+        for j in range(3):
             right[j] = 0.0
-        normal[18] = normal[24] = ALONG
         weight = weights = square = mapped = tilted = began = last = first = second = 0.0
         for i in range(count):
-            may = limit * limit * (cells[1, i] + cells[2, i] + cells[3, i] + floor)
-            if cells[0, i] * cells[0, i] > may:
+            w = _weight(cells, i, limit, floor)
+            if w == 0.0:
                 continue
-            cell[0] = 1.0
-            cell[1] = cells[6, i] - x0
-            cell[2] = cells[7, i] - y0
-            cell[3] = -cells[9, i]
-            cell[4] = -cells[10, i]
-            w = 1.0 / (cells[1, i] + SMOOTHED)
+            row[1] = cells[6, i] - x0
+            row[2] = cells[7, i] - y0
+            off = cells[0, i] - theta[0] - theta[1] * row[1] - theta[2] * row[2]
             if step > 0:
-                off = cells[0, i]
-                for j in range(5):
-                    off -= theta[j] * cell[j]
                 away = fabs(off) * sqrt(w)
                 if away > HUBER:
                     w *= HUBER / away
-                square += w * off * off
-            for j in range(5):
-                right[j] += w * cell[j] * cells[0, i]
-                for k in range(5):
-                    normal[5 * j + k] += w * cell[j] * cell[k]
+            for j in range(3):
+                right[j] += w * row[j] * cells[0, i]
+                for k in range(3):
+                    normal[3 * j + k] += w * row[j] * row[k]
             if step > ROUNDS:
                 _motion(cells, i, lift)
-                for j in range(5):
+                for j in range(3):
                     for k in range(6):
-                        moved[6 * j + k] += w * cell[j] * lift[k]
+                        moved[6 * j + k] += w * row[j] * lift[k]
+                square += w * off * off
                 weight += w
                 weights += w * w
                 mapped += w * cells[3, i]
@@ -248,12 +196,12 @@ def departure_of(
                 middle = 0.5 * (cells[4, i] + cells[5, i]) - now
                 first += w * middle
                 second += w * middle * middle
-        _invert(normal, inverse)
+        inverse_symmetric(normal, inverse)
         if step <= ROUNDS:
-            for j in range(5):
+            for j in range(3):
                 theta[j] = 0.0
-                for k in range(5):
-                    theta[j] += inverse[5 * j + k] * right[k]
+                for k in range(3):
+                    theta[j] += inverse[3 * j + k] * right[k]
     mapped /= weight
     tilted /= weight
     first /= weight
@@ -269,8 +217,8 @@ def departure_of(
     for j in range(3):
         for k in range(6):
             takes[6 * j + k] = 0.0
-            for m in range(5):
-                takes[6 * j + k] += inverse[5 * j + m] * moved[6 * m + k]
+            for m in range(3):
+                takes[6 * j + k] += inverse[3 * j + m] * moved[6 * m + k]
     for j in range(3):
         for k in range(3):
             total[3 * j + k] = 0.0
@@ -278,18 +226,15 @@ def departure_of(
                 for step in range(6):
                     total[3 * j + k] += takes[6 * j + m] * sigma[m, step] * takes[6 * k + step]
     claimed = total[0]
-    unsure = noise * inverse[0]
     for j in range(3):
         of_scan = total[4 * j]
-        of_map = mapped if j == 0 else tilted + other * weight * inverse[6 * j]
+        of_map = mapped if j == 0 else tilted + other * weight * inverse[4 * j]
         apart = of_scan + of_map - 2.0 * common * sqrt(max(of_scan * of_map, 0.0))
         total[4 * j] = max(of_scan, max(of_map, apart))
-    for j in range(3):
-        for k in range(3):
-            total[3 * j + k] += noise * inverse[5 * j + k]
-    total[0] += floor
-    total[4] += MOUNTED
-    total[8] += MOUNTED
+        total[4 * j] += floor if j == 0 else MOUNTED
+    for j in range(9):
+        total[j] += noise * inverse[j]
+    unsure = noise * inverse[0]
     # The inverse of the lower right two by two.
     along = total[4] * theta[2] * theta[2] + total[8] * theta[1] * theta[1]
     along -= 2.0 * total[5] * theta[1] * theta[2]
@@ -299,6 +244,15 @@ def departure_of(
     for j in range(3):
         for k in range(3):
             square += theta[j] * inverse[3 * j + k] * theta[k]
-    square, tilted = max(square, 0.0), max(tilted, 0.0)
-    motion = (share, theta[0], theta[1], theta[2], x0, y0)
-    return (*motion, claimed, mapped, unsure, began / weight, square, tilted)
+    return Departure(
+        share=share,
+        height=theta[0],
+        tilt=(theta[1], theta[2]),
+        centre=(x0, y0),
+        claimed=claimed,
+        mapped=mapped,
+        noise=unsure,
+        since=began / weight,
+        deviations=sqrt(max(square, 0.0)),
+        tilted=sqrt(max(tilted, 0.0)),
+    )

@@ -166,7 +166,7 @@ def _bias(
         ray_x, ray_y: Of u. deviation: sqrt(var(e)), m. lean: |n.u| / n_z.
         sloped: Whether the slope was fitted.
     """
-    share = 0.5 + min(run.unseen, 0.5)
+    share = 0.2 + 1.6 * min(run.unseen, 0.5)
     per = 1.0 / run.points
     xx = run.scatter[0] * per
     xy = run.scatter[1] * per

@@ -27,6 +27,9 @@ ROUNDING = 1e-6
 TINY = 1e-30
 """In place of a variance that is zero: what is correlated with it is no rounding."""
 
+OUT = 3
+"""The greatest state of a finest cell (`LeafTable.observed`)."""
+
 State: TypeAlias = dict[str, NDArray[Any]]
 
 
@@ -116,7 +119,7 @@ def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
         msg = f"has {len(state['leaves'])} leaves, mapping.max_cells is {max_cells}"
         raise CheckpointError(msg)
     _check_leaves(state["leaves"], domain)
-    if (state["observed"] > 3).any():
+    if (state["observed"] > OUT).any():
         msg = "has an impossible mask of observed cells"
         raise CheckpointError(msg)
     height, variance = state["offset"].tolist()
@@ -141,10 +144,10 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     planes = leaves[known > 0]
     whole = np.isin(known, (0, 1, 2, 3)).all() and (planes["normal"][:, 2] > 0.0).all()
     for name in LEAF.names or ():
-        if name in ("low", "high"):
-            whole &= not np.isnan(planes[name]).any()
-        elif not name.startswith("feature"):
+        if name not in {"low", "high"} and not name.startswith("feature"):
             whole &= np.isfinite(planes[name]).all()
+    # Where nothing came to rest yet they are infinity and minus infinity.
+    whole &= ((planes["low"] > -np.inf) & (planes["high"] < np.inf)).all()
     if not whole or (planes["range_part"][:, ::4] <= 0.0).any() or not _covariances(planes):
         msg = "has a leaf with an impossible plane"
         raise CheckpointError(msg)
