@@ -261,8 +261,9 @@ class ScanUpdate:
             leaf.normal[i] = run.normal[i]
         leaf.z = run.z + self.origin[2] + rise[0]
         leaf.points += run.points
-        for i in range(2):
-            leaf.bias[i] += run.points / leaf.points * (run.bias[i] - leaf.bias[i])
+        leaf.bias[2] += run.bias[2]
+        leaf.bias[0] += run.bias[2] / max(leaf.bias[2], 1e-300) * (run.bias[0] - leaf.bias[0])
+        leaf.bias[1] += run.points / leaf.points * (run.bias[1] - leaf.bias[1])
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
