@@ -44,7 +44,7 @@ def free(tmp_path_factory):
 
 
 def test_a_keep_out_an_area_and_a_target_of_the_bag_hold(tmp_path, free):
-    assert 0.0 < east(sites(free)) < 1.0
+    assert east(sites(free)) > 0.0
     for name, say in (
         ("keep_out", lambda recorder: recorder.polygon("/landing/keep_out", KEEP_OUT, START)),
         ("area", lambda recorder: recorder.polygon("/lander/landing/area", WEST, START)),

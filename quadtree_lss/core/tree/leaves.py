@@ -188,6 +188,17 @@ class LeafTable:
                 self.seen[code] = SEEN
 
     @cython.boundscheck(False)
+    def _stands_out(self, level: cython.int, ix: cython.int, iy: cython.int) -> cython.bint:
+        """Whether a return stood out in a cell."""
+        code: cython.Py_ssize_t
+        down: cython.int = 2 * (self.max_level - level)
+        first: cython.Py_ssize_t = encode(ix, iy) << down
+        for code in range(first, first + (1 << down)):
+            if self.seen[code] == OUT:
+                return True
+        return False
+
+    @cython.boundscheck(False)
     def divide(
         self,
         row: cython.Py_ssize_t,
@@ -198,8 +209,9 @@ class LeafTable:
         """Divide a leaf above the maximum level; its children inherit what it knows.
 
         An inherited plane is the parent's moved to the child's centre, and less certain: by
-        ``square`` m^2 in height and ``tilt`` rad^2 in either slope. Finest cells whose returns lay
-        within ``spread`` (m) of it stay known. The first child (in Morton's order) has the parent's
+        ``square`` m^2 in height and ``tilt`` rad^2 in either slope; where a return stood out, by
+        the square of the greatest distance, too. Finest cells whose returns lay within ``spread``
+        (m) of it stay known. The first child (in Morton's order) has the parent's
         row, the others follow the last leaf.
 
         Returns:
@@ -238,6 +250,8 @@ class LeafTable:
                 leaf.range_part[0] += tilt
                 leaf.range_part[4] += tilt
                 leaf.range_part[8] += square
+                if self._stands_out(level + 1, ix + (child & 1), iy + (child >> 1)):
+                    leaf.range_part[8] += leaf.greatest * leaf.greatest
             else:
                 leaf.known = NOTHING
             clear(leaf)
