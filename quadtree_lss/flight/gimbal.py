@@ -37,10 +37,6 @@ def quaternion(rotation: Array) -> Array:
     return found / np.linalg.norm(found)
 
 
-#: Where it looks, pass after pass, while it waits for a target: about the aim, and beside it.
-SIDES = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)
-
-
 @dataclass(frozen=True)
 class ScanPlan:
     """How the lidar is led; m, s, degrees.
@@ -82,7 +78,7 @@ class Gimbal:
         self.plan, self.centre, self.half = plan, np.asarray(centre, dtype=np.float64), half
         self._angle = float(np.radians(field_of_view_deg))
         self.boresight = np.array([0.0, 0.0, -1.0])
-        self.passes = self._waits = 0
+        self.passes = 0
         self._corners = np.zeros((0, 3))
         self._arc: list[float] = []
         self._began = self._ends = -np.inf
@@ -138,8 +134,7 @@ class Gimbal:
 
         They are as narrow as the footprint will be at the end of the pass, f. Of a square of half
         side h a pass of T s sees all if (2 h)^2 <= ((1 - overlap) f)^2 T rate, less a tenth for
-        turning round. Where that is not the area it looks about the aim, then beside that, on one
-        side after the other.
+        turning round. Where that is not the area it looks about the aim.
         """
         centre = self.centre if target is None else target
         seconds = self.plan.survey if target is None else self.plan.closer
@@ -148,12 +143,8 @@ class Gimbal:
             across = self._angle * float(np.linalg.norm(aim - position - 0.9 * seconds * velocity))
             sees = 0.45 * (1.0 - self.plan.overlap) * across * sqrt(seconds * self.plan.scan_rate)
             if sees < half:
-                half = max(sees, self.plan.half[1])
+                centre, half = aim, max(sees, self.plan.half[1])
                 seconds *= (half / sees) ** 2
-                beside = np.array([*SIDES[self._waits % len(SIDES)], 0.0])
-                centre, self._waits = aim + 1.6 * half * beside, self._waits + 1
-        if target is not None:
-            self._waits = 0
         sight = centre - position
         distance = float(np.linalg.norm(sight - 0.9 * seconds * velocity))
         across_deep = self._angle * distance
