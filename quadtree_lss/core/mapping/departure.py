@@ -250,19 +250,20 @@ def departure(
         for k in range(3):
             square += theta[j] * inverse[3 * j + k] * theta[k]
     for j in range(9):
-        scan[j] *= beyond * beyond
-        total[j] += scan[j]
+        total[j] += beyond * beyond * scan[j]
     inverse_symmetric(total, inverse)
+    turned_x = turned_y = 0.0
     for j in range(3):
-        right[j] = 0.0
+        off = 0.0
         for k in range(3):
-            right[j] += inverse[3 * j + k] * theta[k]
-    along_x = scan[3] * right[0] + scan[4] * right[1] + scan[5] * right[2]
-    along_y = scan[6] * right[0] + scan[7] * right[1] + scan[8] * right[2]
+            off += inverse[3 * j + k] * theta[k]
+        for m in range(6):
+            turned_x += beyond * beyond * sigma[3, m] * takes[6 * j + m] * off
+            turned_y += beyond * beyond * sigma[4, m] * takes[6 * j + m] * off
     return Departure(
         share=share,
         height=theta[0],
-        tilt=(along_x, along_y),
+        tilt=(-turned_y, turned_x),
         centre=(x0, y0),
         claimed=claimed,
         mapped=mapped,
