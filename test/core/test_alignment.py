@@ -16,7 +16,7 @@ from core.builders import (
     scattered,
 )
 
-from quadtree_lss.core.mapping.alignment import lift, offset_of
+from quadtree_lss.core.mapping.alignment import lift, lower, offset_of
 from quadtree_lss.core.mapping.mapper import Mapper
 from quadtree_lss.core.sensing.lidar import Pose
 
@@ -69,6 +69,65 @@ def test_who_is_exact_is_not_moved_and_who_is_lost_moves_nothing():
     lost = offset_of(cells_of(rise, of_scan=1e6, of_map=0.01), 0.0, 0.0)
     assert lost.scan == pytest.approx(0.05, rel=1e-6)
     assert abs(lost.map) < 1e-6
+
+def steps(x, y):
+    """A cliff of 5 m across a slope."""
+    return 0.3 * x + 5.0 * (y + 0.3 * x > 9.0)
+
+
+def walls(x, y):
+    """Upright, 4 m high, a metre thick, every 5 m."""
+    return 4.0 * ((np.mod(x + 0.3 * y, 5.0) < 1.0) | (np.mod(y - 0.2 * x, 7.0) < 1.0))
+
+
+def trees(x, y):
+    """Cones 5 m high, four metres apart."""
+    away = np.hypot(np.mod(x, 4.0) - 2.0, np.mod(y + 0.7 * x, 4.0) - 2.0)
+    return np.maximum(5.0 * (1.0 - away / 1.5), 0.0)
+
+
+@pytest.mark.parametrize("ground", [steps, walls, trees])
+@pytest.mark.parametrize("coarsest", [2, 4])
+def test_an_exact_pose_is_believed_whatever_stands_there(ground, coarsest, monkeypatch):
+    """Poses that claim 1 mm and 1 urad, small footprints: no scan is moved by 3 cm, nor tilted."""
+    moved, tilted = [0.0], [0.0]
+
+    def measured(*given):
+        found = offset_of(*given)
+        moved.append(abs(found.scan) if found else 0.0)
+        return found
+
+    def lowered(points, found):
+        before = points[:, 2].copy()
+        lower(points, found)
+        tilted.append(np.abs(points[:, 2] - before).max())
+
+    monkeypatch.setattr("quadtree_lss.core.mapping.mapper.offset_of", measured)
+    monkeypatch.setattr("quadtree_lss.core.mapping.mapper.lower", lowered)
+    sigma = pose_covariance(1e-3, 1e-6)
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        domain = {"min_level": coarsest, "max_level": 6}
+        mapper = Mapper(configured(domain=domain, lidar={"range_noise": 0.06}))
+        for number in range(60):
+            width = rng.uniform(1.0, 6.0)
+            west, south = rng.uniform(0.0, 16.0 - width, 2)
+            pose = make_pose((8.0, 8.0, 60.0), sigma, 1_000_000_000 + 50_000_000 * number)
+            x, y = scattered(rng, west, south, width, 600)
+            mapper.update(scan(ground, x, y, pose, 0.06, rng), pose)
+    assert len(moved) > 200
+    assert max(moved) < 0.03
+    assert max(tilted) < 0.03
+
+
+@pytest.mark.parametrize("claimed", [0.05, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize("correlation_time", [0.0, 300.0])
+def test_a_pose_five_deviations_off_moves_the_map_by_less_than_a_tenth(claimed, correlation_time):
+    """What stays of it in the scan counts as one of five."""
+    off = 5.0 * claimed
+    cells = cells_of(np.full(100, off), of_scan=claimed**2, of_map=claimed**2, last=10.0)
+    found = offset_of(cells, 10.05, correlation_time)
+    assert found.map + (off - found.map - found.scan) / 5.0 < 0.1 * off
 
 
 def test_an_error_that_persists_stays_as_it_is_and_one_that_is_old_is_news():

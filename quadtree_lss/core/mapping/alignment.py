@@ -15,7 +15,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.arrays import Array
-from quadtree_lss.core.mapping.departure import FLOOR, Departure
+from quadtree_lss.core.mapping.departure import BEYOND, FLOOR, Departure
 from quadtree_lss.core.tree.leaves import LeafTable
 
 if not cython.compiled:
@@ -98,12 +98,12 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     noise = 1.0 / total + FLOOR
     if height * height > JUMP**2 * (news * (of_scan + of_map) + noise):
         news = 1.0
-    share = news / (news * (of_scan + of_map) + noise)
-    most = JUMP**2 * max(of_scan, of_map, noise)
-    if height * height > most and until > since:
-        share *= (most / (height * height)) ** 2
-    scan = 1.0 - share * (of_map + noise) if news == 1.0 else share * of_scan
-    return Offset(height, height * scan, height * share * of_map, since, noise)
+    of_scan, of_map = news * of_scan, news * of_map
+    if until > since:
+        excess = height * height / (JUMP**2 * max(of_scan, of_map, noise))
+        of_scan *= min(max(excess, 1.0) ** 3, BEYOND**2)
+    share = height / (of_scan + of_map + noise)
+    return Offset(height, share * of_scan, share * of_map, since, noise)
 
 
 def lower(points: Array, found: Departure) -> None:

@@ -36,6 +36,8 @@ ROUNDS = cython.declare(cython.int, 4)
 FLOOR = 0.04**2
 #: The same of its tilt, rad^2: a lidar is mounted to a milliradian.
 MOUNTED = cython.declare(cython.double, 1e-3**2)
+#: A pose that is off by more than it claims may be off by so many times of it.
+BEYOND = 5.0
 #: Cells of which a motion of three degrees of freedom can be told.
 MIN_CELLS = 3
 
@@ -47,7 +49,8 @@ class Departure:
     Attributes:
         share: Of the cells that stand where both poses may have put them, each by itself.
         height: Of the scan over the map in the middle of these cells, m.
-        tilt: (2,) rise of that along x and along y.
+        tilt: (2,) what of the rise of that along x and along y is the scan's if its pose is
+            `BEYOND` times worse than claimed.
         centre: (2,) x and y of that middle about the lidar, m.
         claimed, mapped: Variance of ``height`` from the scan's pose error and from the map's, as
             either claims, m^2.
@@ -133,11 +136,13 @@ def departure(
     lift = cython.declare(cython.double[6])
     moved = cython.declare(cython.double[18])
     takes = cython.declare(cython.double[18])
+    scan = cython.declare(cython.double[9])
     total = cython.declare(cython.double[9])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, m=cython.int, step=cython.int)
     count: cython.Py_ssize_t = cells.shape[1]
     agreeing: cython.Py_ssize_t = 0
     floor: cython.double = FLOOR
+    beyond: cython.double = BEYOND
     weight = x0 = y0 = 0.0
     square = weights = mapped = tilted = began = last = first = second = 0.0
     if count < MIN_CELLS:
@@ -212,7 +217,7 @@ def departure(
         common = exp(-fabs(last / weight) / correlation_time)
     # As many cells as tell something: one that is hardly known confirms nothing.
     telling = weight * weight / weights
-    square = (square + BELIEVED) / (max(telling - 5.0, 0.0) + BELIEVED)
+    square = (square + BELIEVED) / (max(telling - 3.0, 0.0) + BELIEVED)
     noise = square + max(square - 1.0, 0.0) * TOGETHER * telling
     for j in range(3):
         for k in range(6):
@@ -221,11 +226,11 @@ def departure(
                 takes[6 * j + k] += inverse[3 * j + m] * moved[6 * m + k]
     for j in range(3):
         for k in range(3):
-            total[3 * j + k] = 0.0
+            scan[3 * j + k] = 0.0
             for m in range(6):
                 for step in range(6):
-                    total[3 * j + k] += takes[6 * j + m] * sigma[m, step] * takes[6 * k + step]
-    claimed = total[0]
+                    scan[3 * j + k] += takes[6 * j + m] * sigma[m, step] * takes[6 * k + step]
+            total[3 * j + k] = scan[3 * j + k]
     for j in range(3):
         of_scan = total[4 * j]
         of_map = mapped if j == 0 else tilted + other * weight * inverse[4 * j]
@@ -234,7 +239,7 @@ def departure(
         total[4 * j] += floor if j == 0 else MOUNTED
     for j in range(9):
         total[j] += noise * inverse[j]
-    unsure = noise * inverse[0]
+    claimed, unsure = scan[0], noise * inverse[0]
     # The inverse of the lower right two by two.
     along = total[4] * theta[2] * theta[2] + total[8] * theta[1] * theta[1]
     along -= 2.0 * total[5] * theta[1] * theta[2]
@@ -244,10 +249,21 @@ def departure(
     for j in range(3):
         for k in range(3):
             square += theta[j] * inverse[3 * j + k] * theta[k]
+    for j in range(9):
+        total[j] += beyond * beyond * scan[j]
+    inverse_symmetric(total, inverse)
+    turned_x = turned_y = 0.0
+    for j in range(3):
+        off = 0.0
+        for k in range(3):
+            off += inverse[3 * j + k] * theta[k]
+        for m in range(6):
+            turned_x += beyond * beyond * sigma[3, m] * takes[6 * j + m] * off
+            turned_y += beyond * beyond * sigma[4, m] * takes[6 * j + m] * off
     return Departure(
         share=share,
         height=theta[0],
-        tilt=(theta[1], theta[2]),
+        tilt=(-turned_y, turned_x),
         centre=(x0, y0),
         claimed=claimed,
         mapped=mapped,
