@@ -86,9 +86,8 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
 def _weight(cells: Array, i: cython.Py_ssize_t, limit: float, floor: float) -> float:
     """1 / v_i of a cell; 0 where neither pose explains its offset."""
     may = cells[1, i] + cells[2, i] + cells[3, i] + floor
-    if cells[0, i] * cells[0, i] > limit * limit * may:
-        return 0.0
-    return 1.0 / (cells[1, i] + SMOOTHED)
+    weight = 1.0 / (cells[1, i] + SMOOTHED)
+    return weight if cells[0, i] * cells[0, i] <= limit * limit * may else 0.0
 
 
 @cython.boundscheck(False)

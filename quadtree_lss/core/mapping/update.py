@@ -338,7 +338,9 @@ class ScanUpdate:
         judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
         x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
         self._fuse(leaf, run, same_scan)
-        moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(leaf.normal[1] / leaf.normal[2] - y)
+        moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(
+            leaf.normal[1] / leaf.normal[2] - y
+        )
         if fabs(leaf.z - z) + 0.5 * side * moved > standing_out(self.rules, leaf, run.variance):
             self.table.unknow(leaf)  # what was known, was by another plane
             leaf.low, leaf.high = INFINITE, -INFINITE

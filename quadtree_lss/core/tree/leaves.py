@@ -98,9 +98,9 @@ class LeafTable:
         rows: Records of type `LEAF`, of which the first ``count`` are leaves; a division may
             replace the array by a longer one.
         leaf_of: (4^max_level,) row of the leaf over each finest cell, by its Morton code.
-        observed: (4^max_level,) of the finest cells: 0 where no point fell, 1 where one did, 2 where
-            one came to rest in the present leaf, so that the leaf's plane was compared with it, 3
-            where one stood out from that.
+        observed: (4^max_level,) of the finest cells: 0 where no point fell, 1 where one did, 2
+            where one was compared with the plane of the leaf, or of that which it was divided
+            from, 3 where one stood out from that.
         count, capacity, max_cells: Leaves, rows, and how many leaves there may be.
     """
 
