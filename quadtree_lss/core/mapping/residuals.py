@@ -27,7 +27,7 @@ def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
     """From which distance to its leaf's plane on a return stands out, m."""
     usual = variance
     if leaf.division_weight > 0.0:
-        usual = leaf.square_sum / leaf.division_weight
+        usual = max(leaf.square_sum / leaf.division_weight, variance)
     return max(rules.rock_height, OUTSTANDING * sqrt(usual))
 
 
