@@ -42,6 +42,10 @@ SMALL = {
         ["--draws", "200", "--of-twenty", "50", "--figure", "c.png"],
         ["error over claimed deviation", "20, all"],
     ),
+    "wrong_poses": (
+        ["--seeds", "1", "--before", "3"],
+        ["level: scans refused", "hills: scans refused"],
+    ),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (
         ["--seeds", "201", "--duration", "2"],

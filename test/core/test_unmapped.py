@@ -176,9 +176,10 @@ def test_heights_keep_to_what_was_measured_there(level_ground):
     np.testing.assert_array_equal(raster.slope_x, plane.slope_x)
     at = users_grid(cells.domain, 0.5)
     middles = np.clip(at.x, 0.0, 16.0 - 1e-9)
-    np.testing.assert_allclose(
-        at.ground(raster)[:-1, :-1], kept.at(middles, middles[:, None]).height[:-1, :-1], atol=1e-9
-    )
+    places = (middles / side).astype(int)
+    known = known[places[:, None], places][:-1, :-1]
+    heights = kept.at(middles, middles[:, None]).height[:-1, :-1]
+    np.testing.assert_allclose(at.ground(raster)[:-1, :-1][known], heights[known], atol=1e-9)
     line = kept.profile((0.1, 3.0), (15.9, 3.3))
     np.testing.assert_array_equal(line.height, kept.at(line.x, line.y).height)
 

@@ -87,7 +87,7 @@ def test_a_target_out_of_reach_is_not_flown_to():
 
 
 def test_without_a_target_it_hovers_and_in_the_end_leaves():
-    course = Course().fly(60.0, until=lambda c: c.pilot.mode == "abort")
+    course = Course().fly(120.0, until=lambda c: c.pilot.mode == "abort")
     assert whats(course.pilot) == ["hover", "abort"]
     assert course.lowest > RULES.latest_divert
     assert abs(course.lander.position[2] - RULES.hover) < 3.0

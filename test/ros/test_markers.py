@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from pathlib import Path
 
@@ -50,6 +51,8 @@ def test_serialised_markers_are_what_rclpy_would_send(mapper):
 
 def test_one_marker_per_level_covers_each_plane_with_two_triangles(mapper):
     cells = mapper.snapshot()
+    free = np.full_like(cells.low, np.nan)
+    cells = dataclasses.replace(cells, low=free, high=free)
     message = deserialize_message(cell_markers(cells, "map"), MarkerArray)
     levels = range(cells.domain.min_level, cells.domain.max_level + 1)
     assert [marker.id for marker in message.markers] == list(levels)
