@@ -44,7 +44,7 @@ SMALL = {
     ),
     "wrong_poses": (
         ["--seeds", "1", "--before", "3"],
-        ["level: scans refused", "hills: scans refused"],
+        ["level ground: scans refused", "hills: scans refused"],
     ),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (
