@@ -215,7 +215,7 @@ class Flight:
         """Poses, scans and wishes of this tick."""
         pilot = self.pilot
         before = self._seen_from
-        self.gimbal.step(self.time, position, velocity, pilot.target, TICK)
+        self.gimbal.step(self.time, position, velocity, pilot.target, TICK, pilot.aim)
         rotation = self.gimbal.rotation()
         pilot.surveyed = self.gimbal.passes > 1
         self._seen_from = (self.lander.position.copy(), rotation)

@@ -47,6 +47,7 @@ class ScanPlan:
         half: Half side of what a pass about the target covers, at most and at least.
         overlap: Of neighbouring strips.
         rate_deg: Greatest turn of the gimbal per second.
+        scan_rate: Scans per second.
     """
 
     survey: float = 8.0
@@ -54,6 +55,7 @@ class ScanPlan:
     half: tuple[float, float] = (9.0, 3.0)
     overlap: float = 0.2
     rate_deg: float = 60.0
+    scan_rate: float = 20.0
 
 
 class Gimbal:
@@ -88,6 +90,7 @@ class Gimbal:
         velocity: Array,
         target: Array | None,
         dt: float,
+        aim: Array | None = None,
     ) -> None:
         """Turns the boresight toward where it should look at ``now`` s.
 
@@ -96,9 +99,14 @@ class Gimbal:
             position, velocity: (3,) of the lidar by navigation.
             target: (3,) to be looked at more closely, None while there is none.
             dt: Since the last step, s.
+            aim: (3,) where it is going without a target: when it is too low for a pass over all of
+                the area, it looks about there.
         """
         if now >= self._ends:
-            self._begin(now, position, velocity, target if self.passes else None)
+            if self.passes:
+                self._begin(now, position, velocity, target, aim)
+            else:
+                self._begin(now, position, velocity, None, None)
             self.passes += 1
         way = (now - self._began) / (self._ends - self._began) * self._arc[-1]
         leg = min(bisect_right(self._arc, way), len(self._arc) - 1)
@@ -114,17 +122,32 @@ class Gimbal:
         """Takes lidar axes to the map's, (3, 3)."""
         return axes(self.boresight)
 
-    def _begin(self, now: float, position: Array, velocity: Array, target: Array | None) -> None:
+    def _begin(
+        self,
+        now: float,
+        position: Array,
+        velocity: Array,
+        target: Array | None,
+        aim: Array | None,
+    ) -> None:
         """Strips across the line of sight, from the near edge to the far one.
 
-        They are as narrow as the footprint will be at the end of the pass.
+        They are as narrow as the footprint will be at the end of the pass, f. Of a square of half
+        side h a pass of T s sees all if (2 h)^2 <= ((1 - overlap) f)^2 T rate, less a tenth for
+        turning round. Where that is not the area it looks about the aim.
         """
         centre = self.centre if target is None else target
         seconds = self.plan.survey if target is None else self.plan.closer
+        half = self.half
+        if target is None and aim is not None:
+            across = self._angle * float(np.linalg.norm(aim - position - 0.9 * seconds * velocity))
+            sees = 0.45 * (1.0 - self.plan.overlap) * across * sqrt(seconds * self.plan.scan_rate)
+            if sees < half:
+                centre, half = aim, max(sees, self.plan.half[1])
+                seconds *= (half / sees) ** 2
         sight = centre - position
         distance = float(np.linalg.norm(sight - 0.9 * seconds * velocity))
         across_deep = self._angle * distance
-        half = self.half
         if target is not None:
             most, least = self.plan.half
             half = float(np.clip(3.0 * across_deep, least, most))

@@ -50,8 +50,8 @@ class Rules:
     touchdown_speed: float = 1.2
     latest_divert: float = 20.0
     trim: float = 2.0
-    hover: float = 32.0
-    patience: float = 20.0
+    hover: float = 60.0
+    patience: float = 60.0
     miss: float = 0.5
     zone: float = 2.4
     headings: int = 12

@@ -100,7 +100,7 @@ class FlightSettings:
     plan: ScanPlan = field(default_factory=ScanPlan)
     faults: tuple[Fault, ...] = ()
     answer_delay: float = 0.06
-    longest: float = 100.0
+    longest: float = 150.0
 
     def __post_init__(self) -> None:
         if self.avoidance not in AVOIDANCE:

@@ -197,7 +197,9 @@ def decode_cells(
         for name in ("low", "high")
     )
     elevation = records["elevation"].astype(np.float64)
-    of_plane = measured if known is None else np.isfinite(elevation)
+    # A map from before does not say what its inherited planes are known for.
+    before = known is None or "low" not in (records.dtype.names or ())
+    of_plane = measured if before else np.isfinite(elevation)
     cells = CellMap(
         stamp_ns=stamp_ns,
         domain=domain,

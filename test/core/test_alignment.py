@@ -70,6 +70,7 @@ def test_who_is_exact_is_not_moved_and_who_is_lost_moves_nothing():
     assert lost.scan == pytest.approx(0.05, rel=1e-6)
     assert abs(lost.map) < 1e-6
 
+
 def steps(x, y):
     """A cliff of 5 m across a slope."""
     return 0.3 * x + 5.0 * (y + 0.3 * x > 9.0)

@@ -231,7 +231,7 @@ def test_a_diagonal_band_leaves_out_nearly_all():
 
 
 @pytest.mark.parametrize("middle", [0.0, 0.9])
-@pytest.mark.parametrize("width", [0.0, 0.1, 0.8])
+@pytest.mark.parametrize("width", [0.0, 0.1, 0.3])
 def test_a_strip_tells_its_height_alone(middle, width):
     """At 45 degrees noise moves points in x as it does in z, which would turn a narrow fit."""
     rng, lidar, by = np.random.default_rng(11), np.array([-300.0, 0.0, 300.0]), rules(noise=0.05)

@@ -531,7 +531,18 @@ def fused(
     range_1: cython.double[9] = other[2].ravel()  # type: ignore[valid-type]
     pose_1: cython.double[9] = other[3].ravel()  # type: ignore[valid-type]
     rise = cython.declare(cython.double[1])
-    fuse(prior_normal, prior[1] - other[1], range_0, pose_0, normal, range_1, pose_1, common, True, rise)
+    fuse(
+        prior_normal,
+        prior[1] - other[1],
+        range_0,
+        pose_0,
+        normal,
+        range_1,
+        pose_1,
+        common,
+        True,
+        rise,
+    )
     parts = (np.array(range_0).reshape(3, 3), np.array(pose_0).reshape(3, 3))
     return np.array(normal), other[1] + rise[0], *parts
 

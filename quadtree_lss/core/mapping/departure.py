@@ -83,11 +83,9 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
 def _weight(cells: Array, i: cython.Py_ssize_t, limit: float, floor: float, off: float) -> float:
     """w_i / v_i of a cell that is off by so much, m; 0 where neither pose explains its b_i."""
     may = cells[1, i] + cells[2, i] + cells[3, i] + floor
-    if cells[0, i] * cells[0, i] > limit * limit * may:
-        return 0.0
     variance = cells[1, i] + SMOOTHED
-    away = fabs(off) / sqrt(variance)
-    return min(1.0, HUBER / max(away, HUBER)) / variance
+    weight = min(1.0, HUBER / max(fabs(off) / sqrt(variance), HUBER)) / variance
+    return weight if cells[0, i] * cells[0, i] <= limit * limit * may else 0.0
 
 
 @cython.boundscheck(False)
@@ -101,9 +99,10 @@ def departure(
     variance and `SMOOTHED`, theta = A^-1 X^T W b, A = X^T W X. Left out are cells that neither pose
     explains, b_i^2 > limit^2 (v_i + S_i + M_i + `FLOOR`): rocks and wrong ground in the map.
 
-    A pose error e = (dm, dw) lifts the ground of cell i by J_i e, with m_i = (-g_i, 1) of its
-    slope g_i and a_i its place about the lidar J_i = (m_i, a_i x m_i): height, and slope times what
-    is off sideways. By the hypothesis that both poses are what they claim, theta is of covariance V,
+    A pose error e = (dm, dw) lifts the ground of cell i by J_i e, J_i = (m_i, a_i x m_i) of its
+    slope g_i, m_i = (-g_i, 1), and its place about the lidar a_i: what is off sideways does it on
+    slopes. By the hypothesis that both poses are what they claim, theta is of covariance V, the
+    sum of
 
     - P = T Sigma T^T, T = A^-1 X^T W J: of the scan's pose;
     - the map's, from what its cells claim of height, M, and of slope, Q. Of either height
@@ -112,13 +111,14 @@ def departure(
       said. Tilts likewise; if cells were not seen by the same scans, M across the scan also is
       one: Q + M / (mean square of r - r_0);
     - `FLOOR` of the height;
-    - s^2 A^-1 of the cells' own noise, s^2 = (sum of squares over v_i + 3) / max(N, 3) of
-      N = (sum w)^2 / sum w^2 cells that tell it, as if three more had confirmed v_i. What is in
-      excess of v_i may be the same in `TOGETHER` of them: max(s^2 - 1, 0) `TOGETHER` N A^-1 more, so
-      that no rough or partly seen ground is a contradiction.
+    - s^2 A^-1 of the cells' own noise, s^2 = (sum of squares over v_i + 3) / max(N, 3) of the
+      N = (sum w)^2 / sum w^2 cells that tell it: with three cells more that are as v_i says, less
+      the three unknowns. What is in excess of v_i may be the same in `TOGETHER` of them:
+      max(s^2 - 1, 0) `TOGETHER` N A^-1 more, so that no rough or partly seen ground is a
+      contradiction.
 
-    theta^T V^-1 theta is chi^2 of three degrees of freedom. Were the pose `BEYOND` = k times worse,
-    its error would be k^2 Sigma T^T (k^2 P + V)^-1 theta.
+    theta^T V^-1 theta is chi^2 of three degrees of freedom. Were the pose k = `BEYOND` times worse
+    than claimed, its error would be k^2 Sigma T^T (k^2 P + V)^-1 theta.
 
     Args:
         cells: (12, M) of `ScanUpdate.compare`.

@@ -202,7 +202,8 @@ class Mapper:
 
     def _departure(self, scan: RegisteredScan, cells: Array, now: float) -> Departure | None:
         time = self.config.pose.correlation_time
-        return departure(cells, scan.pose.covariance, now, time, DEVIATIONS)
+        found: Departure | None = departure(cells, scan.pose.covariance, now, time, DEVIATIONS)
+        return found
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         """Let the scan and the map meet at one height; by how much it lay over the map, m.

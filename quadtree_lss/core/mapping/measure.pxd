@@ -26,7 +26,7 @@ cdef struct Run:
     double greatest
     double range_part[9]
     double pose_part[9]
-    double bias[2]
+    double bias[3]
 
 cdef class Rules:
     cdef readonly double range_noise, noise_per_metre, divergence

@@ -59,12 +59,13 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
 #: - raised: points that stand out above the leaf's plane; greatest: |orthogonal distance|, m;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
-#: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m (`_bias`).
+#: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m, and how much the
+#:   slope of the fit counts, m^2 (`_bias`).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
     + [("sloped", "f8"), ("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
-    + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 2)]
+    + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
 )
 
 
@@ -182,6 +183,8 @@ def _bias(
     turn_x = inverse * (yy * ray_x - xy * ray_y)
     turn_y = inverse * (xx * ray_y - xy * ray_x)
     run.bias[0] = sqrt(turn_x * turn_x + turn_y * turn_y) if sloped else 0.0
+    # A fit counts by the lesser spread of its points: lambda_1 lambda_2 / (lambda_1 + lambda_2).
+    run.bias[2] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy) if sloped else 0.0
     run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
 
 
@@ -315,7 +318,7 @@ def measure(
     else:
         arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, arm, sigma, run.pose_part)
-    run.statistic = run.raised = run.greatest = 0.0
+    run.statistic = run.raised = run.greatest = run.raised_by = run.doubt = 0.0
 
 
 def fit(

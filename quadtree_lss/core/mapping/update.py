@@ -261,8 +261,9 @@ class ScanUpdate:
             leaf.normal[i] = run.normal[i]
         leaf.z = run.z + self.origin[2] + rise[0]
         leaf.points += run.points
-        for i in range(2):
-            leaf.bias[i] += run.points / leaf.points * (run.bias[i] - leaf.bias[i])
+        leaf.bias[2] += run.bias[2]
+        leaf.bias[0] += run.bias[2] / max(leaf.bias[2], 1e-300) * (run.bias[0] - leaf.bias[0])
+        leaf.bias[1] += run.points / leaf.points * (run.bias[1] - leaf.bias[1])
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
@@ -284,7 +285,6 @@ class ScanUpdate:
         square = run.variance
         if leaf.division_weight > 0.0:
             square = max(leaf.square_sum / leaf.division_weight, square)
-        square = max(square, leaf.greatest * leaf.greatest)
         side = 0.5 * self.table.side(leaf.level)
         tilt = 12.0 * run.variance / (self.rules.slope_points * side * side)
         spread = standing_out(self.rules, leaf, run.variance)
@@ -326,16 +326,21 @@ class ScanUpdate:
             return
         if leaf.known >= INHERITED:
             self._doubt(leaf, run)
-            if run.unseen >= PARTIAL and departs(
-                self.rules, leaf, run, self.points, begin, end, self.origin, side
+            if (
+                run.unseen >= PARTIAL
+                and leaf.level < self.table.max_level
+                and departs(self.rules, leaf, run, self.points, begin, end, self.origin, side)
             ):
+                self._residuals(leaf, begin, end, run)
                 if self._divide(row, run):
                     self._go_on(row, begin, end, False)
                     return
         judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
         x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
         self._fuse(leaf, run, same_scan)
-        moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(leaf.normal[1] / leaf.normal[2] - y)
+        moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(
+            leaf.normal[1] / leaf.normal[2] - y
+        )
         if fabs(leaf.z - z) + 0.5 * side * moved > standing_out(self.rules, leaf, run.variance):
             self.table.unknow(leaf)  # what was known, was by another plane
             leaf.low, leaf.high = INFINITE, -INFINITE
@@ -343,6 +348,8 @@ class ScanUpdate:
             self._mark(begin, end, SEEN)
             return
         asked: cython.bint = asks(self.rules, leaf, run)
+        if asked and leaf.level < self.table.max_level:
+            self._residuals(leaf, begin, end, run)
         if not (asked and self._divide(row, run)):
             self._rest(leaf, begin, end, run)
             if not hides_rock(self.rules, leaf, run, side):
@@ -380,20 +387,26 @@ class ScanUpdate:
                 self.table.seen[self.key[i]] = state
 
     @cython.boundscheck(False)
-    def _rest(
+    def _residuals(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
-        """Points came to rest: residuals, and the leaf's feature."""
+        """A run held against a leaf's plane: what stands out, and where."""
         cython.declare(i=cython.Py_ssize_t, state=cython.uchar)
-        if run.points >= NOISE_POINTS:
-            self.ratios[self.rested] = sqrt(run.square / run.variance)
-            self.weights[self.rested] = run.points
-            self.rested += 1
         rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.origin)
         for i in range(begin, end):
             state = OUT if fabs(self.residual[i]) > run.raised_by else KNOWN
             if self.table.seen[self.key[i]] < state:
                 self.table.seen[self.key[i]] = state
+
+    def _rest(
+        self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
+    ) -> None:
+        """Points came to rest: residuals, and the leaf's feature."""
+        if run.points >= NOISE_POINTS:
+            self.ratios[self.rested] = sqrt(run.square / run.variance)
+            self.weights[self.rested] = run.points
+            self.rested += 1
+        self._residuals(leaf, begin, end, run)
         if self.rules.features:
             update_feature(
                 self.rules,

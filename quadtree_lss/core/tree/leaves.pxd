@@ -42,7 +42,7 @@ cdef struct Leaf:
     double low
     double high
     double greatest
-    double bias[2]
+    double bias[3]
     double feature[5]
     double feature_information[25]
 
@@ -72,6 +72,7 @@ cdef class LeafTable:
     cdef double side(self, int level) noexcept nogil
     cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
     cdef void unknow(self, Leaf* leaf) noexcept nogil
+    cdef bint _stands_out(self, int level, int ix, int iy) noexcept nogil
     cdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread) noexcept nogil
     cpdef reserve(self, Py_ssize_t more)
 

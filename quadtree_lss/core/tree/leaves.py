@@ -52,7 +52,8 @@ Record: TypeAlias = Any
 #:   square residual about the scans' own fits, m^2, and of their weights;
 #: - low, high: lowest and highest return, m, of those that came to rest here, or before that of
 #:   those of the parent; low > high for none; greatest: |orthogonal distance| of one, m;
-#: - bias: mean of what noise along the rays may turn its fits by, rad, and lift them by, m;
+#: - bias: means of what noise along the rays may turn its fits by, rad, and lift them by, m, and
+#:   the weight of the first, m^2;
 #: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
 #:   covariance (25), feature_information.
 LEAF = np.dtype(
@@ -63,7 +64,7 @@ LEAF = np.dtype(
     + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
     + [("raised_sum", "f8"), ("raised_noise", "f8"), ("residuals", "f8")]
     + [("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
-    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("bias", "f8", 2)]
+    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("bias", "f8", 3)]
     + [("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
 
@@ -84,7 +85,7 @@ def clear(leaf: Record) -> None:
     leaf.exception_sum = leaf.exception_noise = 0.0
     leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
     leaf.division_sum = leaf.division_weight = leaf.square_sum = leaf.greatest = 0.0
-    leaf.bias[0] = leaf.bias[1] = 0.0
+    leaf.bias[0] = leaf.bias[1] = leaf.bias[2] = 0.0
     for i in range(5):
         leaf.feature[i] = NAN
 
@@ -97,9 +98,9 @@ class LeafTable:
         rows: Records of type `LEAF`, of which the first ``count`` are leaves; a division may
             replace the array by a longer one.
         leaf_of: (4^max_level,) row of the leaf over each finest cell, by its Morton code.
-        observed: (4^max_level,) of the finest cells: 0 where no point fell, 1 where one did, 2 where
-            one came to rest in the present leaf, so that the leaf's plane was compared with it, 3
-            where one stood out from that.
+        observed: (4^max_level,) of the finest cells: 0 where no point fell, 1 where one did, 2
+            where one was compared with the plane of the leaf, or of that which it was divided
+            from, 3 where one stood out from that.
         count, capacity, max_cells: Leaves, rows, and how many leaves there may be.
     """
 
@@ -187,6 +188,17 @@ class LeafTable:
                 self.seen[code] = SEEN
 
     @cython.boundscheck(False)
+    def _stands_out(self, level: cython.int, ix: cython.int, iy: cython.int) -> cython.bint:
+        """Whether a return stood out in a cell."""
+        code: cython.Py_ssize_t
+        down: cython.int = 2 * (self.max_level - level)
+        first: cython.Py_ssize_t = encode(ix, iy) << down
+        for code in range(first, first + (1 << down)):
+            if self.seen[code] == OUT:
+                return True
+        return False
+
+    @cython.boundscheck(False)
     def divide(
         self,
         row: cython.Py_ssize_t,
@@ -197,8 +209,9 @@ class LeafTable:
         """Divide a leaf above the maximum level; its children inherit what it knows.
 
         An inherited plane is the parent's moved to the child's centre, and less certain: by
-        ``square`` m^2 in height and ``tilt`` rad^2 in either slope. Finest cells whose returns lay
-        within ``spread`` (m) of it stay known. The first child (in Morton's order) has the parent's
+        ``square`` m^2 in height and ``tilt`` rad^2 in either slope; where a return stood out, by
+        the square of the greatest distance, too. Finest cells whose returns lay within ``spread``
+        (m) of it stay known. The first child (in Morton's order) has the parent's
         row, the others follow the last leaf.
 
         Returns:
@@ -237,6 +250,8 @@ class LeafTable:
                 leaf.range_part[0] += tilt
                 leaf.range_part[4] += tilt
                 leaf.range_part[8] += square
+                if self._stands_out(level + 1, ix + (child & 1), iy + (child >> 1)):
+                    leaf.range_part[8] += leaf.greatest * leaf.greatest
             else:
                 leaf.known = NOTHING
             clear(leaf)
