@@ -66,11 +66,16 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     Huber's weights about the weighted median, of variance R. With S and M the shares
     1 - exp(-dt / correlation_time), which are news, of the variances that pose error gives the
     height of the scan's ground and of the map's best known cell there, to which the others are
-    lifted, b = e_scan - e_map + noise is of variance
-    S + M + R, so that S / (S + M + R) of it is expected to be the scan's error and
-    M / (S + M + R) the map's. Either is bounded by what it claims: a scan of a hopeless pose comes
-    to lie on the map, one of an exact pose moves it, and errors that persist stay as they are. An
-    offset that is out of proportion to the news shows a jump: then all error is news.
+    lifted, b = e_scan - e_map + noise is of variance S + M + R, so that S / (S + M + R) of it is
+    expected to be the scan's error and M / (S + M + R) the map's. Either is bounded by what it
+    claims: a scan of a hopeless pose comes to lie on the map, one of an exact pose moves it, and
+    errors that persist stay as they are.
+
+    An offset that is out of proportion to the news, b^2 > `JUMP`^2 (S + M + R), shows a jump: then
+    all error is news. If n^2 = b^2 / max(S, M, R) is more than `JUMP`^2, too, and the map is of
+    several scans, this one's pose is worse than it claims: S counts (n / `JUMP`)^6 times, but
+    `BEYOND`^2 times at most. So the map follows five deviations by less than a tenth, and an exact
+    pose stays where it is.
 
     Args:
         cells: (6, M) of `ScanUpdate.compare`.
@@ -109,7 +114,7 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
 def lower(points: Array, found: Departure) -> None:
     """Tilt points (N, 3) about the lidar in place, m, so that a scan lies along the map.
 
-    That is done to a scan whose tilt is beyond what is claimed (`JUMP`), and which is not refused:
+    That is done to a scan that departs by more than is claimed (`JUMP`), and which is not refused:
     fused, it would tilt the map by its share, for pose errors in common decide nothing there.
     """
     (along_x, along_y), (x, y) = found.tilt, found.centre

@@ -177,7 +177,7 @@ class Mapper:
                 lift(self.leaves, height, -np.inf)
             change, cells, found = self._compare(scan, now)
             self._steps = Steps()
-        elif found is not None and found.tilted > JUMP and verdict is Verdict.SOUND:
+        elif found is not None and found.deviations > JUMP and verdict is Verdict.SOUND:
             lower(scan.points, found)
             change, cells, found = self._compare(scan, now)
         return change, cells, verdict
