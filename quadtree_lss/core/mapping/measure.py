@@ -57,7 +57,8 @@ UNSEEN_TILT = cython.declare(cython.double, 0.1)
 #: - square: mean square residual about the fit, m^2; statistic: of division;
 #: - sloped: 0 of a strip too thin to tell a slope, else 1;
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
-#: - raised: points that stand out above the leaf's plane; greatest: |orthogonal distance|, m;
+#: - raised: points that stand out above the leaf's plane, by raised_by and more, m; greatest:
+#:   |orthogonal distance|, m; doubt: how far its mean may lie off that plane and both be right, m;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
 #: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m, and how much the
 #:   slope of the fit counts, m^2 (`_bias`).

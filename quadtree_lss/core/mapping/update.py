@@ -304,7 +304,12 @@ class ScanUpdate:
         run: Record,
         same_scan: cython.bint,
     ) -> None:
-        """Take a run of points into a leaf or its descendants."""
+        """Take a run of points into a leaf or its descendants.
+
+        A strip that tells no plane of a fresh leaf goes on in smaller ones. A view of a part of a
+        leaf is held against the plane as it was: a rock that fills the view would bend it. The
+        others are fused, judged and come to rest, or divide the leaf.
+        """
         leaf = self.table.at(row)
         side = self.table.side(leaf.level)
         if self._contradicts(leaf, run):
