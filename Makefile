@@ -104,7 +104,7 @@ $(TOOLS)/bin/python:
 	@$(PYTHON) -m venv $(TOOLS)
 
 demo: setup
-	@$(BIN)/python -m quadtree_lss.ros.demo --out demo_output
+	@$(BIN)/python -m quadtree_lss.lab.live.demo --out demo_output
 
 test: setup
 	$(BIN)/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS)
@@ -161,7 +161,7 @@ $(CHECKED)/.package: $(PACKAGE)
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy quadtree_lss/core quadtree_lss/simulation/march.py quadtree_lss/simulation/contact.py quadtree_lss/simulation/rocks.py
+	$(BIN)/mypy quadtree_lss/onboard/core quadtree_lss/lab/simulation/march.py quadtree_lss/lab/simulation/contact.py quadtree_lss/lab/simulation/rocks.py
 
 bench: setup
 	@for script in $$(ls benchmark/*.py | grep -v soak.py); do \

@@ -22,8 +22,8 @@ NAME = "quadtree_lss"
 
 # The programs that `ros2 run quadtree_lss <name>` finds in lib/quadtree_lss.
 ROS_EXECUTABLES = {
-    "mapping_node": "quadtree_lss.ros.entry:mapping_node",
-    "lss_node": "quadtree_lss.ros.entry:lss_node",
+    "mapping_node": "quadtree_lss.onboard.nodes.entry:mapping_node",
+    "lss_node": "quadtree_lss.onboard.nodes.entry:lss_node",
     "replay_bag": "quadtree_lss.cli:main_replay_bag",
     "simulate": "quadtree_lss.cli:main_simulate",
     "evaluate": "quadtree_lss.cli:main_evaluate",
@@ -134,8 +134,8 @@ def checked_copy():
     shutil.rmtree(copy, ignore_errors=True)
     for source in (
         Path(NAME, "__init__.py"),
-        *Path(NAME, "core").rglob("*"),
-        *Path(NAME, "simulation").glob("*"),
+        *Path(NAME, "onboard", "core").rglob("*"),
+        *Path(NAME, "lab", "simulation").glob("*"),
     ):
         if source.suffix in (".py", ".pxd"):
             text = source.read_text(encoding="utf-8")
@@ -159,13 +159,13 @@ setup(
     package_data={
         NAME: [
             "py.typed",
-            "core/*/*.pxd",
-            "config/*.yaml",
-            "simulation/*.pxd",
-            "report/*.js",
-            "report/*.css",
-            "report/*.html",
-            "report/vendor/*",
+            "onboard/core/*/*.pxd",
+            "onboard/config/*.yaml",
+            "lab/simulation/*.pxd",
+            "desk/report/*.js",
+            "desk/report/*.css",
+            "desk/report/*.html",
+            "desk/report/vendor/*",
         ]
     },
     data_files=[

@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import Recording, configuration, machine, recording, table
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 Scan = tuple[np.ndarray, np.ndarray]
 """Points (N, 3) in the map frame and the finest cell of each (N,)."""

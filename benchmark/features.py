@@ -14,10 +14,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import configuration, machine, table
 
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.geometry import feature
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.geometry import feature
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 Ground = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Height (m) at places x, y (m)."""

@@ -18,10 +18,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import machine, table
 
-from quadtree_lss.config.settings import Config, config_from_values
-from quadtree_lss.core.geometry.rotations import exp
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 HEIGHT, RATE = 100.0, 20.0
 SIGMA = np.array([0.3] * 3 + [0.002] * 3)

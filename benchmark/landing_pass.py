@@ -13,11 +13,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import Recording, configuration, machine, recording, table
 
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.messages.maps import decode_cells, encode_cells, round_trip
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.maps import decode_cells, encode_cells, round_trip
 
 
 def main() -> None:

@@ -36,13 +36,13 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.config.loading import find_config
-from quadtree_lss.core.geometry.rotations import quaternion_from_rotation
-from quadtree_lss.messages.intake import Intake
-from quadtree_lss.replay.bags import POSE_TOPIC, POSE_TYPE, SCAN_TOPIC, Bag
-from quadtree_lss.ros.processes import NodeProcess, local_domain
-from quadtree_lss.ros.qos import latched, stream
-from quadtree_lss.simulation.simulate import simulate
+from quadtree_lss.desk.replay.bags import POSE_TOPIC, POSE_TYPE, SCAN_TOPIC, Bag
+from quadtree_lss.lab.live.processes import NodeProcess, local_domain
+from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.onboard.config.loading import find_config
+from quadtree_lss.onboard.core.geometry.rotations import quaternion_from_rotation
+from quadtree_lss.onboard.messages.intake import Intake
+from quadtree_lss.onboard.nodes.qos import latched, stream
 
 SECOND_NS = 1_000_000_000
 POSE_NS = 10_000_000

@@ -21,14 +21,14 @@ from common.claims import Claims, claims, summary
 from common.rays import Scene, View, fan, rocks, view
 from common.recorded import autzen, section_vi
 
-from quadtree_lss.arrays import Array
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.simulation.safety import Lander, worst_contact
+from quadtree_lss.lab.simulation.safety import Lander, worst_contact
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 NOISE = 0.06
 #: m: posts of the true ground that the lander is set down on.

@@ -17,13 +17,13 @@ from common.rules import RULES, Judged, drawn, found_kept, judge, looks, swept
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from quadtree_lss.arrays import Array, Index, Mask
-from quadtree_lss.campaign.study import parse_seeds
-from quadtree_lss.config.risk import risk_model
-from quadtree_lss.config.settings import Config
-from quadtree_lss.evaluation.reliability import scores
-from quadtree_lss.evaluation.risk_flights import CASES, Conditions, Mapped
-from quadtree_lss.simulation.hazard_field import FIELDS
+from quadtree_lss.lab.campaign.study import parse_seeds
+from quadtree_lss.lab.evaluation.reliability import scores
+from quadtree_lss.lab.evaluation.risk_flights import CASES, Conditions, Mapped
+from quadtree_lss.lab.simulation.hazard_field import FIELDS
+from quadtree_lss.onboard.arrays import Array, Index, Mask
+from quadtree_lss.onboard.config.risk import risk_model
+from quadtree_lss.onboard.config.settings import Config
 
 Flown = dict[str, list[list[Mapped]]]
 All = dict[str, list[list[Judged]]]

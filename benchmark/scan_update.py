@@ -24,10 +24,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: one core is 
 import numpy as np
 from common import Recording, configuration, machine, mean_heights, recording, table
 
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.mapping import mapper as mapping
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.mapping import mapper as mapping
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 #: Steps of `Mapper.update`: names of its module, and methods of what they lead to.
 STAGES: tuple[tuple[str, object, str], ...] = (
@@ -198,7 +198,7 @@ def growth(spent: dict[str, np.ndarray]) -> list[str]:
 
 def memory(flight: Recording) -> None:
     """Bytes of a leaf in the mapper's columns and in the message."""
-    from quadtree_lss.messages.maps import encode_cells
+    from quadtree_lss.onboard.messages.maps import encode_cells
 
     mapper = Mapper(configuration("morpheus"))
     for scan in flight.scans:

@@ -25,10 +25,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.special import erfc
 
-from quadtree_lss.arrays import Array
-from quadtree_lss.config.settings import Config, config_from_values
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 NOISE = 0.06
 #: Sides of the coarse leaf, m; it may be divided down to 0.25 m.

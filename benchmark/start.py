@@ -30,9 +30,9 @@ from rclpy.context import Context
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.config.loading import find_config
-from quadtree_lss.ros.processes import LocalDomain, NodeProcess, local_domain
-from quadtree_lss.ros.qos import stream
+from quadtree_lss.lab.live.processes import LocalDomain, NodeProcess, local_domain
+from quadtree_lss.onboard.config.loading import find_config
+from quadtree_lss.onboard.nodes.qos import stream
 
 LIMIT_S = 15.0
 READY, MAPPED = "quadtree_lss ", "first scan mapped"

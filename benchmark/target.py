@@ -18,14 +18,14 @@ import numpy as np
 from common import Recording, configuration, machine, recording, table
 from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.arrays import Array
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.core.landing.target import Reason
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.evaluation.results import Truth, load_truth
-from quadtree_lss.messages.maps import round_trip
-from quadtree_lss.replay.steps import scans
+from quadtree_lss.desk.replay.steps import scans
+from quadtree_lss.lab.evaluation.results import Truth, load_truth
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.messages.maps import round_trip
 
 #: Scans between the maps of a flight: 20 Hz mapped, 4 Hz assessed.
 EVERY = 5

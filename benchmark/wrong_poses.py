@@ -19,11 +19,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import machine, table
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.geometry.rotations import exp
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SIZE, HEIGHT, NOISE = 16.0, 60.0, 0.05
 DOWN = np.diag([1.0, -1.0, -1.0])

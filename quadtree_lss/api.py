@@ -4,23 +4,23 @@
 Each command of ``quadtree-lss`` is one of these functions and returns a result object.
 """
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.config.settings import Config, ConfigError
-from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector, Sites
-from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.tree.cell_map import CellMap, Ground, Profile
-from quadtree_lss.errors import QuadtreeLssError
-from quadtree_lss.messages.intake import ReadyScan
-from quadtree_lss.replay.bags import Bag, BagError
-from quadtree_lss.replay.compare import Comparison, compare_results
-from quadtree_lss.replay.elevation_model import rank_sites
-from quadtree_lss.replay.export import export_results
-from quadtree_lss.replay.info import BagInfo, inspect_bag
-from quadtree_lss.replay.replay import ReplayError, ReplayResult, replay
-from quadtree_lss.replay.saved import Grid, Results, ResultsError, load_results
-from quadtree_lss.replay.steps import Step, scans, steps
-from quadtree_lss.replay.suggest import Suggestion, suggest_config
+from quadtree_lss.desk.replay.bags import Bag, BagError
+from quadtree_lss.desk.replay.compare import Comparison, compare_results
+from quadtree_lss.desk.replay.elevation_model import rank_sites
+from quadtree_lss.desk.replay.export import export_results
+from quadtree_lss.desk.replay.info import BagInfo, inspect_bag
+from quadtree_lss.desk.replay.replay import ReplayError, ReplayResult, replay
+from quadtree_lss.desk.replay.saved import Grid, Results, ResultsError, load_results
+from quadtree_lss.desk.replay.steps import Step, scans, steps
+from quadtree_lss.desk.replay.suggest import Suggestion, suggest_config
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import Config, ConfigError
+from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector, Sites
+from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, Ground, Profile
+from quadtree_lss.onboard.errors import QuadtreeLssError
+from quadtree_lss.onboard.messages.intake import ReadyScan
 
 __all__ = [
     "Bag",

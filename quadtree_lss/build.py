@@ -18,7 +18,7 @@ from pathlib import Path
 from types import ModuleType
 
 import quadtree_lss
-from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 PACKAGE = Path(__file__).parent
 REMEDY = "build it: make setup, pip install . or colcon build"
@@ -30,7 +30,7 @@ class BuildError(QuadtreeLssError, ImportError):
 
 def declarations(package: Path = PACKAGE) -> list[Path]:
     """The ``.pxd`` files, sorted."""
-    return sorted([*package.glob("core/*/*.pxd"), *package.glob("simulation/*.pxd")])
+    return sorted([*package.glob("onboard/core/*/*.pxd"), *package.glob("lab/simulation/*.pxd")])
 
 
 def kernels(package: Path = PACKAGE) -> list[Path]:

@@ -14,10 +14,10 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from quadtree_lss.ros.listener import Listener
-from quadtree_lss.ros.messages import header_message
-from quadtree_lss.ros.qos import stream
-from quadtree_lss.simulation.recording import POSE_TOPIC, SCAN_TOPIC, BagRecorder, Messages
+from quadtree_lss.lab.live.listener import Listener
+from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, BagRecorder, Messages
+from quadtree_lss.onboard.nodes.messages import header_message
+from quadtree_lss.onboard.nodes.qos import stream
 
 START_NS = 1_700_000_000_000_000_000
 SCAN_NS, POSE_NS = 100_000_000, 37_000_000

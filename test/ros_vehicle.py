@@ -11,12 +11,12 @@ from nav_msgs.msg import OccupancyGrid
 from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.messages.clouds import stamp_ns
-from quadtree_lss.ros.messages import map_messages
-from quadtree_lss.ros.qos import latched
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.messages.clouds import stamp_ns
+from quadtree_lss.onboard.nodes.messages import map_messages
+from quadtree_lss.onboard.nodes.qos import latched
 
 
 def flat_map():

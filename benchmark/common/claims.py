@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadtree_lss.arrays import Array
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.config.settings import Config
-from quadtree_lss.evaluation.results import Truth, load_truth
-from quadtree_lss.messages.intake import ReadyScan
-from quadtree_lss.replay.steps import scans
-from quadtree_lss.simulation.simulate import simulate
+from quadtree_lss.desk.replay.steps import scans
+from quadtree_lss.lab.evaluation.results import Truth, load_truth
+from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.messages.intake import ReadyScan
 
 
 @dataclass(frozen=True)

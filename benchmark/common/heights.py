@@ -18,9 +18,9 @@ from types import ModuleType
 import numpy as np
 from scipy.stats import binned_statistic_2d
 
-from quadtree_lss.arrays import Array
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.tree.domain import Domain
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.tree.domain import Domain
 
 Heights = Callable[[Array, Pose], Array]
 """From points (…, 3), float64, in lidar axes and the pose to mean heights (n, n) [iy, ix], m."""

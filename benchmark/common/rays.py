@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from quadtree_lss.arrays import Array
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 #: As good as exact: 1 mm and a microradian.
 EXACT = np.diag([1e-6] * 3 + [1e-12] * 3)

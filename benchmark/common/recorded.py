@@ -17,13 +17,13 @@ from scipy.interpolate import RegularGridInterpolator
 from common.claims import within
 from common.flights import configuration
 from common.tables import table
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.replay.steps import scans
-from quadtree_lss.simulation.simulate import simulate
-from quadtree_lss.simulation.terrain import Terrain, load_terrain
+from quadtree_lss.desk.replay.steps import scans
+from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from quadtree_lss.config.settings import Config
-from quadtree_lss.evaluation.risk_flights import CASES, PARTS, Conditions, Mapped, fly
-from quadtree_lss.simulation.hazard_field import FIELDS, hazard_field, strewn
-from quadtree_lss.simulation.terrain import Terrain, load_terrain
+from quadtree_lss.lab.evaluation.risk_flights import CASES, PARTS, Conditions, Mapped, fly
+from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field, strewn
+from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
+from quadtree_lss.onboard.config.settings import Config
 
 HALF, POST = 40.0, 0.1
 

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.arrays import Array, Index, Mask
-from quadtree_lss.config.risk import RiskModel
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.geometry.heights import height_by_error
-from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.lander import Limits
-from quadtree_lss.core.landing.lattice import grown
-from quadtree_lss.core.landing.probability import RiskTable
-from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.landing.touchdown import TouchdownCheck
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.evaluation.risk_fit import unfitted
-from quadtree_lss.evaluation.risk_flights import Landings, Mapped, land
+from quadtree_lss.lab.evaluation.risk_fit import unfitted
+from quadtree_lss.lab.evaluation.risk_flights import Landings, Mapped, land
+from quadtree_lss.onboard.arrays import Array, Index, Mask
+from quadtree_lss.onboard.config.risk import RiskModel
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.geometry.heights import height_by_error
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.lander import Limits
+from quadtree_lss.onboard.core.landing.lattice import grown
+from quadtree_lss.onboard.core.landing.probability import RiskTable
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 RULES = ("paper", "touchdown", "probability")
 WIDE = unfitted()

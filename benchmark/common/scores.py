@@ -11,13 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from common.flights import Recording
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.core.mapping.consistency import Counts, prefit_statistics
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.register import register
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.evaluation.metrics import (
+from quadtree_lss.desk.replay.results import write_cells, write_grid
+from quadtree_lss.lab.evaluation.metrics import (
     Detection,
     ElevationError,
     detection,
@@ -25,9 +20,14 @@ from quadtree_lss.evaluation.metrics import (
     elevation_field,
     safety_field,
 )
-from quadtree_lss.evaluation.results import Grid, Leaves, load_grid, load_leaves
-from quadtree_lss.replay.results import write_cells, write_grid
-from quadtree_lss.simulation.safety import Lander, contact_safe
+from quadtree_lss.lab.evaluation.results import Grid, Leaves, load_grid, load_leaves
+from quadtree_lss.lab.simulation.safety import Lander, contact_safe
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.consistency import Counts, prefit_statistics
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.register import register
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
 @dataclass(frozen=True)

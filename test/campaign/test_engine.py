@@ -19,11 +19,11 @@ import numpy as np
 import psutil
 import pytest
 
-from quadtree_lss.campaign import Where, campaign, compare_campaigns, read_study
-from quadtree_lss.campaign.engine import _client
-from quadtree_lss.campaign.kept import flagged
-from quadtree_lss.campaign.kinds import CampaignError
-from quadtree_lss.commands.common import INTERRUPTED
+from quadtree_lss.desk.commands.common import INTERRUPTED
+from quadtree_lss.lab.campaign import Where, campaign, compare_campaigns, read_study
+from quadtree_lss.lab.campaign.engine import _client
+from quadtree_lss.lab.campaign.kept import flagged
+from quadtree_lss.lab.campaign.kinds import CampaignError
 
 pytest.importorskip("distributed")
 # One after the other: each has processes of its own.

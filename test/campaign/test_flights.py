@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss.campaign.flights import FLY, settings_of
-from quadtree_lss.campaign.kinds import Case
-from quadtree_lss.campaign.study import read_study
-from quadtree_lss.flight.fly import fly
+from quadtree_lss.lab.campaign.flights import FLY, settings_of
+from quadtree_lss.lab.campaign.kinds import Case
+from quadtree_lss.lab.campaign.study import read_study
+from quadtree_lss.lab.flight.fly import fly
 
 STUDIES = Path(__file__).parents[2] / "studies"
 STUDY = """\

@@ -8,12 +8,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from quadtree_lss.campaign.mapped import figures, fly_in_memory, lander_of
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.evaluation.evaluate import evaluate, score
-from quadtree_lss.evaluation.results import load_results, load_truth
-from quadtree_lss.replay.replay import replay
-from quadtree_lss.simulation import simulate
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.lab.campaign.mapped import figures, fly_in_memory, lander_of
+from quadtree_lss.lab.evaluation.evaluate import evaluate, score
+from quadtree_lss.lab.evaluation.results import load_results, load_truth
+from quadtree_lss.lab.simulation import simulate
+from quadtree_lss.onboard.config.loading import load_config
 
 CASES = {
     "morpheus": {"duration": 3.0, "outliers": 0.01, "dropouts": 0.02, "navigation_error": 2.0},

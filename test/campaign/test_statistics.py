@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from quadtree_lss.campaign.statistics import rate_interval, summarise, upper_bound
+from quadtree_lss.lab.campaign.statistics import rate_interval, summarise, upper_bound
 
 
 def test_mean_worst_and_whose_it_is():

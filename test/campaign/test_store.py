@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from quadtree_lss.campaign.store import Store
+from quadtree_lss.lab.campaign.store import Store
 
 
 def test_times_of_another_version_keep_their_columns(tmp_path):

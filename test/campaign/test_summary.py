@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import pytest
 
-from quadtree_lss.campaign.kinds import Quantity
-from quadtree_lss.campaign.store import Record
-from quadtree_lss.campaign.summary import line_of
+from quadtree_lss.lab.campaign.kinds import Quantity
+from quadtree_lss.lab.campaign.store import Record
+from quadtree_lss.lab.campaign.summary import line_of
 
 
 def _records(**columns):

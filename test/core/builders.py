@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from quadtree_lss.config.settings import Config, config_from_values
-from quadtree_lss.core.geometry import rotations, sphere
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.core.tree.domain import Domain
-from quadtree_lss.core.tree.leaves import LeafTable
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.core.geometry import rotations, sphere
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 Array = np.ndarray
 Surface = Callable[[Array, Array], Array]

@@ -16,9 +16,9 @@ from core.builders import (
     scattered,
 )
 
-from quadtree_lss.core.mapping.alignment import lift, lower, offset_of
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.mapping.alignment import lift, lower, offset_of
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 NOISE = 0.02
 CELLS = {"min_level": 4, "max_level": 4}
@@ -103,8 +103,8 @@ def test_an_exact_pose_is_believed_whatever_stands_there(ground, coarsest, monke
         lower(points, found)
         tilted.append(np.abs(points[:, 2] - before).max())
 
-    monkeypatch.setattr("quadtree_lss.core.mapping.mapper.offset_of", measured)
-    monkeypatch.setattr("quadtree_lss.core.mapping.mapper.lower", lowered)
+    monkeypatch.setattr("quadtree_lss.onboard.core.mapping.mapper.offset_of", measured)
+    monkeypatch.setattr("quadtree_lss.onboard.core.mapping.mapper.lower", lowered)
     sigma = pose_covariance(1e-3, 1e-6)
     for seed in range(4):
         rng = np.random.default_rng(seed)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from core.builders import configured, make_pose, mapped, pose_covariance, scan, scattered, slope
 
-from quadtree_lss.core.geometry import sphere
-from quadtree_lss.core.landing.ancestors import fuse_to_level
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.geometry import sphere
+from quadtree_lss.onboard.core.landing.ancestors import fuse_to_level
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 GROUND = slope(0.12, -0.07, 30.0)
 

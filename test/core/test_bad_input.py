@@ -16,13 +16,13 @@ from core.builders import configured, random_covariances
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.core.geometry.rotations import exp
-from quadtree_lss.core.landing.ancestors import fuse_to_level
-from quadtree_lss.core.mapping.consistency import prefit_statistics
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.sensing.register import register
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.landing.ancestors import fuse_to_level
+from quadtree_lss.onboard.core.mapping.consistency import prefit_statistics
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.register import register
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 METHODS = list(
     itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))

@@ -9,18 +9,18 @@ import time
 import numpy as np
 import pytest
 
-from quadtree_lss.config.limits import pass_seconds, why_too_much
-from quadtree_lss.config.settings import (
+from quadtree_lss.onboard.config.limits import pass_seconds, why_too_much
+from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
     Parameter,
     config_from_values,
     parameters,
 )
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.messages.maps import round_trip
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.messages.maps import round_trip
 
 ROWS = parameters()
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])

@@ -14,9 +14,9 @@ from core.builders import configured, make_pose, scan, scattered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
 
 CONFIG = configured()
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.core.tree.checkpoint import _covariances
-from quadtree_lss.core.tree.leaves import LEAF
+from quadtree_lss.onboard.core.tree.checkpoint import _covariances
+from quadtree_lss.onboard.core.tree.leaves import LEAF
 
 SCALES = np.array([1e-6, 3e-3, 40.0])
 """Deviations as unlike as those of a slope and of a height."""

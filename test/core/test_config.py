@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from quadtree_lss.config.settings import (
+from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
     Parameter,
@@ -15,7 +15,7 @@ from quadtree_lss.config.settings import (
     parameters,
     values_from_config,
 )
-from quadtree_lss.errors import QuadtreeLssError
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 ROWS = parameters()
 NUMBERS = [row for row in ROWS if row.type in (int, float)]

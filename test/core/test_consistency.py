@@ -20,15 +20,15 @@ from core.builders import (
 )
 from scipy.stats import chi
 
-from quadtree_lss.core.geometry import sphere
-from quadtree_lss.core.mapping.consistency import (
+from quadtree_lss.onboard.core.geometry import sphere
+from quadtree_lss.onboard.core.mapping.consistency import (
     Counts,
     acceptance_interval,
     prefit_statistics,
 )
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing import lidar
-from quadtree_lss.core.sensing.register import RegisteredScan, register
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing import lidar
+from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
 
 GROUND = slope(0.12, -0.07, 30.0)
 NOISE = 0.05

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from core.builders import configured, make_pose, pose_covariance, scan, scattered
 
-from quadtree_lss.core.geometry.rotations import exp
-from quadtree_lss.core.mapping.contradiction import AGREEING
-from quadtree_lss.core.mapping.mapper import Mapper, ScanReport
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
+from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 NOISE = 0.02
 CLAIMED = pose_covariance(0.05, 1e-3)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.core.landing.lattice import distance_from, grown, nearest_marked
+from quadtree_lss.onboard.core.landing.lattice import distance_from, grown, nearest_marked
 
 
 def brute(marked: np.ndarray) -> np.ndarray:

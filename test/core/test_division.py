@@ -20,9 +20,9 @@ from core.builders import (
     upward_normals,
 )
 
-from quadtree_lss.core.mapping import division
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.mapping import division
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 
 MEAN_CHI_1, MEAN_CHI_3 = np.sqrt(2.0 / np.pi), 2.0 * np.sqrt(2.0 / np.pi)
 

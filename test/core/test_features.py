@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from core.builders import configured, lattice, make_pose, mapped, scan, slope
 
-from quadtree_lss.core.geometry import feature as bump
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.geometry import feature as bump
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 CELLS_2M = {"min_level": 3, "max_level": 3}
 A, K, MU_X, MU_Y, SIGMA = range(5)

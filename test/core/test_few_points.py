@@ -19,8 +19,8 @@ from core.builders import (
     slope,
 )
 
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 FINEST_1M = {"min_level": 4, "max_level": 4}
 CELLS_4M = {"min_level": 2, "max_level": 2}

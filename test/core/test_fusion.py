@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from core.builders import random_covariances, upward_normals
 
-from quadtree_lss.core.geometry import plane, sphere
+from quadtree_lss.onboard.core.geometry import plane, sphere
 
 DRAWS = 20_000
 MONTE_CARLO = 5.0 * np.sqrt(2.0 / DRAWS)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadtree_lss.core.landing.grid import GridSampler
-from quadtree_lss.core.tree.domain import Domain
+from quadtree_lss.onboard.core.landing.grid import GridSampler
+from quadtree_lss.onboard.core.tree.domain import Domain
 
 
 def test_grid_points_between_lattice_points_take_the_nearest():

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 CONFIG = load_config(
     (),
@@ -58,7 +58,7 @@ def test_height_and_slope_are_those_of_the_ground(cells):
 
 def test_the_deviation_is_the_spread_of_planes_drawn_from_the_covariance(cells):
     """Monte Carlo: planes with errors of the leaf's covariance, as the manifold has them."""
-    from quadtree_lss.core.geometry.sphere import plus
+    from quadtree_lss.onboard.core.geometry.sphere import plus
 
     leaf = int(np.flatnonzero(cells.measured)[3])
     place = np.array([cells.x[leaf] + 0.3 * cells.size[leaf], cells.y[leaf]])
@@ -122,7 +122,7 @@ def test_what_is_no_pose_is_refused(matrix, word):
 
 
 def test_objects_say_what_they_are_in_a_line(mapper, cells):
-    from quadtree_lss.core.landing.sites import LandingSiteSelector
+    from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
     found = LandingSiteSelector(CONFIG).assess(cells)
     for thing in (mapper, cells, found, found.sites, Pose.from_matrix(ABOVE)):

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from core.builders import configured, make_pose, scan, scattered
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.messages.maps import round_trip
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.messages.maps import round_trip
 
 
 def rocks(x, y):

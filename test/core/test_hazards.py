@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, mapped, slope, strip, upward_normals
 
-from quadtree_lss.core.geometry.feature import height
-from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.ancestors import fuse_to_level
-from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.geometry.feature import height
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.ancestors import fuse_to_level
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
 def terrain(x, y):

@@ -20,8 +20,8 @@ from core.builders import (
     slope,
 )
 
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 INDEPENDENT = {"correlation_time": 0.0}
 

@@ -16,12 +16,12 @@ import numpy as np
 from core.builders import configured, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss import build
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.mapping.consistency import prefit_statistics
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.register import register
-from quadtree_lss.core.sensing.sweep import Sweep
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.consistency import prefit_statistics
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.register import register
+from quadtree_lss.onboard.core.sensing.sweep import Sweep
 
 SIDE, POINTS = 8.0, 600
 DOMAIN = {"xmin": 0.0, "ymin": 0.0, "size": SIDE, "min_level": 1, "max_level": 4}

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from core.builders import configured, mapped, slope
 
-from quadtree_lss.core.landing.lattice import disc, disc_means, ground_planes
-from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.lattice import disc, disc_means, ground_planes
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
 
 def test_beyond_the_edge_the_ground_goes_on():

@@ -9,10 +9,10 @@ from core.builders import configured, domain_of, flat, leaf_by_descent, make_pos
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.core.geometry import morton, plane
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.domain import Domain
-from quadtree_lss.core.tree.leaves import LeafTable
+from quadtree_lss.onboard.core.geometry import morton, plane
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 DOMAIN = Domain(-3.0, 5.0, 16.0, 1, 5)
 

@@ -18,9 +18,9 @@ from core.builders import (
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.core.geometry import morton, rotations
-from quadtree_lss.core.sensing import lidar
-from quadtree_lss.core.sensing.register import register
+from quadtree_lss.onboard.core.geometry import morton, rotations
+from quadtree_lss.onboard.core.sensing import lidar
+from quadtree_lss.onboard.core.sensing.register import register
 
 DRAWS = 40_000
 #: A sample (co)variance of DRAWS normal values errs by sqrt(2 / DRAWS) = 0.7 % (one sigma).

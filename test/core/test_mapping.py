@@ -26,9 +26,9 @@ from core.builders import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.core.geometry.rotations import exp
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 GRADIENT = (0.12, -0.07)
 NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from quadtree_lss.core.geometry import plane, rotations, sphere
-from quadtree_lss.core.mapping.measure import Rules, fit, range_variance
+from quadtree_lss.onboard.core.geometry import plane, rotations, sphere
+from quadtree_lss.onboard.core.mapping.measure import Rules, fit, range_variance
 
 UP = np.array([0.0, 0.0, 1.0])
 LIDAR = np.array([30.0, -20.0, 80.0])

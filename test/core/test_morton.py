@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadtree_lss.core.geometry import morton
+from quadtree_lss.onboard.core.geometry import morton
 
 
 @given(st.integers(0, 4095), st.integers(0, 4095))

@@ -14,10 +14,10 @@ import pytest
 from core.builders import configured, disturbed, make_pose, pose_covariance, scan, scattered, slope
 from scipy.stats import chi2
 
-from quadtree_lss.core.geometry import sphere
-from quadtree_lss.core.geometry.rotations import exp
-from quadtree_lss.core.landing.ancestors import fuse_to_level
-from quadtree_lss.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.geometry import sphere
+from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.landing.ancestors import fuse_to_level
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 GRADIENT = (0.12, -0.07)
 GROUND = slope(*GRADIENT, 30.0)

@@ -8,7 +8,7 @@ import pytest
 from core.builders import random_covariances, unit_vectors, upward_normals
 from scipy.optimize import minimize
 
-from quadtree_lss.core.geometry import plane, rotations, sphere
+from quadtree_lss.onboard.core.geometry import plane, rotations, sphere
 
 STEP = 1e-6
 UP = np.array([0.0, 0.0, 1.0])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 
-from quadtree_lss.core.geometry.polygons import signed_distance
+from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)]
 NOTCHED = [(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (3.0, 1.0), (0.0, 5.0)]

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import log_ndtr, ndtr
 
-from quadtree_lss.core.geometry.portable import eigen, product
-from quadtree_lss.core.mapping.tail import above
+from quadtree_lss.onboard.core.geometry.portable import eigen, product
+from quadtree_lss.onboard.core.mapping.tail import above
 
 
 def matrix(seed: int, n: int) -> np.ndarray:

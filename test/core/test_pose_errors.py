@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from core.builders import configured, make_pose, pose_covariance, scan, scattered
 
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.mapping.pose_errors import LEAST, PoseErrors, Steps
-from quadtree_lss.messages.intake import pose_notices
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.mapping.pose_errors import LEAST, PoseErrors, Steps
+from quadtree_lss.onboard.messages.intake import pose_notices
 
 SIGMA, NOISE = 0.3, 0.01
 DRAWS = 300

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.core.geometry.rotations import exp
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.sensing.pose_gate import PATIENCE, PoseGate
+from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE, PoseGate
 
 SECOND = 10**9
 

@@ -11,11 +11,11 @@ import yaml
 from core.builders import configured, mapped
 from numpy.typing import NDArray
 
-from quadtree_lss.config.risk import RiskModel, risk_model, risk_model_text
-from quadtree_lss.config.settings import ConfigError, LssConfig
-from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.lander import Limits
-from quadtree_lss.core.landing.probability import (
+from quadtree_lss.onboard.config.risk import RiskModel, risk_model, risk_model_text
+from quadtree_lss.onboard.config.settings import ConfigError, LssConfig
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.lander import Limits
+from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     Remainder,
     RiskTable,
@@ -24,9 +24,9 @@ from quadtree_lss.core.landing.probability import (
     limits,
     shown,
 )
-from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.landing.touchdown import TouchdownCheck, WorstRest
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstRest
 
 Array = NDArray[np.float64]
 

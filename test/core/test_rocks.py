@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from core.builders import configured, four_leaves, mapped
 
-from quadtree_lss.core.geometry.feature import SHAPE, peak
-from quadtree_lss.core.mapping import division
-from quadtree_lss.core.mapping.measure import RUN, Rules
-from quadtree_lss.core.tree.leaves import LeafTable
+from quadtree_lss.onboard.core.geometry.feature import SHAPE, peak
+from quadtree_lss.onboard.core.mapping import division
+from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 NOISE = 0.05
 LEAVES_4M = {"xmin": 0.0, "ymin": 0.0, "size": 16.0, "min_level": 2, "max_level": 6}

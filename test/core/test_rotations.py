@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from quadtree_lss.core.geometry import rotations
+from quadtree_lss.onboard.core.geometry import rotations
 
 EXACT = 1e-12
 

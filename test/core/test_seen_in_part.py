@@ -19,13 +19,13 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 from common.claims import within
 from common.rays import Scene, View, fan, looking, rocks, view
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.simulation.safety import Lander, worst_contact
+from quadtree_lss.lab.simulation.safety import Lander, worst_contact
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 NOISE, HALF = 0.06, 8.0
 #: Ground is seen within this of the origin, m.

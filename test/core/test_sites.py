@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from core.builders import configured, elevation, flat, mapped, slope, strip
 
-from quadtree_lss.config.settings import Config
-from quadtree_lss.core.geometry.polygons import signed_distance
-from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.lattice import distance_from, touching
-from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.geometry.polygons import signed_distance
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.lattice import distance_from, touching
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
 #: Such that no zone of these tests touches a lattice of half metres exactly.

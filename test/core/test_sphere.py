@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.core.geometry import sphere
+from quadtree_lss.onboard.core.geometry import sphere
 
 STEP = 1e-6
 #: Central differences err by STEP^2 times a third derivative of order one, and by rounding / STEP.

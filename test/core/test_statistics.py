@@ -17,8 +17,8 @@ from core.builders import (
     slope,
 )
 
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
 def fixed(level: int, noise: float, **mapping: object):

@@ -11,12 +11,12 @@ from core.builders import configured, flat, mapped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.core.geometry import sphere
-from quadtree_lss.core.landing.covariance import ground_covariance
-from quadtree_lss.core.landing.lattice import ground_planes
-from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.landing.target import Choice, Ground, Reason, TargetKeeper
+from quadtree_lss.onboard.core.geometry import sphere
+from quadtree_lss.onboard.core.landing.covariance import ground_covariance
+from quadtree_lss.onboard.core.landing.lattice import ground_planes
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import Choice, Ground, Reason, TargetKeeper
 
 NAN = np.nan
 AXIS = np.arange(4.0)

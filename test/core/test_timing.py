@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.sensing.mount import MountedPoses, mounted
-from quadtree_lss.core.sensing.pose_buffer import PoseBuffer
-from quadtree_lss.core.sensing.scan_queue import ScanQueue
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.mount import MountedPoses, mounted
+from quadtree_lss.onboard.core.sensing.pose_buffer import PoseBuffer
+from quadtree_lss.onboard.core.sensing.scan_queue import ScanQueue
 
 MS = 1_000_000
 SECOND = 1000 * MS

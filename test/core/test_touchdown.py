@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, leaf_by_descent, mapped, slope
 
-from quadtree_lss.config.settings import LssConfig
-from quadtree_lss.core.geometry.feature import height
-from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.raster import TerrainRaster, rasterise
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.landing.touchdown import TouchdownCheck
-from quadtree_lss.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.geometry.feature import height
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SMALL = {"size": 8.0, "min_level": 1, "max_level": 4}
 #: A feature's bell peaks a quarter above the boulder whose height is published (Eq. 49).

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, mapped, slope, strip
 
-from quadtree_lss.core.geometry.bounds import bounded, within
-from quadtree_lss.core.landing import hazards
-from quadtree_lss.core.landing.grid import users_grid
-from quadtree_lss.core.landing.raster import rasterise
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.landing.target import Reason
+from quadtree_lss.onboard.core.geometry.bounds import bounded, within
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.grid import users_grid
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import Reason
 
 SIDE = 0.25
 CELLS = [(20, 33), (41, 41), (41, 42)]

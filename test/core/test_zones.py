@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.core.landing.lattice import disc
-from quadtree_lss.core.landing.zones import greatest_in_zones, lower_room
+from quadtree_lss.onboard.core.landing.lattice import disc
+from quadtree_lss.onboard.core.landing.zones import greatest_in_zones, lower_room
 
 SIDE, N = 0.5, 24
 

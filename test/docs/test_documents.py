@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.config.settings import parameters
-from quadtree_lss.replay.replay import replay
-from quadtree_lss.simulation.simulate import simulate
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import parameters
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("msg_docs/*.md")])

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from replay.recordings import write_ros2
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.core.mapping.consistency import Counts
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.evaluation.consistency import Consistency, consistency, pool
-from quadtree_lss.evaluation.results import EvaluationError
-from quadtree_lss.replay.replay import replay
-from quadtree_lss.replay.steps import scans
-from quadtree_lss.simulation.simulate import simulate
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.replay.steps import scans
+from quadtree_lss.lab.evaluation.consistency import Consistency, consistency, pool
+from quadtree_lss.lab.evaluation.results import EvaluationError
+from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.core.mapping.consistency import Counts
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 SMALL = {
     "domain.xmin": -30.0,

@@ -10,9 +10,9 @@ import pytest
 from evaluation.scores import ground, write_results, write_truth
 
 from quadtree_lss.cli import main
-from quadtree_lss.evaluation import EvaluationError, evaluate
-from quadtree_lss.evaluation.metrics import fill_holes, seen_at
-from quadtree_lss.evaluation.results import Grid
+from quadtree_lss.lab.evaluation import EvaluationError, evaluate
+from quadtree_lss.lab.evaluation.metrics import fill_holes, seen_at
+from quadtree_lss.lab.evaluation.results import Grid
 
 
 def _evaluate(tmp_path, truth=None, figures=False, **results):

@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from quadtree_lss.api import Mapper, load_config, scans
-from quadtree_lss.simulation.simulate import simulate
+from quadtree_lss.lab.simulation.simulate import simulate
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 FLIGHTS = {

@@ -10,14 +10,8 @@ import pytest
 import yaml
 
 from quadtree_lss.cli import main
-from quadtree_lss.config.loading import load_config, shipped_names
-from quadtree_lss.config.parameter import ConfigError
-from quadtree_lss.config.risk import doubt, risk_model, risk_model_text
-from quadtree_lss.config.settings import LssConfig
-from quadtree_lss.core.landing.probability import RiskTable, hats
-from quadtree_lss.core.landing.touchdown import WorstRest
-from quadtree_lss.evaluation.reliability import scores
-from quadtree_lss.evaluation.risk_fit import (
+from quadtree_lss.lab.evaluation.reliability import scores
+from quadtree_lss.lab.evaluation.risk_fit import (
     ABOUT,
     ABOUT_BINS,
     OWN,
@@ -33,7 +27,13 @@ from quadtree_lss.evaluation.risk_fit import (
     fit_tables,
     unfitted,
 )
-from quadtree_lss.evaluation.risk_flights import Landings, fit_risk, fitted
+from quadtree_lss.lab.evaluation.risk_flights import Landings, fit_risk, fitted
+from quadtree_lss.onboard.config.loading import load_config, shipped_names
+from quadtree_lss.onboard.config.parameter import ConfigError
+from quadtree_lss.onboard.config.risk import doubt, risk_model, risk_model_text
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing.probability import RiskTable, hats
+from quadtree_lss.onboard.core.landing.touchdown import WorstRest
 
 
 def test_landings_are_counted_in_the_nearest_bin():

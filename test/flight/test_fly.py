@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from quadtree_lss.cli import main
-from quadtree_lss.flight.fly import flown, fly
-from quadtree_lss.flight.ground import Ground
-from quadtree_lss.flight.settings import Fault, FlightError, flight_settings
+from quadtree_lss.lab.flight.fly import flown, fly
+from quadtree_lss.lab.flight.ground import Ground
+from quadtree_lss.lab.flight.settings import Fault, FlightError, flight_settings
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
 SEED = 40049

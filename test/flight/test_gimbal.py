@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.flight.gimbal import Gimbal, ScanPlan, axes, quaternion
-from quadtree_lss.simulation.trajectory import look_at
+from quadtree_lss.lab.flight.gimbal import Gimbal, ScanPlan, axes, quaternion
+from quadtree_lss.lab.simulation.trajectory import look_at
 
 DT = 0.01
 

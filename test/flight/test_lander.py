@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from quadtree_lss.flight.lander import Lander, Vehicle
+from quadtree_lss.lab.flight.lander import Lander, Vehicle
 
 DT = 0.01
 

@@ -3,8 +3,8 @@
 
 import numpy as np
 
-from quadtree_lss.flight.lander import Lander, Vehicle
-from quadtree_lss.flight.pilot import Pilot, Rules, Target
+from quadtree_lss.lab.flight.lander import Lander, Vehicle
+from quadtree_lss.lab.flight.pilot import Pilot, Rules, Target
 
 VEHICLE, RULES = Vehicle(), Rules()
 NONE = Target(None)

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from quadtree_lss.flight.guidance import Limits, paths
-from quadtree_lss.flight.lander import Vehicle
-from quadtree_lss.flight.pilot import Pilot, Rules
+from quadtree_lss.lab.flight.guidance import Limits, paths
+from quadtree_lss.lab.flight.lander import Vehicle
+from quadtree_lss.lab.flight.pilot import Pilot, Rules
 
 pytest.importorskip("cvxpy")
-from quadtree_lss.flight.reference import Descent
+from quadtree_lss.lab.flight.reference import Descent
 
 VEHICLE, LIMITS = Vehicle(), Limits()
 START, SPEED = np.array([-300.0, 10.0, 170.0]), np.array([26.0, 0.0, -14.0])

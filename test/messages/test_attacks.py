@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from messages import samples
 
-from quadtree_lss.config.settings import Config, config_from_values
-from quadtree_lss.errors import one_line
-from quadtree_lss.messages.clouds import MAX_DISTANCE, points_from_cloud
-from quadtree_lss.messages.intake import Intake
-from quadtree_lss.messages.poses import MAX_POSITION
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages.clouds import MAX_DISTANCE, points_from_cloud
+from quadtree_lss.onboard.messages.intake import Intake
+from quadtree_lss.onboard.messages.poses import MAX_POSITION
 
 WHOLE = [0, 1, 2, 3, 4, 7, 8, 12, 16, 255, 2**16, 2**22, 2**22 + 1, 2**31 - 1, 2**31, 2**32 - 1]
 NUMBERS = [0.0, -0.0, 1.0, -1.0, 1e-300, 1e300, 1e8, 1e9, math.inf, -math.inf, math.nan, 2.0**0.5]

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.samples import cloud, header
 
-from quadtree_lss.core.sensing.lidar import points_from_ranges
-from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.onboard.core.sensing.lidar import points_from_ranges
+from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
 
 CONTAINERS = {
     "numpy": np.asarray,

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from messages.samples import cloud, pose
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.messages.intake import Intake, noise_notice
-from quadtree_lss.messages.lost_points import unused_points_text
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.messages.intake import Intake, noise_notice
+from quadtree_lss.onboard.messages.lost_points import unused_points_text
 
 MS = 1_000_000
 CONFIG = config_from_values({"pose.max_wait": 0.2, "pose.queue": 4})

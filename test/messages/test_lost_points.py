@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.geometry.rotations import exp
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.core.sensing.mount import OPTICAL_FROM_FLU
-from quadtree_lss.messages.lost_points import likely_reason
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.mount import OPTICAL_FROM_FLU
+from quadtree_lss.onboard.messages.lost_points import likely_reason
 
 DOMAIN = {"domain.xmin": -32.0, "domain.ymin": -32.0, "domain.size": 64.0}
 GLIDE = np.radians(30.0)

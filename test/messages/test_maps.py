@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from core.builders import configured, mapped, upward_normals
 
-from quadtree_lss.config.settings import LssConfig
-from quadtree_lss.core.geometry import rotations
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.tree.cell_map import CellMap
-from quadtree_lss.messages import maps
-from quadtree_lss.messages.maps import MapMessageError
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.geometry import rotations
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages import maps
+from quadtree_lss.onboard.messages.maps import MapMessageError
 
 EXACT = ("level", "ix", "iy", "z", "normal", "count", "measured", "observed", "known")
 EXACT += ("low", "high")

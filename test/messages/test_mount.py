@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from messages.samples import cloud, pose
 
-from quadtree_lss.config.settings import ConfigError, MountConfig, config_from_values
-from quadtree_lss.core.geometry.rotations import exp, quaternion_from_rotation
-from quadtree_lss.core.sensing.mount import fixed_mount
-from quadtree_lss.messages.intake import Intake
+from quadtree_lss.onboard.config.settings import ConfigError, MountConfig, config_from_values
+from quadtree_lss.onboard.core.geometry.rotations import exp, quaternion_from_rotation
+from quadtree_lss.onboard.core.sensing.mount import fixed_mount
+from quadtree_lss.onboard.messages.intake import Intake
 
 MS = 1_000_000
 

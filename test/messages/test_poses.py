@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from messages.samples import header, pose
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.messages.poses import (
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.poses import (
     has_unknown_covariance,
     mount_from_message,
     pose_from_message,

@@ -8,11 +8,11 @@ import pytest
 from messages.samples import cloud, pose
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.messages.clouds import MessageError, points_from_cloud
-from quadtree_lss.messages.intake import Intake
-from quadtree_lss.messages.times import offsets_from_cloud
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud
+from quadtree_lss.onboard.messages.intake import Intake
+from quadtree_lss.onboard.messages.times import offsets_from_cloud
 
 SECOND = 1_000_000_000
 STAMP = 1_700_000_000 * SECOND + 123_456_789

@@ -14,11 +14,11 @@ import pytest
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.replay.summary import versions
+from quadtree_lss.desk.replay.summary import versions
 
 ROOT = Path(__file__).parents[2]
 INSTALLED = Path(quadtree_lss.__file__).parent
-IMPORT = "import quadtree_lss.core"
+IMPORT = "import quadtree_lss.onboard.core"
 
 
 def module_of(path: Path) -> str:
@@ -58,11 +58,11 @@ def test_the_build_is_named_by_its_sources_and_compilers():
 
 def test_a_binary_of_other_sources_is_refused_in_one_line(copy):
     assert run(IMPORT, copy).returncode == 0
-    core = copy / "quadtree_lss" / "core"
+    core = copy / "quadtree_lss" / "onboard" / "core"
     (core / "geometry" / "later.pxd").touch()
     for code in (
         IMPORT,
-        "from quadtree_lss.ros.entry import mapping_node; raise SystemExit(mapping_node())",
+        "import quadtree_lss.onboard.nodes.entry as entry; raise SystemExit(entry.mapping_node())",
         "from quadtree_lss.cli import main; raise SystemExit(main(['replay', 'no_bag']))",
     ):
         done = run(code, copy)

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from launch_stand_in import EmitEvent, Node, RegisterEventHandler, ShutdownProcess, built
 
-from quadtree_lss.config.settings import parameters
-from quadtree_lss.messages.outputs import TOPIC_TYPES
+from quadtree_lss.onboard.config.settings import parameters
+from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
 
 SHARE = Path(sys.prefix) / "share" / "quadtree_lss"
 LAUNCH = SHARE / "launch" / "quadtree_lss.launch.py"
@@ -160,7 +160,7 @@ def test_a_wrong_configuration_is_not_tried_again(make, code, final):
 
 
 def test_the_nodes_exit_code_for_a_wrong_configuration_is_among_the_final_ones(make):
-    node_runner = pytest.importorskip("quadtree_lss.ros.node_runner")
+    node_runner = pytest.importorskip("quadtree_lss.onboard.nodes.node_runner")
     test_a_wrong_configuration_is_not_tried_again(make, node_runner.WRONG_CONFIGURATION, True)
 
 

@@ -18,9 +18,9 @@ from typing import Any
 
 import pytest
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS
-from quadtree_lss.messages.outputs import SITE_TABLE, STATUS, TOPIC_TYPES
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS
+from quadtree_lss.onboard.messages.outputs import SITE_TABLE, STATUS, TOPIC_TYPES
 
 ROOT = Path(__file__).parents[2]
 PREFIX = Path(sys.prefix)
@@ -87,7 +87,7 @@ def test_manifest_has_what_colcon_and_rosdep_read():
 def test_manifest_names_every_ros_package_that_is_imported():
     manifest = ElementTree.parse(ROOT / "package.xml").getroot()
     depends = {item.text for item in manifest.findall("exec_depend")}
-    ours = [*(ROOT / "quadtree_lss" / "ros").glob("*.py"), *(ROOT / "launch").glob("*.py")]
+    ours = [*(ROOT / "quadtree_lss").rglob("*.py"), *(ROOT / "launch").glob("*.py")]
     ours += (ROOT / "examples").glob("*.py")
     imported = {name for path in ours for name in _imports(path)}
     of_ros = {n for n in imported if n.endswith(("_msgs", "_interfaces")) or n == "rclpy"}
@@ -96,9 +96,10 @@ def test_manifest_names_every_ros_package_that_is_imported():
     assert of_ros and of_ros <= depends, f"package.xml lacks {of_ros - depends}"
 
 
-def test_only_the_ros_package_imports_ros():
+def test_only_nodes_player_and_live_systems_import_ros():
+    rooms = {"onboard/nodes", "desk/player", "lab/live"}
     for path in sorted((ROOT / "quadtree_lss").rglob("*.py")):
-        inside = "ros" in path.relative_to(ROOT / "quadtree_lss").parts
+        inside = path.relative_to(ROOT / "quadtree_lss").parent.as_posix() in rooms
         names = {n for n in _imports(path) if n == "rclpy" or n.endswith("_msgs")}
         assert inside or not names, f"{path} imports {names}"
 

@@ -1,47 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rooms of the package: which may import which, so that no two need each other."""
+"""Wings and rooms: which may import which, so that what flies needs neither desk nor lab."""
 
 from __future__ import annotations
 
 import ast
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-CORE = "core.geometry core.sensing core.tree core.mapping core.landing"
-#: The whole order. All but the core also know the package's version and its errors.
-MAY_IMPORT = {
-    "errors": "",
-    "build": "",
-    "arrays": "",
-    "core.__init__": "build",
-    "config": "",
-    "core.geometry": "config",
-    "core.sensing": "config core.geometry",
-    "core.tree": "config core.geometry core.sensing",
-    "core.mapping": "config core.geometry core.sensing core.tree",
-    "core.landing": "config core.geometry core.sensing core.tree",
-    "messages": f"config {CORE}",
-    "report": f"config {CORE}",
-    "exchange": f"config {CORE}",
-    "replay": f"config {CORE} messages report exchange plot build",
-    "simulation": "build",
-    "flight": f"config {CORE} messages replay report simulation",
-    "ros": f"build config {CORE} messages replay flight",
-    "evaluation": f"build config {CORE} messages replay report simulation",
-    "campaign": "config evaluation flight replay report simulation",
-    "commands": "config exchange replay simulation evaluation campaign flight ros",
-    "api": f"config {CORE} messages replay",
-    "plot": f"{CORE} report",
-    "cli": "build commands",
-}
+#: The whole order: a room, and what it may import; a wing or a group of rooms stands for all in it.
+#: All know the package's errors.
+ORDER = """
+build:
+onboard.errors:
+onboard.arrays:
+onboard.config:
+onboard.core.__init__: build
+onboard.core.geometry: onboard.config
+onboard.core.sensing: onboard.config onboard.core.geometry
+onboard.core.tree: onboard.config onboard.core.geometry onboard.core.sensing
+onboard.core.mapping: onboard.config onboard.core.geometry onboard.core.sensing
+onboard.core.mapping: onboard.core.tree
+onboard.core.landing: onboard.config onboard.core.geometry onboard.core.sensing
+onboard.core.landing: onboard.core.tree
+onboard.messages: onboard.config onboard.core
+onboard.nodes: build onboard.config onboard.core onboard.messages
+desk.report: onboard.config onboard.core
+desk.exchange: onboard.config onboard.core
+desk.plot: onboard.core desk.report
+desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
+desk.replay: desk.plot
+desk.player: onboard.messages onboard.nodes desk.replay
+desk.commands: onboard.config desk.exchange desk.replay desk.player
+lab.simulation: build
+lab.flight: onboard.config onboard.core onboard.messages desk.report desk.replay lab.simulation
+lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
+lab.live: lab.flight
+lab.evaluation: build onboard.config onboard.core onboard.messages desk.replay desk.report
+lab.evaluation: lab.simulation
+lab.campaign: onboard.config desk.replay desk.report lab.evaluation lab.flight lab.simulation
+lab.commands: onboard.config desk.commands desk.replay lab.simulation lab.flight lab.live
+lab.commands: lab.evaluation lab.campaign
+api: onboard.config onboard.core onboard.messages desk.replay
+cli: build desk.commands lab.commands
+"""
+MAY_IMPORT: dict[str, set[str]] = {}
+for _line in ORDER.split("\n")[1:-1]:
+    _room, _, _names = _line.partition(":")
+    MAY_IMPORT.setdefault(_room, set()).update(_names.split())
+WINGS = ("onboard", "desk", "lab")
+#: What a vehicle has: a wing that flies needs nothing else.
+ON_A_VEHICLE = {"numpy", "scipy", "yaml", "cython", "rclpy"}
 
 
 def room(module: str) -> str:
-    """``quadtree_lss.core.tree.domain`` is in ``core.tree``."""
+    """``quadtree_lss.onboard.core.tree.domain`` is in ``onboard.core.tree``."""
     parts = module.split(".")[1:]
-    return ".".join(parts[: 2 if parts[:1] == ["core"] else 1])
+    return ".".join(parts[: 3 if parts[1:2] == ["core"] else 2 if parts[:1] != ["build"] else 1])
+
+
+def allowed(here: str, there: str) -> bool:
+    """Whether a room may import of another."""
+    return any(f"{there}.".startswith(f"{name}.") for name in MAY_IMPORT[here])
 
 
 def imported(path: Path) -> Iterator[str]:
@@ -80,26 +102,51 @@ def edges() -> Iterator[tuple[str, str, str]]:
 def test_rooms_import_only_what_stands_below_them():
     against = set()
     for name, here, there in edges():
-        common = {"errors", "arrays"}
-        if not here.startswith("core"):
+        common = {"onboard.errors", "onboard.arrays"}
+        if not here.startswith("onboard.core"):
             common |= {"", "__version__"}
-        if there not in {*MAY_IMPORT[here].split(), *common}:
+        if there not in common and not allowed(here, there):
             against.add((name, there))
     assert not against
+
+
+def test_no_wing_needs_the_one_above_it():
+    for here in MAY_IMPORT:
+        for there in MAY_IMPORT[here]:
+            wing, below = here.partition(".")[0], there.partition(".")[0]
+            if wing in WINGS and below in WINGS:
+                assert WINGS.index(below) <= WINGS.index(wing), f"{here} needs {there}"
+
+
+def test_what_flies_imports_what_a_vehicle_has():
+    """At the top of a module or inside of a function: NumPy, SciPy, PyYAML, rclpy and messages."""
+    lacks = set()
+    for path in sorted((ROOT / "quadtree_lss" / "onboard").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [str(node.module)]
+            for name in (n.partition(".")[0] for n in names):
+                of_ros = name.endswith(("_msgs", "_interfaces", "_srvs")) or name == "rpyutils"
+                known = {*sys.stdlib_module_names, *ON_A_VEHICLE, "quadtree_lss"}
+                if not of_ros and name not in known:
+                    lacks.add((str(path.relative_to(ROOT)), name))
+    assert not lacks
 
 
 def test_the_order_has_no_circle():
     below: set[str] = set()
     while len(below) < len(MAY_IMPORT):
-        ready = {r for r, needs in MAY_IMPORT.items() if set(needs.split()) <= below} - below
-        assert ready, f"among {set(MAY_IMPORT) - below}"
+        left = set(MAY_IMPORT) - below
+        ready = {a for a in left if not any(a != b and allowed(a, b) for b in left)}
+        assert ready, f"among {left}"
         below |= ready
 
 
 def test_every_room_is_in_the_table():
     package = ROOT / "quadtree_lss"
     modules = (path.relative_to(package).with_suffix("") for path in package.rglob("*.py"))
-    assert {room(".".join(("quadtree_lss", *m.parts))) for m in modules} == {
-        "__init__",
-        *MAY_IMPORT,
-    }
+    rooms = {room(".".join(("quadtree_lss", *m.parts))) for m in modules}
+    assert rooms == {"__init__", *(f"{wing}.__init__" for wing in WINGS), *MAY_IMPORT}

@@ -17,10 +17,10 @@ from replay.recordings import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.messages.clouds import MessageError, points_from_cloud, stamp_ns
-from quadtree_lss.messages.poses import pose_from_message
-from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError, choose_topic
-from quadtree_lss.replay.mcap_file import McapFile
+from quadtree_lss.desk.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError, choose_topic
+from quadtree_lss.desk.replay.mcap_file import McapFile
+from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.onboard.messages.poses import pose_from_message
 
 TOPICS = {SCAN_TOPIC: CLOUD, POSE_TOPIC: POSE}
 SCANS = 10

@@ -178,7 +178,8 @@ def test_json_of_a_simulation(tmp_path, capsys, monkeypatch):
 
 
 def test_publishing_without_ros_says_so(bag, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "quadtree_lss.ros.player", None)  # what `import` then meets
+    # What `import` then meets.
+    monkeypatch.setitem(sys.modules, "quadtree_lss.desk.player.player", None)
     code, _, err = run(capsys, "replay", bag, "--publish")
     assert code == 1 and "rclpy" in err and err.count("\n") == 1
 

@@ -20,8 +20,8 @@ import pytest
 from replay.recordings import write_ros2
 from replay.test_cli import FAST, run
 
-from quadtree_lss.commands import console
-from quadtree_lss.commands.text import fold, table
+from quadtree_lss.desk.commands import console
+from quadtree_lss.desk.commands.text import fold, table
 
 
 @pytest.fixture(scope="module")

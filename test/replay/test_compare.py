@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from replay.test_cli import run
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.exchange.dem import ElevationModel
-from quadtree_lss.replay.compare import compare_results
-from quadtree_lss.replay.elevation_model import rank_sites
-from quadtree_lss.replay.saved import ResultsError, load_results
+from quadtree_lss.desk.exchange.dem import ElevationModel
+from quadtree_lss.desk.replay.compare import compare_results
+from quadtree_lss.desk.replay.elevation_model import rank_sites
+from quadtree_lss.desk.replay.saved import ResultsError, load_results
+from quadtree_lss.onboard.config.loading import load_config
 
 VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "lss.sites": 3}
 VALUES |= {"lss.assessment": "touchdown", "lss.ranking": "score"}

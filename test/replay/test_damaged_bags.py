@@ -28,14 +28,14 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.replay.bags import Bag, BagError
-from quadtree_lss.replay.info import inspect_bag
-from quadtree_lss.replay.mcap_file import CHUNK, McapFile
-from quadtree_lss.replay.passes import _Clock
-from quadtree_lss.replay.replay import replay as run_replay
-from quadtree_lss.replay.unpack import MOST_BYTES, DamagedError, unpack
+from quadtree_lss.desk.replay.bags import Bag, BagError
+from quadtree_lss.desk.replay.info import inspect_bag
+from quadtree_lss.desk.replay.mcap_file import CHUNK, McapFile
+from quadtree_lss.desk.replay.passes import _Clock
+from quadtree_lss.desk.replay.replay import replay as run_replay
+from quadtree_lss.desk.replay.unpack import MOST_BYTES, DamagedError, unpack
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.messages.clouds import MessageError
 
 TOPICS = ("/lidar/points", "/nav/pose")
 VALUES = {**GROUND, "domain.max_level": 5}
@@ -288,7 +288,7 @@ def test_chunks_are_unpacked_to_what_they_claim_and_no_further(pack, claimed):
 
 
 def test_a_file_that_unpacks_to_gigabytes_is_read_so_far_and_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadtree_lss.replay.unpack.FREE_BYTES", 1 << 22)
+    monkeypatch.setattr("quadtree_lss.desk.replay.unpack.FREE_BYTES", 1 << 22)
     plain = storage_file(write_ros2(tmp_path / "bag")).read_bytes()
     (tmp_path / "bomb.mcap.zstd").write_bytes(zstandard.compress(plain + bytes(1 << 28)))
     with Bag(tmp_path / "bomb.mcap.zstd") as bag:

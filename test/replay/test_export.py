@@ -14,12 +14,12 @@ import yaml
 from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.exchange.libraries import ExchangeError
-from quadtree_lss.messages.maps import encode_hazards
-from quadtree_lss.replay.export import FORMATS, export_results
-from quadtree_lss.replay.replay import replay
-from quadtree_lss.replay.saved import Grid, load_results
+from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.replay.export import FORMATS, export_results
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.replay.saved import Grid, load_results
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.messages.maps import encode_hazards
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_a_new_layer_of_the_grid_comes_by_itself(written, tmp_path):
 
 def test_a_geotiff_is_an_elevation_model_again(written, tmp_path):
     pytest.importorskip("rasterio")
-    from quadtree_lss.exchange.dem import read_dem
+    from quadtree_lss.desk.exchange.dem import read_dem
 
     export_results(written.out, tmp_path, ["geotiff"])
     model, grid = read_dem(tmp_path / "elevation.tif"), load_results(written.out).grid
@@ -200,7 +200,7 @@ def test_a_missing_library_is_one_line(module, form, written):
 
 
 def test_the_formats_of_the_command_are_those_there_are():
-    from quadtree_lss.commands import export
+    from quadtree_lss.desk.commands import export
 
     assert tuple(FORMATS) == export.FORMATS
 
@@ -209,7 +209,7 @@ def test_an_assessment_without_a_safe_place_is_exported_too(written, tmp_path):
     """No row of sites, no finite score."""
     none = changed(written.assessment, safe=np.zeros_like(written.assessment.safe))
     none = changed(none, sites=none.sites.of(slice(0)), score=np.full_like(none.score, np.nan))
-    from quadtree_lss.replay.replay import write_results
+    from quadtree_lss.desk.replay.replay import write_results
 
     result = changed(written, assessment=none)
     write_results(tmp_path / "none", result, config_from_values(GROUND), report=False)

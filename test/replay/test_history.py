@@ -6,11 +6,11 @@ import zipfile
 import numpy as np
 from replay.recordings import GROUND, write_ros2
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.landing.hazards import UNSEEN
-from quadtree_lss.replay.history import Thinned
-from quadtree_lss.replay.replay import replay
-from quadtree_lss.replay.results import write_history
+from quadtree_lss.desk.replay.history import Thinned
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.replay.results import write_history
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 
 
 def test_of_many_some_stay_evenly_and_the_last():

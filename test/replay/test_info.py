@@ -5,9 +5,9 @@ import pytest
 from replay.recordings import CLOUD, POSE, SECOND, START, Recorder, flight, write_ros1, write_ros2
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.config.settings import Config, config_from_values
-from quadtree_lss.replay.bags import BagError
-from quadtree_lss.replay.info import inspect_bag
+from quadtree_lss.desk.replay.bags import BagError
+from quadtree_lss.desk.replay.info import inspect_bag
+from quadtree_lss.onboard.config.settings import Config, config_from_values
 
 CONFIG = Config()
 

@@ -12,10 +12,10 @@ from replay.recordings import GROUND, KEEP_OUT, SECOND, START, LandingRecorder, 
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.replay.bags import Bag, BagError
-from quadtree_lss.replay.replay import replay
-from quadtree_lss.replay.types import typestore
+from quadtree_lss.desk.replay.bags import Bag, BagError
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.replay.types import typestore
+from quadtree_lss.onboard.config.settings import config_from_values
 
 CONFIG = config_from_values({**GROUND, "domain.max_level": 5})
 WEST = [(-15.0, -15.0), (0.0, -15.0), (0.0, 15.0), (-15.0, 15.0)]

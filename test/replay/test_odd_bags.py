@@ -21,9 +21,9 @@ from replay.recordings import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.replay.bags import Bag
-from quadtree_lss.replay.replay import replay as run_replay
+from quadtree_lss.desk.replay.bags import Bag
+from quadtree_lss.desk.replay.replay import replay as run_replay
+from quadtree_lss.onboard.config.settings import config_from_values
 
 VALUES = {**GROUND, "domain.max_level": 5}
 CONFIG = config_from_values(VALUES)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from core.builders import configured, flat, mapped
 
-from quadtree_lss.replay.passes import Passes
+from quadtree_lss.desk.replay.passes import Passes
 
 MS = 1_000_000
 START = 1_000_000 * MS

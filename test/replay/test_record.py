@@ -11,21 +11,21 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.messages.maps import (
+from quadtree_lss.desk.replay import record as products
+from quadtree_lss.desk.replay.bags import Bag, BagError
+from quadtree_lss.desk.replay.info import inspect_bag
+from quadtree_lss.desk.replay.map_messages import MapPairs
+from quadtree_lss.desk.replay.passes import Passes
+from quadtree_lss.desk.replay.replay import ReplayError, replay
+from quadtree_lss.desk.replay.types import typestore
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.messages.maps import (
     CELL_FIELDS,
     SITE_FIELDS,
     STATUS_FIELDS,
     encode_score,
     record_dtype,
 )
-from quadtree_lss.replay import record as products
-from quadtree_lss.replay.bags import Bag, BagError
-from quadtree_lss.replay.info import inspect_bag
-from quadtree_lss.replay.map_messages import MapPairs
-from quadtree_lss.replay.passes import Passes
-from quadtree_lss.replay.replay import ReplayError, replay
-from quadtree_lss.replay.types import typestore
 
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MS = 1_000_000

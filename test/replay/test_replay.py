@@ -21,15 +21,15 @@ from replay.recordings import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.messages.intake import Intake
-from quadtree_lss.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
-from quadtree_lss.replay.replay import ReplayError, replay
-from quadtree_lss.replay.results import write_cells
-from quadtree_lss.replay.stream import Stream
-from quadtree_lss.simulation.simulate import simulate
+from quadtree_lss.desk.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
+from quadtree_lss.desk.replay.replay import ReplayError, replay
+from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.desk.replay.stream import Stream
+from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.messages.intake import Intake
 
 CONFIG = config_from_values(GROUND)
 FILES = {

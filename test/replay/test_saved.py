@@ -8,7 +8,6 @@ import pytest
 from matplotlib.figure import Figure
 from replay.recordings import write_ros2
 
-from quadtree_lss import plot
 from quadtree_lss.api import (
     LandingSiteSelector,
     ResultsError,
@@ -17,7 +16,8 @@ from quadtree_lss.api import (
     replay,
     steps,
 )
-from quadtree_lss.messages.maps import known_probability
+from quadtree_lss.desk import plot
+from quadtree_lss.onboard.messages.maps import known_probability
 
 CONFIG = load_config(
     (),

@@ -4,8 +4,8 @@
 import pytest
 from replay.recordings import GROUND, write_ros2
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.replay.replay import replay
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.onboard.config.settings import config_from_values
 
 
 @pytest.fixture(scope="session")

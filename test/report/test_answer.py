@@ -6,8 +6,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from quadtree_lss.report import answer
-from quadtree_lss.report.content import read
+from quadtree_lss.desk.report import answer
+from quadtree_lss.desk.report.content import read
 
 
 @pytest.fixture

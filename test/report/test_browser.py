@@ -6,8 +6,8 @@ import pytest
 from replay.recordings import GROUND, write_ros2
 from report.pages import in_a_browser, in_browser
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.replay.replay import replay
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.onboard.config.settings import config_from_values
 
 pytestmark = in_a_browser
 CONFIG = config_from_values(GROUND)

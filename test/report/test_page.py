@@ -11,12 +11,12 @@ import pytest
 from replay.recordings import GROUND, write_ros2
 from report.pages import Page, column
 
-from quadtree_lss.config.settings import config_from_values
-from quadtree_lss.replay.replay import replay
-from quadtree_lss.report import page_data, palette, template
-from quadtree_lss.report.content import read
-from quadtree_lss.report.figures import hazard_figure
-from quadtree_lss.report.report import page
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.report import page_data, palette, template
+from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.report.figures import hazard_figure
+from quadtree_lss.desk.report.report import page
+from quadtree_lss.onboard.config.settings import config_from_values
 
 CONFIG = config_from_values(GROUND)
 

@@ -20,8 +20,8 @@ else:
     from rclpy.parameter import Parameter
     from std_srvs.srv import Trigger
 
-    from quadtree_lss.ros.listener import TOPICS, Listener
-    from quadtree_lss.ros.processes import NodeProcess, local_domain
+    from quadtree_lss.lab.live.listener import TOPICS, Listener
+    from quadtree_lss.lab.live.processes import NodeProcess, local_domain
 
 PARAMETERS = """\
 /**:

@@ -17,10 +17,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ros.conftest import at_least, has, process
 from ros_scene import Sensors
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.ros.files import MapFileError
-from quadtree_lss.ros.map_files import load
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.nodes.files import MapFileError
+from quadtree_lss.onboard.nodes.map_files import load
 
 pytestmark = pytest.mark.xdist_group("ros_checkpoints")
 
@@ -28,8 +28,8 @@ SCANS = 4
 TEN_SECONDS_NS = 10**10
 FAULTY = """
 import sys
-import quadtree_lss.core.mapping.mapper as mapper
-from quadtree_lss.ros.mapping_node import main
+import quadtree_lss.onboard.core.mapping.mapper as mapper
+from quadtree_lss.onboard.nodes.mapping_node import main
 
 whole = mapper.Mapper.update
 left = [3]

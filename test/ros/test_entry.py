@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss.ros import entry
-from quadtree_lss.ros.map_stamps import MapStamps
+from quadtree_lss.onboard.nodes import entry
+from quadtree_lss.onboard.nodes.map_stamps import MapStamps
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -41,7 +41,7 @@ def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
 def test_signals_are_heard_before_anything_slow_is_imported():
     program = (
         "import sys; before = set(sys.modules)\n"
-        "import quadtree_lss.ros.entry\n"
+        "import quadtree_lss.onboard.nodes.entry\n"
         "print(*sorted(name for name in sys.modules if name not in before))"
     )
     command = [sys.executable, "-c", program]
@@ -53,7 +53,7 @@ def test_signals_are_heard_before_anything_slow_is_imported():
 def test_a_hangup_that_is_ignored_stays_ignored():
     program = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-        "from quadtree_lss.ros.entry import stop_on_signal\n"
+        "from quadtree_lss.onboard.nodes.entry import stop_on_signal\n"
         "stop = stop_on_signal()\n"
         "signal.raise_signal(signal.SIGHUP); assert not stop.asked\n"
         "signal.raise_signal(signal.SIGTERM); assert stop.asked\n"

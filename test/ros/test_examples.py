@@ -16,9 +16,9 @@ from rclpy.duration import Duration
 from ros_scene import pose
 from sensor_msgs.msg import NavSatFix
 
-from quadtree_lss.core.geometry.rotations import exp, rotation_from_quaternion
-from quadtree_lss.ros.messages import header_message
-from quadtree_lss.ros.qos import latched
+from quadtree_lss.onboard.core.geometry.rotations import exp, rotation_from_quaternion
+from quadtree_lss.onboard.nodes.messages import header_message
+from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros")
 FOLDER = Path(sys.prefix) / "share" / "quadtree_lss" / "examples"

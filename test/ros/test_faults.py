@@ -13,7 +13,7 @@ from ros.conftest import at_least, has, status_values
 from ros_scene import Sensors, cloud, gimbal, level_body, pose
 from sensor_msgs.msg import PointField
 
-from quadtree_lss.ros.qos import stream
+from quadtree_lss.onboard.nodes.qos import stream
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
 

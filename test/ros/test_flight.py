@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from quadtree_lss.flight.fly import flown, flown_again
-from quadtree_lss.flight.settings import flight_settings
-from quadtree_lss.ros.flight import fly_live
+from quadtree_lss.lab.flight.fly import flown, flown_again
+from quadtree_lss.lab.flight.settings import flight_settings
+from quadtree_lss.lab.live.flight import fly_live
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
 SEED = 40049

@@ -12,9 +12,9 @@ from ros_scene import cloud, events, gimbal, level_body
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quadtree_lss.replay.results import write_cells
-from quadtree_lss.ros.demo import cell_differences, read_csv, run_live
-from quadtree_lss.ros.processes import program
+from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.lab.live.demo import cell_differences, read_csv, run_live
+from quadtree_lss.lab.live.processes import program
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.ros.messages import GridMap, message_maker
+from quadtree_lss.onboard.nodes.messages import GridMap, message_maker
 
 
 def test_a_layer_is_a_float_array_of_ros():
@@ -21,11 +21,11 @@ def test_a_layer_is_a_float_array_of_ros():
 def test_the_message_can_be_serialised():
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from quadtree_lss.config.settings import Config
-    from quadtree_lss.core.landing.assessment import nothing_mapped
-    from quadtree_lss.core.landing.target import Reason
-    from quadtree_lss.core.mapping.mapper import Mapper
-    from quadtree_lss.ros.messages import grid_map_message
+    from quadtree_lss.onboard.config.settings import Config
+    from quadtree_lss.onboard.core.landing.assessment import nothing_mapped
+    from quadtree_lss.onboard.core.landing.target import Reason
+    from quadtree_lss.onboard.core.mapping.mapper import Mapper
+    from quadtree_lss.onboard.nodes.messages import grid_map_message
 
     axis = np.arange(4.0)
     cells = Mapper(Config()).snapshot()

@@ -18,18 +18,18 @@ from geometry_msgs.msg import (
 from ros_vehicle import Vehicle, flat_map
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.messages.clouds import MessageError
-from quadtree_lss.messages.landing_inputs import (
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.landing_inputs import (
     MAX_VERTICES,
     dispersion_from_message,
     polygon_from_message,
     target_from_message,
 )
-from quadtree_lss.messages.maps import SITE_FIELDS
-from quadtree_lss.messages.outputs import cloud_records
-from quadtree_lss.ros.landing_inputs import JOIN_S, UNHEARD_S
-from quadtree_lss.ros.messages import header_message, map_messages
-from quadtree_lss.ros.qos import latched
+from quadtree_lss.onboard.messages.maps import SITE_FIELDS
+from quadtree_lss.onboard.messages.outputs import cloud_records
+from quadtree_lss.onboard.nodes.landing_inputs import JOIN_S, UNHEARD_S
+from quadtree_lss.onboard.nodes.messages import header_message, map_messages
+from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from ros_scene import COVARIANCE, POSITION, ROTATION, SCAN_NS, events
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.ros.checkpoints import Checkpoints
-from quadtree_lss.ros.files import MapFileError, write_atomically
-from quadtree_lss.ros.map_files import WrongContentError, load, save
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
+from quadtree_lss.onboard.nodes.files import MapFileError, write_atomically
+from quadtree_lss.onboard.nodes.map_files import WrongContentError, load, save
 
 SMALL = {
     "domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6},
@@ -31,7 +31,7 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     path, part = tmp_path / "map", tmp_path / "map.part"
     program = (
         "from pathlib import Path; import sys\n"
-        "from quadtree_lss.ros.files import write_atomically\n"
+        "from quadtree_lss.onboard.nodes.files import write_atomically\n"
         "while True:\n"
         "    for letter in (b'a', b'b'):\n"
         "        write_atomically(Path(sys.argv[1]), letter * 30_000_000)\n"

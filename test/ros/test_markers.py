@@ -14,13 +14,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import COVARIANCE, POSITION, ROTATION, Sensors, events
 from visualization_msgs.msg import Marker, MarkerArray
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.core.landing.sites import LandingSiteSelector
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.messages.maps import round_trip
-from quadtree_lss.ros.listener import TOPICS
-from quadtree_lss.ros.markers import cell_markers, site_markers
+from quadtree_lss.lab.live.listener import TOPICS
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.messages.maps import round_trip
+from quadtree_lss.onboard.nodes.markers import cell_markers, site_markers
 
 pytestmark = pytest.mark.xdist_group("ros_markers")
 

@@ -13,18 +13,18 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import COVARIANCE, POSITION, ROTATION, events
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.core.mapping.mapper import Mapper
-from quadtree_lss.core.sensing.lidar import Pose
-from quadtree_lss.messages.maps import CELL_FIELDS, MapMessageError, round_trip
-from quadtree_lss.ros.messages import (
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, MapMessageError, round_trip
+from quadtree_lss.onboard.nodes.messages import (
     cloud_records,
     map_from_messages,
     map_messages,
     message_maker,
 )
-from quadtree_lss.ros.problems import Problems
-from quadtree_lss.ros.rate_limit import ChangePublisher
+from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.rate_limit import ChangePublisher
 
 pytestmark = pytest.mark.xdist_group("ros")
 

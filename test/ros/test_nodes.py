@@ -14,13 +14,13 @@ from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, pose, write_b
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss import build
-from quadtree_lss.messages.maps import SITE_FIELDS
-from quadtree_lss.replay.results import write_cells
-from quadtree_lss.ros.demo import cell_differences, read_csv, run_live, site_difference
-from quadtree_lss.ros.listener import TOPICS
-from quadtree_lss.ros.messages import cloud_records, map_from_messages
-from quadtree_lss.ros.node_runner import WRONG_CONFIGURATION
-from quadtree_lss.ros.processes import program
+from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.lab.live.demo import cell_differences, read_csv, run_live, site_difference
+from quadtree_lss.lab.live.listener import TOPICS
+from quadtree_lss.lab.live.processes import program
+from quadtree_lss.onboard.messages.maps import SITE_FIELDS
+from quadtree_lss.onboard.nodes.messages import cloud_records, map_from_messages
+from quadtree_lss.onboard.nodes.node_runner import WRONG_CONFIGURATION
 
 pytestmark = pytest.mark.xdist_group("ros")
 

@@ -12,19 +12,19 @@ from ros.conftest import process, status_values
 from ros_scene import Sensors, cloud, pose
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.messages.clouds import stamp_ns
-from quadtree_lss.ros.overload import LEAST_S, SHARE, Overload, allowance
-from quadtree_lss.ros.problems import Problems
-from quadtree_lss.ros.qos import latched
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.messages.clouds import stamp_ns
+from quadtree_lss.onboard.nodes.overload import LEAST_S, SHARE, Overload, allowance
+from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
 
 SLOW = """
 import sys
 import time
-import quadtree_lss.core.mapping.mapper as mapper
-from quadtree_lss.ros.mapping_node import main
+import quadtree_lss.onboard.core.mapping.mapper as mapper
+from quadtree_lss.onboard.nodes.mapping_node import main
 
 whole = mapper.Mapper.update
 

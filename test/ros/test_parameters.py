@@ -11,8 +11,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from quadtree_lss.config.settings import ConfigError, parameters, values_from_config
-from quadtree_lss.ros.parameters import NodeParameters
+from quadtree_lss.onboard.config.settings import ConfigError, parameters, values_from_config
+from quadtree_lss.onboard.nodes.parameters import NodeParameters
 
 pytestmark = pytest.mark.xdist_group("ros")
 

@@ -18,12 +18,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.config.loading import load_config
-from quadtree_lss.replay.bags import Bag
-from quadtree_lss.replay.replay import replay
-from quadtree_lss.replay.stream import ReplayError
-from quadtree_lss.ros.player import PlayError, play
-from quadtree_lss.ros.processes import program
+from quadtree_lss.desk.player.player import PlayError, play
+from quadtree_lss.desk.replay.bags import Bag
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.replay.stream import ReplayError
+from quadtree_lss.lab.live.processes import program
+from quadtree_lss.onboard.config.loading import load_config
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
 

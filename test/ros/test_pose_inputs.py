@@ -10,8 +10,8 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from ros_scene import Sensors, cloud, level_body, pose
 
-from quadtree_lss.ros.node_runner import WRONG_CONFIGURATION
-from quadtree_lss.ros.qos import latched, stream
+from quadtree_lss.onboard.nodes.node_runner import WRONG_CONFIGURATION
+from quadtree_lss.onboard.nodes.qos import latched, stream
 
 pytestmark = pytest.mark.xdist_group("ros")
 has_tf = importlib.util.find_spec("tf2_msgs") is not None

@@ -16,8 +16,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import Int32
 
-from quadtree_lss.ros import processes
-from quadtree_lss.ros.processes import ProcessError, local_domain
+from quadtree_lss.lab.live import processes
+from quadtree_lss.lab.live.processes import ProcessError, local_domain
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -27,7 +27,7 @@ SPARE = range(98, 102)
 HOLD = f"""\
 import sys
 from pathlib import Path
-from quadtree_lss.ros import processes
+from quadtree_lss.lab.live import processes
 processes.DOMAINS = {SPARE}
 with processes.local_domain(Path(sys.argv[1])) as domain:
     print(domain.number, flush=True)

@@ -11,10 +11,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from ros_vehicle import Vehicle, flat_map
 
-from quadtree_lss.config.settings import LssConfig
-from quadtree_lss.ros.messages import map_messages
-from quadtree_lss.ros.problems import Problems
-from quadtree_lss.ros.received_map import ReceivedMap
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.nodes.messages import map_messages
+from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.received_map import ReceivedMap
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 

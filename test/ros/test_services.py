@@ -15,9 +15,9 @@ from rcl_interfaces.srv import SetParameters
 from ros.conftest import status_values
 from ros_scene import Sensors
 
-from quadtree_lss.messages.maps import CELL_FIELDS
-from quadtree_lss.ros.messages import cloud_records, header_message
-from quadtree_lss.ros.qos import latched, stream
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS
+from quadtree_lss.onboard.nodes.messages import cloud_records, header_message
+from quadtree_lss.onboard.nodes.qos import latched, stream
 
 pytestmark = pytest.mark.xdist_group("ros_services")
 

@@ -14,11 +14,11 @@ from rclpy.qos import QoSProfile
 from ros_vehicle import Vehicle, flat_map
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.core.landing.target import Reason
-from quadtree_lss.messages.clouds import stamp_ns
-from quadtree_lss.messages.maps import SITE_FIELDS, STATUS_FIELDS
-from quadtree_lss.ros.messages import cloud_records, header_message
-from quadtree_lss.ros.qos import latched, target
+from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.messages.clouds import stamp_ns
+from quadtree_lss.onboard.messages.maps import SITE_FIELDS, STATUS_FIELDS
+from quadtree_lss.onboard.nodes.messages import cloud_records, header_message
+from quadtree_lss.onboard.nodes.qos import latched, target
 
 pytestmark = pytest.mark.xdist_group("ros_target")
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.simulation.lidar import FlashLidar
-from quadtree_lss.simulation.parabola import Parabola
-from quadtree_lss.simulation.terrain import Terrain
-from quadtree_lss.simulation.trajectory import look_at
+from quadtree_lss.lab.simulation.lidar import FlashLidar
+from quadtree_lss.lab.simulation.parabola import Parabola
+from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.trajectory import look_at
 
 
 def _terrain(function, half=20.0, post=0.1):

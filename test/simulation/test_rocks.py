@@ -3,9 +3,9 @@
 
 import numpy as np
 
-from quadtree_lss.simulation.hazard_field import strewn
-from quadtree_lss.simulation.rocks import lay
-from quadtree_lss.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.hazard_field import strewn
+from quadtree_lss.lab.simulation.rocks import lay
+from quadtree_lss.lab.simulation.terrain import Terrain
 
 AXIS = np.linspace(-3.0, 3.0, 61)
 

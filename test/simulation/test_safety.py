@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from quadtree_lss.simulation.safety import Lander, contact_safe, safety_map, worst_contact
+from quadtree_lss.lab.simulation.safety import Lander, contact_safe, safety_map, worst_contact
 
 TAN_LIMIT = np.tan(np.radians(10.0))
 

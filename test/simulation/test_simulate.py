@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.simulation import SimulationError, Terrain, simulate
+from quadtree_lss.lab.simulation import SimulationError, Terrain, simulate
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 

@@ -6,13 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.simulation.hazard_field import (
+from quadtree_lss.lab.simulation.hazard_field import (
     HazardField,
     hazard_field,
     rock_decay,
     sample_rock_diameters,
 )
-from quadtree_lss.simulation.terrain import SimulationError, Terrain, load_terrain
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain, load_terrain
 
 SMALL = HazardField(size=30.0)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.simulation.navigation import DriftingNavigation, WhiteNavigation
-from quadtree_lss.simulation.trajectory import (
+from quadtree_lss.lab.simulation.navigation import DriftingNavigation, WhiteNavigation
+from quadtree_lss.lab.simulation.trajectory import (
     NORTH,
     Sweep,
     descent_trajectory,

@@ -1,4 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-from quadtree_lss.core.tree.leaves cimport HINTS, Leaf, LeafTable
-
-cpdef lift(LeafTable table, double height, double since)

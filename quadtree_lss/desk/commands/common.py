@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the subcommands have in common: exit codes, options, configuration."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from quadtree_lss.desk.commands.completion import completed, config_names, parameter_settings
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
+
+CLOUDS = "rosbag2 folder, .mcap, .db3, ROS 1 .bag; or point clouds: a file or a folder of them"
+POSES = "poses of point clouds, TUM or CSV; without it they are taken to be in the map frame"
+DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
+EXIT_CODES = """exit codes:
+  0 done   1 error   2 wrong usage   3 done in part (damaged input)   130 interrupted
+"""
+
+
+def add_command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    text: str,
+    examples: str,
+) -> argparse.ArgumentParser:
+    """A subcommand with its help and the options that all have."""
+    parser = commands.add_parser(
+        name,
+        help=text,
+        description=text,
+        epilog=f"{examples}\n{EXIT_CODES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run, parser=parser)
+    add = parser.add_argument
+    add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
+    text = "progress bar even without a terminal; where internal errors come from"
+    add("-v", "--verbose", action="store_true", help=text)
+    return parser
+
+
+def named(text: str) -> Path:
+    """Type of an option: a file or folder, which an empty text does not name."""
+    if not text.strip():
+        msg = "the name of a file or folder is empty"
+        raise argparse.ArgumentTypeError(msg)
+    return Path(text)
+
+
+def positive(text: str) -> float:
+    """Type of an option: a finite number greater than zero."""
+    return _number(text, lambda value: value > 0.0, "greater than 0")
+
+
+def not_negative(text: str) -> float:
+    """Type of an option: a finite number, zero or greater."""
+    return _number(text, lambda value: value >= 0.0, "0 or greater")
+
+
+def share(text: str) -> float:
+    """Type of an option: a number from 0 to 1."""
+    return _number(text, lambda value: 0.0 <= value <= 1.0, "from 0 to 1")
+
+
+def whole(least: int) -> Callable[[str], int]:
+    """Type of an option: a whole number, ``least`` or greater."""
+
+    def convert(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            msg = f"{text!r} is not a whole number of {least} or more"
+            raise argparse.ArgumentTypeError(msg)
+        return value
+
+    return convert
+
+
+def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and fits(value)):
+        msg = f"{text!r} is not a finite number {wanted}"
+        raise argparse.ArgumentTypeError(msg)
+    return value
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """``--json``."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, for scripts")
+
+
+def add_config_options(parser: argparse._ActionsContainer) -> None:
+    """``--config`` and ``--set``."""
+    config = parser.add_argument(
+        "--config",
+        action="append",
+        default=[],
+        metavar="YAML",
+        help="ROS parameter file or shipped configuration (default, morpheus, parabola, …);"
+        " several overlay each other, the later wins",
+    )
+    setting = parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="set one parameter, for instance lss.margin=1.0; wins over every file",
+    )
+    completed(config, config_names)
+    completed(setting, parameter_settings)
+
+
+def chosen_config(options: argparse.Namespace) -> Config:
+    """The configuration that ``--config`` and ``--set`` ask for."""
+    overrides: dict[str, object] = {}
+    for item in options.set:
+        key, equals, value = item.partition("=")
+        if not equals:
+            options.parser.error(f"--set {item}: expected KEY=VALUE")
+        if not key.strip():
+            options.parser.error(f"--set {item}: no key before the =")
+        try:
+            overrides[key.strip()] = parse_yaml(value)
+        except YamlError as error:
+            options.parser.error(f"--set {item}: not a value: {error}")
+    return load_config(options.config, overrides, origin="--set")
+
+
+def print_json(content: Mapping[str, Any]) -> None:
+    """A result for scripts."""
+    print(json.dumps(content, indent=2, allow_nan=False))

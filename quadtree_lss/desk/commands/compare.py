@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss compare``: two results without truth."""
+
+from __future__ import annotations
+
+import argparse
+
+from quadtree_lss.desk.commands.common import DONE, add_command, add_json, named, print_json
+from quadtree_lss.desk.commands.console import show
+
+TEXT = "Compare two results of the same ground: heights, safe ground, sites gained and lost."
+EXAMPLES = """examples:
+  quadtree-lss compare results/2026-11-20_10-00-00 results/latest
+  quadtree-lss compare before after --out difference        (also as JSON and picture)
+  quadtree-lss compare before after --json
+
+The second is compared with the first, at the first one's grid points. Against a simulation's truth
+compare by: quadtree-lss evaluate A B --truth truth.npz
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "compare", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("first", type=named, metavar="A", help="folder that replay or sites wrote")
+    add("second", type=named, metavar="B", help="another one of the same ground")
+    text = "folder for comparison.json and comparison.png (default: none is written)"
+    add("--out", metavar="DIR", type=named, help=text)
+    add_json(parser)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.compare import compare_results
+
+    result = compare_results(options.first, options.second, options.out)
+    if options.json:
+        print_json(result.as_dict())
+    else:
+        show(result.table())
+        if options.out is not None:
+            print(f"comparison.json and comparison.png in {options.out}")
+    return DONE

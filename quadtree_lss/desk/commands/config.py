@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss config``: print, check, explain."""
+
+from __future__ import annotations
+
+import argparse
+
+from quadtree_lss.desk.commands.common import (
+    DONE,
+    ERROR,
+    POSES,
+    add_command,
+    add_config_options,
+    add_json,
+    chosen_config,
+    named,
+    print_json,
+)
+from quadtree_lss.desk.commands.completion import completed, names_of_action
+from quadtree_lss.desk.commands.console import ProgressBar, show, warn
+from quadtree_lss.onboard.config.loading import (
+    check_files,
+    dump_config,
+    explain,
+    explain_text,
+    load_config,
+    parameter_as_dict,
+)
+from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.settings import values_from_config
+
+ACTIONS = ("print", "check", "explain", "suggest")
+TEXT = (
+    "Print a configuration as a ROS parameter file, check files, explain parameters, or suggest"
+    " domain, noise and cells for a bag."
+)
+EXAMPLES = """examples:
+  quadtree-lss config > my_lander.yaml                  (every parameter, explained)
+  quadtree-lss config --config morpheus --set lss.margin=1.0
+  quadtree-lss config check my_lander.yaml other.yaml   (all errors; exit code 1 if there is one)
+  quadtree-lss config explain lss.margin                (one parameter)
+  quadtree-lss config explain lss                       (a section)
+  quadtree-lss config suggest flight_bag > flight.yaml  (domain, noise, cell sizes from its data)
+
+ACTION is print (the default), check, explain or suggest.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "config", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("action", nargs="?", choices=ACTIONS, default="print", metavar="ACTION")
+    text = "files to check; keys or sections to explain; the bag to suggest for"
+    completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
+    add_config_options(parser)
+    add("--poses", type=named, metavar="FILE", help=POSES)
+    add("--plain", action="store_true", help="print without the explanations")
+    add_json(parser)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.action == "print":
+        return _print(options)
+    if not options.names:
+        options.parser.error(f"config {options.action}: name at least one")
+    if options.action == "check":
+        return _check(options)
+    if options.action == "suggest":
+        return _suggest(options)
+    rows = [row for name in options.names for row in explain(name)]
+    if options.json:
+        print_json({row.name: parameter_as_dict(row) for row in rows})
+    else:
+        show("\n\n".join(explain_text(row) for row in rows))
+    return DONE
+
+
+def _print(options: argparse.Namespace) -> int:
+    if options.names:
+        options.parser.error(f"config print takes no names, got {' '.join(options.names)}")
+    config = chosen_config(options)
+    if options.json:
+        print_json(values_from_config(config))
+    else:
+        print(dump_config(config, comments=not options.plain), end="")
+    return DONE
+
+
+def _check(options: argparse.Namespace) -> int:
+    found = check_files(options.names)
+    if options.json:
+        print_json(found)
+    else:
+        for name, errors in found.items():
+            show("\n".join(f"{name}: {line}" for line in errors or ["good"]))
+            if not errors and (said := doubt(load_config([name]))):
+                warn(f"{name}: {said}")
+    return ERROR if any(found.values()) else DONE
+
+
+def _suggest(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.suggest import suggest_config
+
+    if len(options.names) != 1:
+        options.parser.error("config suggest takes one bag")
+    with ProgressBar("suggest", "s", options.verbose) as bar:
+        found = suggest_config(
+            options.names[0], chosen_config(options), poses=options.poses, progress=bar.update
+        )
+    if options.json:
+        print_json(found.as_dict())
+    else:
+        print(found.text(), end="")
+    return DONE

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the command line shows: progress, results, messages."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from quadtree_lss.desk.commands.text import fold, table, width
+from quadtree_lss.onboard.errors import one_line
+
+if TYPE_CHECKING:
+    from quadtree_lss.desk.replay.result import ReplayResult
+    from quadtree_lss.onboard.core.landing.sites import Sites
+
+
+class _Quiet:
+    """Whether ``-q`` was given, for this run of `cli.main`."""
+
+    on = False
+
+
+@contextlib.contextmanager
+def quiet(on: bool, json: bool = False) -> Iterator[None]:
+    """Within it, nothing but errors, and JSON if that is asked for, is shown."""
+    before, _Quiet.on = _Quiet.on, on
+    hide = on and not json
+    hidden = contextlib.redirect_stdout(io.StringIO()) if hide else contextlib.nullcontext()
+    try:
+        with hidden:
+            yield
+    finally:
+        _Quiet.on = before
+
+
+class ProgressBar:
+    """A progress bar on stderr that is told what is done of how much; silent without terminal.
+
+    Args:
+        what: Is done.
+        unit: It is counted in, in the plural; ``s`` are seconds of a bag.
+        verbose: Show it even if stderr is no terminal.
+    """
+
+    def __init__(self, what: str, unit: str, verbose: bool) -> None:
+        self._bar: Any = None
+        if wants_progress(verbose):
+            from quadtree_lss.desk.commands.bar import Bar  # tqdm takes long to import
+
+            self._bar = Bar.of(what, unit)
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def update(self, done: float, total: float) -> None:
+        """Sets the bar."""
+        if self._bar is not None:
+            self._bar.total = total
+            self._bar.n = done
+            self._bar.refresh()
+
+
+class Interruption:
+    """Context manager that turns the first Ctrl-C into a wish to stop; the second one stops.
+
+    Args:
+        then: What is still done, which the first Ctrl-C tells at once.
+    """
+
+    def __init__(self, then: str) -> None:
+        self._then = then
+        self._asked = False
+        self._before: Any = None
+
+    def __enter__(self) -> Interruption:
+        with contextlib.suppress(ValueError):  # not in the main thread: nothing to handle
+            self._before = signal.signal(signal.SIGINT, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def asked(self) -> bool:
+        """Whether there was a Ctrl-C."""
+        return self._asked
+
+    def _note(self, number: int, frame: object) -> None:
+        self._asked = True
+        signal.signal(signal.SIGINT, self._before)
+        # Not by print: the signal may have come within one.
+        text = f"quadtree-lss: stopping: {one_line(self._then)} (Ctrl-C again stops at once)\n"
+        end = "\n" if sys.stderr.isatty() else ""
+        with contextlib.suppress(OSError):
+            os.write(2, f"{end}{text}".encode(errors="replace"))
+
+
+def wants_progress(verbose: bool) -> bool:
+    """Bars are for people: on a terminal, or when asked for."""
+    return not _Quiet.on and (bool(verbose) or sys.stderr.isatty())
+
+
+def print_result(result: ReplayResult) -> None:
+    """Key figures of a replay and its ranked sites, on stdout; last, what to open."""
+    print(result_text(result, width()))
+
+
+def result_text(result: ReplayResult, columns: int) -> str:
+    """Key figures of a replay and its ranked sites for a terminal so wide."""
+    from quadtree_lss.desk.replay.points import points_line  # the core: slow to import
+
+    summary, sites = result.summary, result.assessment.sites
+    dropped = sum(summary["scans_dropped"].values())
+    speed = f"{summary['duration']:.1f} s of bag at {summary['real_time_factor']:.1f} x real time"
+    if result.timings:
+        text = (
+            f"{summary['scans']} scans mapped, {dropped} dropped; {summary['leaves']} leaves;"
+            f" {speed}\n"
+            f"{points_line(summary['points'], summary['points_dropped'])}\n"
+            f"map update {summary['map_ms_median']:.2f} ms median,"
+            f" {summary['map_ms_p99']:.2f} ms 99 %;"
+            f" landing site selection {summary['lss_ms']:.1f} ms;"
+            f" peak memory {summary['peak_memory_mb']:.0f} MB"
+        )
+    elif "posts" in summary:
+        across, along = summary["posts"]
+        text = (
+            f"{across} x {along} posts, {summary['post_spacing']:g} m apart; landing site selection"
+            f" {summary['lss_ms']:.0f} ms; {result.assessment.explanation}"
+        )
+    else:
+        text = (
+            f"{summary['maps']} maps read, the last one assessed; {summary['leaves']} leaves;"
+            f" {speed}\nlanding site selection {summary['lss_ms']:.1f} ms"
+        )
+    lines = fold(text, columns).splitlines()
+    if not len(sites.score):
+        reason = result.assessment.explanation.removeprefix("no safe site: ")
+        lines.append(fold(f"no safe site: {reason}", columns))
+    else:
+        lines.append(table(_SITE_HEADER, _site_rows(sites), columns))
+    if result.out is not None:
+        lines.append(f"results in {one_line(result.out)}")
+        page = result.out / "report.html"
+        if page.exists():
+            lines.append(f"open {one_line(page)}")
+    return "\n".join(lines)
+
+
+_SITE_HEADER = (
+    "rank",
+    "x",
+    "y",
+    "z",
+    "safe",
+    "score",
+    "slope",
+    "roughness",
+    "to hazard",
+    "subscale",
+)
+
+
+def _site_rows(sites: Sites) -> list[list[str]]:
+    from quadtree_lss.desk.replay.result import shown
+
+    return [
+        [
+            str(k + 1),
+            *(f"{value:.2f}" for value in sites.position[k]),
+            shown(sites.probability[k]),
+            f"{sites.score[k]:.4f}",
+            f"{sites.slope_deg[k]:.1f}°",
+            f"{sites.roughness[k]:.3f} m",
+            f"{sites.hazard_distance[k]:.2f} m",
+            f"{sites.subscale_height[k]:.2f} m",
+        ]
+        for k in range(len(sites.score))
+    ]
+
+
+def show(text: str) -> None:
+    """Text on stdout, folded to the terminal; names of files stay whole."""
+    print(fold(text, width()))
+
+
+def say(text: str) -> None:
+    """One line on stderr."""
+    print(f"quadtree-lss: {one_line(text)}", file=sys.stderr)
+
+
+def warn(text: str) -> None:
+    """One line on stderr, unless ``-q``."""
+    if not _Quiet.on:
+        say(text)
+
+
+def first_line(error: BaseException) -> str:
+    """An error as one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or 'file'}: {error.strerror}"
+    return (str(error) or type(error).__name__).splitlines()[0]

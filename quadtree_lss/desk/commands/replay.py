@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss replay``."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+from quadtree_lss.desk.commands.common import (
+    CLOUDS,
+    DONE,
+    IN_PART,
+    INTERRUPTED,
+    POSES,
+    add_command,
+    add_config_options,
+    add_json,
+    chosen_config,
+    named,
+    not_negative,
+    positive,
+    print_json,
+)
+from quadtree_lss.desk.commands.console import (
+    Interruption,
+    ProgressBar,
+    first_line,
+    print_result,
+    say,
+    warn,
+)
+from quadtree_lss.desk.commands.places import add_landing_options, landing_of
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+TEXT = "Map a recorded bag and rank landing sites, offline and deterministically."
+EXAMPLES = """examples:
+  quadtree-lss replay flight_bag --config morpheus      (results in results/<time>, and latest)
+  quadtree-lss replay flight.mcap --out results --config morpheus --config my_lander.yaml
+  quadtree-lss replay flight_bag --out results --start 5 --duration 10 --no-report
+  quadtree-lss replay flight_bag --record products      (map and landing topics, for Foxglove)
+  quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
+  quadtree-lss replay clouds --poses poses.tum          (PLY, PCD, LAS, LAZ, NPY, NPZ)
+  quadtree-lss replay survey.laz --config survey.yaml   (a cloud in the map frame, without poses)
+  quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes; space bar pauses)
+  quadtree-lss replay products --publish                (a bag of maps, for lss_node alone)
+  quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points
+  quadtree-lss replay flight_bag --area='-9,-9 9,-9 9,9 -9,9' --keep-out=none --target=3,-4
+
+Ctrl-C ends the replay there: the results are those of what was processed so far. A second
+Ctrl-C stops at once.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "replay", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("bag", type=named, metavar="BAG", help=CLOUDS)
+    add("--out", metavar="DIR", type=named, help="folder for the results (default results/<time>)")
+    add_config_options(parser)
+    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
+    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    add("--poses", type=named, metavar="FILE", help=POSES)
+    add("--start", metavar="S", type=not_negative, default=0.0, help="begin S seconds into the bag")
+    add("--duration", metavar="D", type=positive, help="process D seconds only")
+    add("--no-report", action="store_true", help="no figures and no report.html")
+    add("--record", metavar="BAG", type=named, help="write what the nodes would publish, as mcap")
+    add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
+    add_landing_options(parser, "; none lifts the bag's (default: the bag's topic)")
+    add("--namespace", metavar="NS", help="of the topics that --publish sends")
+    add(
+        "--remap",
+        metavar="FROM:=TO",
+        action="append",
+        default=[],
+        help="another name for a topic that --publish sends, as of ros2 run; may be repeated",
+    )
+    add("--rate", metavar="R", type=positive, help="speed of --publish (default 1)")
+    add_json(parser)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.publish:
+        return _publish(options)
+    if options.rate is not None:
+        options.parser.error("--rate is for --publish: without it a replay runs as fast as it can")
+    if options.namespace is not None or options.remap:
+        options.parser.error(
+            "--namespace and --remap are for --publish: without it nothing is sent"
+        )
+    from quadtree_lss.desk.replay.replay import replay
+    from quadtree_lss.desk.replay.results import link_latest, new_folder
+
+    config = chosen_config(options)
+    out = options.out if options.out is not None else new_folder(Path("results"))
+    report = "" if options.no_report else ", draws the report"
+    then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
+    with Interruption(then) as interruption, ProgressBar("replay", "s", options.verbose) as bar:
+        result = replay(
+            options.bag,
+            out,
+            config,
+            scan_topic=options.scan_topic,
+            pose_topic=options.pose_topic,
+            poses=options.poses,
+            start=options.start,
+            duration=options.duration,
+            report=not options.no_report,
+            record=options.record,
+            landing=landing_of(options),
+            progress=bar.update,
+            stop=interruption.asked,
+        )
+    if options.out is None and link_latest(out) is None:
+        latest = out.parent / "latest"
+        warn(f"warning: {latest} does not point at these results: it is not a link")
+    for line in result.warnings:
+        warn(f"warning: {line}")
+    for line in result.losses:
+        warn(f"damaged: {line}")
+    if options.json:
+        print_json(result.as_dict())
+    else:
+        print_result(result)
+    if result.interrupted:
+        say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
+        return INTERRUPTED
+    if result.losses:
+        warn("the bag is damaged: everything readable was processed")
+        return IN_PART
+    return DONE
+
+
+def _publish(options: argparse.Namespace) -> int:
+    offline = ("out", "config", "set", "poses", "no_report", "record", "area", "keep_out", "target")
+    given = ", ".join(f"--{name.replace('_', '-')}" for name in offline if getattr(options, name))
+    if given:
+        text = "does" if "," not in given else "do"
+        text = f"{given} {text} not go with --publish: the nodes map and rank the sites"
+        options.parser.error(text)
+    try:
+        from quadtree_lss.desk.player.player import play
+    except ImportError as error:
+        msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
+        raise QuadtreeLssError(msg) from None
+    with ProgressBar("play", "s", options.verbose) as bar:
+        report = play(
+            options.bag,
+            rate=1.0 if options.rate is None else options.rate,
+            scan_topic=options.scan_topic,
+            pose_topic=options.pose_topic,
+            start=options.start,
+            duration=options.duration,
+            namespace=options.namespace or "",
+            remap=options.remap,
+            progress=bar.update,
+        )
+    sent = f"{report.scans} scans and {report.poses} poses"
+    if report.maps:
+        sent = f"{report.maps} maps"
+    if options.json:
+        print_json(asdict(report))
+    else:
+        print(f"{sent} sent in {report.duration:.1f} s")
+    for line in report.losses:
+        warn(f"damaged: {line}")
+    return IN_PART if report.losses else DONE

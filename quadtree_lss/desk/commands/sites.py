@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss sites``: landing sites on an elevation model."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from quadtree_lss.desk.commands.common import (
+    DONE,
+    add_command,
+    add_config_options,
+    add_json,
+    chosen_config,
+    named,
+    print_json,
+)
+from quadtree_lss.desk.commands.console import print_result, warn
+from quadtree_lss.desk.commands.places import add_landing_options, landing_of
+
+TEXT = "Rank landing sites straight on an elevation model: GeoTIFF, or .npz with x, y, elevation."
+EXAMPLES = """examples:
+  quadtree-lss sites dem.tif                                    (results in results/<time>, latest)
+  quadtree-lss sites apollo15.npz --set lss.vehicle_diameter=9 --out apollo
+  quadtree-lss sites dem.tif --area='0,0 400,0 400,400 0,400'   (cuts the model to the area)
+
+Results are those of replay; coordinates are the model's, which must be in metres with north up.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "sites", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("dem", type=named, metavar="DEM", help="elevation model, m, z up")
+    add("--out", metavar="DIR", type=named, help="folder for the results (default results/<time>)")
+    add_config_options(parser)
+    add("--no-report", action="store_true", help="no figures and no report.html")
+    add_landing_options(parser, "")
+    add_json(parser)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.elevation_model import rank_sites
+    from quadtree_lss.desk.replay.results import link_latest, new_folder
+
+    out = options.out if options.out is not None else new_folder(Path("results"))
+    config, report = chosen_config(options), not options.no_report
+    result = rank_sites(options.dem, out, config, report=report, landing=landing_of(options))
+    if options.out is None:
+        link_latest(out)
+    for line in result.warnings:
+        warn(f"note: {line}")
+    if options.json:
+        print_json(result.as_dict())
+    else:
+        print_result(result)
+    return DONE

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Maps, landing grids, sites and profiles on axes of matplotlib that the caller made.
+
+    figure, axes = plt.subplots()
+    plot.elevation(axes, results.map)
+    plot.sites(axes, results.positions, radius=1.85)
+
+Each function returns what it drew, so that a colour bar can be made of it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.desk.report.palette import CLEAR_COLOUR, HAZARDS, MAPS, SITE_COLOUR, colour_limits
+from quadtree_lss.onboard.arrays import Array, Bytes
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, Profile
+
+KINDS = {"plane_elevation": "elevation", "slope_deg": "slope"}
+UNITS = {"elevation": "m", "plane_elevation": "m", "slope_deg": "deg"}
+
+
+class GridLike(Protocol):
+    """What has grid points: ``results.grid``, or ``assessment`` of a replay."""
+
+    x: Array
+    y: Array
+
+
+def elevation(
+    axes: Any, cells: CellMap, *, hillshade: bool = True, edges: bool = False, **image: Any
+) -> Any:
+    """The heights of a map's planes.
+
+    Args:
+        axes: Axes of matplotlib.
+        cells: The map.
+        hillshade: Shade the ground as if the sun stood in the north-west.
+        edges: Draw the edges of the leaves.
+        image: For ``imshow``.
+
+    Returns:
+        The image of the heights (in colours even where it is shaded).
+    """
+    domain = cells.domain
+    middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
+    heights = cells.at(domain.xmin + middles, (domain.ymin + middles)[:, None]).height
+    extent = (domain.xmin, domain.xmin + domain.size, domain.ymin, domain.ymin + domain.size)
+    low, high = colour_limits(heights)
+    options = {"origin": "lower", "extent": extent, "vmin": low, "vmax": high}
+    options["cmap"] = MAPS["elevation"]
+    drawn = axes.imshow(heights, **(options | image))
+    if hillshade:
+        shade, strength = relief(heights, domain.finest_size), 0.65
+        dark = np.zeros((*heights.shape, 4))
+        dark[..., :3] = (shade > 0.5)[..., None]
+        dark[..., 3] = strength * np.nan_to_num(np.abs(2.0 * shade - 1.0))
+        axes.imshow(dark, origin="lower", extent=extent)
+    if edges:
+        from matplotlib.collections import LineCollection
+
+        axes.add_collection(LineCollection(list(_edges(cells)), colors="black", linewidths=0.2))
+    _label(axes)
+    return drawn
+
+
+def relief(heights: Array, side: float, *, sun_deg: tuple[float, float] = (315.0, 40.0)) -> Array:
+    """Hillshade from 0 (dark) to 1 of heights (ny, nx), level ground 0.5; NaN where unknown.
+
+    Args:
+        side: Distance of the heights, m.
+        sun_deg: Azimuth clockwise from north (y), and elevation.
+    """
+    north, east = np.gradient(heights, side)
+    azimuth, up = np.radians(sun_deg)
+    towards = -(east * np.sin(azimuth) + north * np.cos(azimuth)) * np.cos(up)
+    light = (towards + np.sin(up)) / np.sqrt(1.0 + east**2 + north**2)
+    return np.asarray(np.clip(0.5 + 0.9 * (light - np.sin(up)), 0.0, 1.0))
+
+
+def layer(axes: Any, grid: GridLike, name: str, **image: Any) -> Any:
+    """One layer of a landing grid, such as ``slope_deg`` or ``score``.
+
+    Args:
+        axes: Axes of matplotlib.
+        grid: ``results.grid`` or an assessment.
+        name: Of the layer.
+        image: For ``imshow``.
+
+    Raises:
+        KeyError, AttributeError: there is no such layer.
+    """
+    values = grid.layers[name] if hasattr(grid, "layers") else getattr(grid, name)
+    if name == "hazard":
+        drawn = _hazards(axes, grid, values)
+    else:
+        low, high = colour_limits(np.asarray(values, np.float64))
+        options = {"cmap": MAPS.get(KINDS.get(name, name), "viridis"), "vmin": low, "vmax": high}
+        drawn = axes.imshow(values, origin="lower", extent=_extent(grid), **(options | image))
+    axes.set_title(name + (f", {UNITS[name]}" if name in UNITS else ""))
+    _label(axes)
+    return drawn
+
+
+def sites(axes: Any, positions: ArrayLike, *, radius: float = 0.0) -> list[Any]:
+    """Ranked places (K, 2 or 3) with their ranks, and circles of a radius in m around them."""
+    from matplotlib.patches import Circle
+
+    drawn = []
+    for rank, (x, y, *_) in enumerate(np.asarray(positions, np.float64), start=1):
+        if radius > 0.0:
+            axes.add_patch(Circle((x, y), radius, fill=False, color="white", linewidth=2.6))
+            axes.add_patch(Circle((x, y), radius, fill=False, color=SITE_COLOUR, linewidth=1.2))
+        box = {"boxstyle": "circle,pad=0.2", "facecolor": SITE_COLOUR, "edgecolor": "white"}
+        text = {"color": "white", "size": 8, "ha": "center", "va": "center", "bbox": box}
+        drawn.append(axes.annotate(str(rank), (x, y), **text))
+    return drawn
+
+
+def profile(axes: Any, along: Profile, *, sigmas: float = 3.0, **line: Any) -> Any:
+    """Heights along a line with a band of their deviation."""
+    (drawn,) = axes.plot(along.distance, along.height, **line)
+    band = sigmas * along.deviation
+    axes.fill_between(
+        along.distance,
+        along.height - band,
+        along.height + band,
+        color=drawn.get_color(),
+        alpha=0.25,
+        linewidth=0,
+        label=f"± {sigmas:g} standard deviations",
+    )
+    axes.set_xlabel("distance, m")
+    axes.set_ylabel("height, m")
+    return drawn
+
+
+def _hazards(axes: Any, grid: GridLike, bits: Bytes) -> Any:
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+
+    kind = np.zeros(bits.shape, dtype=np.int64)
+    for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=1))):
+        kind[(bits & bit) > 0] = place
+    colours = [CLEAR_COLOUR, *(colour for _, _, colour in HAZARDS)]
+    norm = BoundaryNorm(np.arange(-0.5, len(colours)), len(colours))
+    shown = {"cmap": ListedColormap(colours), "norm": norm, "interpolation": "nearest"}
+    return axes.imshow(kind, origin="lower", extent=_extent(grid), **shown)
+
+
+def _extent(grid: GridLike) -> tuple[float, float, float, float]:
+    """Grid points are points: the image reaches half a step beyond the outer ones."""
+    x, y = grid.x, grid.y
+    half = 0.5 * float(x[1] - x[0]) if len(x) > 1 else 0.5
+    return (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
+
+
+def _edges(cells: CellMap) -> Array:
+    """(2 M, 2, 2): the southern and western edge of each leaf."""
+    half = 0.5 * cells.size
+    corner = np.column_stack([cells.x - half, cells.y - half])
+    east, north = corner.copy(), corner.copy()
+    east[:, 0] += cells.size
+    north[:, 1] += cells.size
+    return np.concatenate([np.stack([corner, east], axis=1), np.stack([corner, north], axis=1)])
+
+
+def _label(axes: Any) -> None:
+    axes.set_xlabel("x (map), m")
+    axes.set_ylabel("y (map), m")
+    axes.set_aspect("equal")

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Point clouds in files, with a file of poses or none, as the messages that a bag would hold."""
+
+from __future__ import annotations
+
+import heapq
+import re
+from collections.abc import Collection, Iterator
+from decimal import Decimal
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.desk.exchange.clouds import READERS, read_clouds
+from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.exchange.poses import PoseTable, read_poses
+from quadtree_lss.desk.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError, Topic, likely_bag
+from quadtree_lss.desk.replay.records import RawMessage
+from quadtree_lss.desk.replay.types import POSE_TYPE, SCAN_TYPE, typestore
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages.clouds import MessageError
+
+#: Without poses: from so far above its ground a cloud is seen, m; its attitude is known, rad.
+ABOVE, ATTITUDE_SIGMA = 2000.0, 1e-6
+LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
+SECOND_NS = 10**9
+_UNITS_NS = (1, 10**3, 10**6, 10**9)
+
+
+def open_recording(
+    path: str | Path, poses: str | Path | None = None, frame: str = "map"
+) -> Bag | CloudFiles:
+    """A bag, or point clouds: a file or a folder of them.
+
+    Args:
+        path: Of the bag or the clouds.
+        poses: File of poses for clouds in the lidar's axes; None for clouds in the map frame.
+        frame: Name of the map frame, of clouds.
+
+    Raises:
+        BagError: there is nothing to read, or a bag is given poses that it has itself.
+    """
+    place = Path(path)
+    if is_clouds(place):
+        return CloudFiles(place, None if poses is None else Path(poses), frame)
+    if poses is not None and place.exists():
+        kinds = " ".join(READERS)
+        msg = f"{place}: --poses goes with point clouds ({kinds}), of which there are none here"
+        raise BagError(msg)
+    return Bag(place)
+
+
+def is_clouds(path: Path) -> bool:
+    """Whether it is a cloud, or a folder of clouds without a bag."""
+    if path.is_dir():
+        names = [p.suffix.lower() for p in path.iterdir()]
+        bag = {".mcap", ".db3", ".bag", ".zst", ".zstd"} & set(names)
+        # A folder with a bag in it and the truth beside that, as `simulate` leaves it, is none.
+        return not bag and any(name in READERS for name in names) and not likely_bag(path)
+    return path.is_file() and path.suffix.lower() in READERS
+
+
+class CloudFiles:
+    """Context manager that gives clouds and poses as `bags.Bag` gives its messages.
+
+    Args:
+        path: A file, or a folder of them.
+        poses, frame: See `open_recording`.
+
+    Attributes:
+        path: As given.
+        topics: ``/lidar/points`` and ``/nav/pose``.
+        losses, notes: What could not be read, and what to know, one line each.
+    """
+
+    def __init__(self, path: Path, poses: Path | None, frame: str) -> None:
+        self.path = path
+        self._frame = frame
+        self.losses: list[str] = []
+        self.notes: list[str] = []
+        self._poses_path = poses
+        self._store = typestore(ros1=False, wanted=(SCAN_TYPE, POSE_TYPE))
+        self._read = lru_cache(maxsize=1)(read_clouds)
+
+    def __enter__(self) -> CloudFiles:
+        try:
+            self._open()
+        except ExchangeError as error:
+            raise BagError(str(error)) from None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._read.cache_clear()
+
+    @property
+    def topics(self) -> list[Topic]:
+        """What there is to read."""
+        count = len(self._scans) if self._poses is None else len(self._poses.stamp_ns)
+        scans = Topic(SCAN_TOPIC, SCAN_TYPE, len(self._scans))
+        return [scans, Topic(POSE_TOPIC, POSE_TYPE, count)]
+
+    @property
+    def start_ns(self) -> int:
+        """First stamp."""
+        return min(stamp for stamp, *_ in (*self._scans, *self._pose_stamps()))
+
+    @property
+    def end_ns(self) -> int:
+        """Last stamp."""
+        return max(stamp for stamp, *_ in (*self._scans, *self._pose_stamps()))
+
+    def messages(
+        self, topics: Collection[str], start_ns: int = 0, stop_ns: int = 2**63 - 1
+    ) -> Iterator[RawMessage]:
+        """Those of the topics with start_ns <= stamp < stop_ns, in the order of their stamps."""
+        kinds = {POSE_TOPIC: self._pose_stamps(), SCAN_TOPIC: self._scans}
+        streams = [
+            [RawMessage(name, row[0], str(k).encode()) for k, row in enumerate(rows)]
+            for name, rows in kinds.items()
+            if name in topics
+        ]
+        for message in heapq.merge(*streams, key=lambda message: message.received_ns):
+            if start_ns <= message.received_ns < stop_ns:
+                yield message
+
+    def decode(self, raw: bytes, msgtype: str) -> Any:
+        """The message of that number.
+
+        Raises:
+            MessageError: ``encoding`` if its file cannot be read.
+        """
+        number = int(raw)
+        try:
+            if msgtype == SCAN_TYPE:
+                return self._cloud_message(number)
+            return self._pose_message(number)
+        except ExchangeError as error:
+            raise MessageError("encoding", str(error)) from None
+
+    def _open(self) -> None:
+        files = [self.path]
+        if self.path.is_dir():
+            files = [p for p in self.path.iterdir() if p.suffix.lower() in READERS]
+            files.sort(key=lambda p: [int(n) for n in re.findall(r"\d+", p.stem)] + [0])
+            files = [p for p in files if p != self._poses_path]
+        self._poses = None if self._poses_path is None else read_poses(self._poses_path)
+        found = []  # file, which of its clouds, its stamp if it has one
+        corners: list[Array] = []
+        for file in files:
+            try:
+                clouds, stamps = self._read(file)
+            except ExchangeError as error:
+                self.losses.append(one_line(error))
+                continue
+            found += [(file, k, None if stamps is None else stamps[k]) for k in range(len(clouds))]
+            corners += [_corners(cloud) for cloud in clouds]
+        if not found:
+            msg = "; ".join(self.losses) or f"{self.path}: there is no point cloud"
+            raise BagError(msg)
+        stamps_ns = [stamp for _, _, stamp in found if stamp is not None]
+        if len(stamps_ns) < len(found):
+            stamps_ns = self._stamps([file for file, *_ in found])
+        rows = zip(stamps_ns, found, strict=True)
+        self._scans = sorted((int(t), str(file), k) for t, (file, k, _) in rows)
+        if self._poses is None:
+            low, high = np.nanmin(corners, axis=(0, 1)), np.nanmax(corners, axis=(0, 1))
+            self._eye = np.round(np.append(0.5 * (low + high)[:2], high[2] + ABOVE))
+            self.notes.append(
+                "no --poses: the clouds are taken to be in the map's frame, seen from above"
+            )
+
+    def _stamps(self, files: list[Path]) -> list[int]:
+        """From the names if these are times within the poses', else by the poses' order."""
+        if self._poses is None:
+            return [(k + 1) * SECOND_NS // 10 for k in range(len(files))]
+        known = self._poses.stamp_ns
+        numbers = [_number(file.stem) for file in files]
+        if None not in numbers and len(set(numbers)) == len(files):
+            tries = [[round(n * unit) for n in numbers if n is not None] for unit in _UNITS_NS]
+            inside = [sum(known[0] <= t <= known[-1] for t in times) for times in tries]
+            if max(inside) > 0.5 * len(files):
+                return tries[inside.index(max(inside))]
+        if len(files) == len(known):
+            return known.tolist()
+        span = " ... ".join(f"{1e-9 * t:.3f}" for t in (known[0], known[-1]))
+        msg = (
+            f"{self.path}: which pose belongs to which cloud? The names hold no times between those"
+            f" of the poses ({span} s), and {len(files)} clouds are not {len(known)} poses"
+        )
+        raise BagError(msg)
+
+    def _pose_stamps(self) -> list[tuple[int]]:
+        if self._poses is None:
+            return [(stamp,) for stamp, *_ in self._scans]
+        return [(int(stamp),) for stamp in self._poses.stamp_ns]
+
+    def _points(self, number: int) -> NDArray[Any]:
+        _, file, k = self._scans[number]
+        return self._read(Path(file))[0][k]
+
+    def _cloud_message(self, number: int) -> Any:
+        points = self._points(number)
+        if self._poses is None:
+            points = (points - self._eye) @ LOOKING_DOWN
+        kind, code = ("<f4", 7) if points.dtype == np.float32 else ("<f8", 8)
+        size = int(kind[-1])
+        height, width = points.shape[:2] if points.ndim == 3 else (1, len(points))
+        make = self._store.types
+        fields = [
+            make["sensor_msgs/msg/PointField"](a, size * k, code, 1) for k, a in enumerate("xyz")
+        ]
+        data = np.frombuffer(np.ascontiguousarray(points, kind).tobytes(), np.uint8)
+        return make[SCAN_TYPE](
+            header=self._header(self._scans[number][0], "lidar"),
+            height=height,
+            width=width,
+            fields=fields,
+            is_bigendian=False,
+            point_step=3 * size,
+            row_step=3 * size * width,
+            data=data,
+            is_dense=False,
+        )
+
+    def _pose_message(self, number: int) -> Any:
+        table = self._poses if self._poses is not None else self._from_above(number)
+        row = number if self._poses is not None else 0
+        make = self._store.types
+        pose = make["geometry_msgs/msg/Pose"](
+            make["geometry_msgs/msg/Point"](*table.position[row].tolist()),
+            make["geometry_msgs/msg/Quaternion"](*table.xyzw[row].tolist()),
+        )
+        held = make["geometry_msgs/msg/PoseWithCovariance"](pose, table.covariance[row])
+        return make[POSE_TYPE](
+            header=self._header(int(table.stamp_ns[row]), self._frame), pose=held
+        )
+
+    def _from_above(self, number: int) -> PoseTable:
+        sigmas = np.repeat([0.01, ATTITUDE_SIGMA], 3)
+        return PoseTable(
+            np.array([self._scans[number][0]]),
+            self._eye[None],
+            np.array([[1.0, 0.0, 0.0, 0.0]]),
+            np.diag(sigmas**2).reshape(1, 36),
+        )
+
+    def _header(self, stamp: int, frame: str) -> Any:
+        make = self._store.types
+        time = make["builtin_interfaces/msg/Time"](stamp // SECOND_NS, stamp % SECOND_NS)
+        return make["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def _corners(points: NDArray[Any]) -> Array:
+    """(2, 3) least and greatest coordinates; NaN without a return."""
+    flat = points.reshape(-1, 3)
+    sound = flat[np.isfinite(flat).all(axis=1)]
+    if not len(sound):
+        return np.full((2, 3), np.nan)
+    return np.array([sound.min(axis=0), sound.max(axis=0)], np.float64)
+
+
+def _number(stem: str) -> Decimal | None:
+    """The last number of a name, exactly."""
+    found = re.findall(r"\d+(?:\.\d+)?", stem)
+    return Decimal(found[-1]) if found else None

@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two results of the same ground, without truth: heights, safe ground, sites gained and lost."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.desk.replay.results import plain, write_bytes
+from quadtree_lss.desk.replay.saved import Grid, Results, ResultsError, load_results
+from quadtree_lss.onboard.arrays import Array, Mask
+
+UNMAPPED, UNSEEN = 64, 128
+HAZARDS = {1: "slope", 2: "elevation", 4: "exception", 8: "touchdown"}
+HAZARDS |= {UNMAPPED: "seen, not yet mapped", UNSEEN: "unseen"}
+SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Second less first height where both maps have seen the ground, m.
+
+    Attributes:
+        points: Grid points that are compared.
+        mean, rms: Of the difference.
+        rms_mean_removed: Of what is left without the mean.
+        most: 95 % of the differences are smaller than this, without sign.
+        greatest, x, y: The greatest difference and where it is.
+        beyond: Share of the points where the difference, without its mean, is more than three of
+            its standard deviations by both maps' covariances.
+    """
+
+    points: int
+    mean: float
+    rms: float
+    rms_mean_removed: float
+    most: float
+    greatest: float
+    x: float
+    y: float
+    beyond: float
+
+
+@dataclass(frozen=True)
+class Site:
+    """A site that only one of the two results has, and what the other says of its place."""
+
+    rank: int
+    x: float
+    y: float
+    z: float
+    elsewhere: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How two results of the same ground differ; the second is the newer one.
+
+    Attributes:
+        first, second: Their folders.
+        heights: Of the maps.
+        safe_first, safe_second: Ground where landing is allowed, of what both have seen, m^2.
+        gained, lost: Ground that is allowed in the second only, and in the first only, m^2.
+        seen_first, seen_second: Ground that only one of them has seen, m^2.
+        sites_kept: Pairs of ranks of the same place.
+        sites_gained, sites_lost: Sites of the second without one of the first near by; the other
+            way round.
+        difference: (ny, nx) of the first one's grid points, second less first height, m; NaN
+            where not compared.
+    """
+
+    first: Results
+    second: Results
+    heights: Heights
+    safe_first: float
+    safe_second: float
+    gained: float
+    lost: float
+    seen_first: float
+    seen_second: float
+    sites_kept: tuple[tuple[int, int], ...]
+    sites_gained: tuple[Site, ...]
+    sites_lost: tuple[Site, ...]
+    difference: Array
+
+    def as_dict(self) -> dict[str, Any]:
+        """In JSON's types."""
+        names = ("safe_first", "safe_second", "gained", "lost", "seen_first", "seen_second")
+        content: dict[str, Any] = plain(
+            {
+                "first": str(self.first.folder),
+                "second": str(self.second.folder),
+                "heights": asdict(self.heights),
+                "area": {name: getattr(self, name) for name in names},
+                "sites_kept": self.sites_kept,
+                "sites_gained": [asdict(site) for site in self.sites_gained],
+                "sites_lost": [asdict(site) for site in self.sites_lost],
+            }
+        )
+        return content
+
+    def table(self) -> str:
+        """For people."""
+        h = self.heights
+        rows = [
+            ("Ground seen by both", f"{h.points} grid points"),
+            ("  by one alone", f"{self.seen_first:.0f} m² / {self.seen_second:.0f} m²"),
+            ("Height, second less first, mean", f"{h.mean:+.3f} m"),
+            ("  RMS / with the mean removed", f"{h.rms:.3f} / {h.rms_mean_removed:.3f} m"),
+            ("  95 % within", f"{h.most:.3f} m"),
+            ("  greatest", f"{h.greatest:+.2f} m at x {h.x:.1f}, y {h.y:.1f}"),
+            ("  beyond three deviations", f"{100.0 * h.beyond:.1f} %"),
+            ("Safe ground of it", f"{self.safe_first:.0f} m² -> {self.safe_second:.0f} m²"),
+            ("  gained / lost", f"{self.gained:.0f} m² / {self.lost:.0f} m²"),
+        ]
+        width = max(len(label) for label, _ in rows)
+        lines = [f"{label:<{width}}  {value}" for label, value in rows]
+        pairs = ", ".join(f"{a} -> {b}" for a, b in self.sites_kept)
+        lines.append(f"Sites kept: {pairs or 'none'}")
+        for name, sites in (("gained", self.sites_gained), ("lost", self.sites_lost)):
+            for site in sites:
+                place = f"x {site.x:.2f}, y {site.y:.2f}"
+                lines.append(f"Site {name}: rank {site.rank} at {place}; {site.elsewhere}")
+        return "\n".join(lines)
+
+
+def compare_results(
+    first: Results | str | Path, second: Results | str | Path, out: str | Path | None = None
+) -> Comparison:
+    """Compares two results of the same ground at the grid points of the first.
+
+    Args:
+        first, second: Results or their folders.
+        out: Folder for ``comparison.json`` and ``comparison.png``; None writes nothing.
+
+    Raises:
+        ResultsError: a folder is none of results, or the two have seen no ground in common.
+    """
+    a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
+    grid = a.grid
+    row, column, inside = _nearest(b.grid, grid.x, grid.y)
+    seen_a = (grid["hazard"] & UNSEEN) == 0
+    seen_b = inside & ((b.grid["hazard"] & UNSEEN) == 0)[row, column]
+    both = seen_a & seen_b
+    y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
+    one, other = a.map.at(x, y), b.map.at(x, y)
+    difference = np.where(both, other.height - one.height, np.nan)
+    known = np.isfinite(difference)
+    if not known.any():
+        msg = f"{a.folder} and {b.folder} have seen no ground in common"
+        raise ResultsError(msg)
+    area = float(grid.spacing**2)
+    safe_a, safe_b = both & grid["safe"], both & b.grid["safe"][row, column]
+    kept, lost, gained = _sites(a, b)
+    deviation = np.hypot(one.deviation, other.deviation)
+    result = Comparison(
+        first=a,
+        second=b,
+        heights=_heights(difference, deviation, x, y),
+        safe_first=area * np.count_nonzero(safe_a),
+        safe_second=area * np.count_nonzero(safe_b),
+        gained=area * np.count_nonzero(safe_b & ~safe_a),
+        lost=area * np.count_nonzero(safe_a & ~safe_b),
+        seen_first=area * np.count_nonzero(seen_a & ~seen_b),
+        seen_second=_seen_alone(b.grid, grid, seen_a),
+        sites_kept=kept,
+        sites_gained=gained,
+        sites_lost=lost,
+        difference=difference,
+    )
+    if out is not None:
+        _write(Path(out), result)
+    return result
+
+
+def _nearest(grid: Grid, x: Array, y: Array) -> tuple[Any, Any, Mask]:
+    """Row and column (ny, nx) of the grid points nearest to places, and whether they are near."""
+    at = [np.rint((b - a[0]) / grid.spacing).astype(np.intp) for a, b in ((grid.y, y), (grid.x, x))]
+    inside = [(k >= 0) & (k < len(a)) for k, a in zip(at, (grid.y, grid.x), strict=True)]
+    row, column = (np.clip(k, 0, len(a) - 1) for k, a in zip(at, (grid.y, grid.x), strict=True))
+    return row[:, None], column[None, :], inside[0][:, None] & inside[1][None, :]
+
+
+def _seen_alone(grid: Grid, other: Grid, seen_other: Mask) -> float:
+    row, column, inside = _nearest(other, grid.x, grid.y)
+    seen = (grid["hazard"] & UNSEEN) == 0
+    return grid.spacing**2 * np.count_nonzero(seen & ~(inside & seen_other[row, column]))
+
+
+def _heights(difference: Array, deviation: Array, x: Array, y: Array) -> Heights:
+    known = np.isfinite(difference)
+    values = difference[known]
+    mean = float(values.mean())
+    left = values - mean
+    worst = np.unravel_index(np.nanargmax(np.abs(difference)), difference.shape)
+    return Heights(
+        points=int(values.size),
+        mean=mean,
+        rms=float(np.sqrt(np.mean(values**2))),
+        rms_mean_removed=float(np.sqrt(np.mean(left**2))),
+        most=float(np.percentile(np.abs(values), 95.0)),
+        greatest=float(difference[worst]),
+        x=float(x[worst]),
+        y=float(y[worst]),
+        beyond=float(np.mean(np.abs(left) > SIGMAS * deviation[known])),
+    )
+
+
+def _sites(a: Results, b: Results) -> tuple[Any, tuple[Site, ...], tuple[Site, ...]]:
+    """Pairs of ranks, sites of the first alone, sites of the second alone."""
+    lss = a.config.lss
+    reach = 0.5 * min(lss.vehicle_diameter, lss.min_separation)
+    one, other = a.positions, b.positions
+    apart = np.hypot(*(one[:, None, :2] - other[None, :, :2]).transpose(2, 0, 1))
+    pairs = []
+    while apart.size and apart.min() <= reach:
+        i, j = np.unravel_index(np.argmin(apart), apart.shape)
+        pairs.append((int(i) + 1, int(j) + 1))
+        apart[i, :] = apart[:, j] = np.inf
+    lost = _alone(one, {i for i, _ in pairs}, b, "second")
+    gained = _alone(other, {j for _, j in pairs}, a, "first")
+    return tuple(sorted(pairs)), lost, gained
+
+
+def _alone(places: Array, paired: set[int], other: Results, name: str) -> tuple[Site, ...]:
+    return tuple(
+        Site(rank, *map(float, place), _verdict(other.grid, *place[:2], name))
+        for rank, place in enumerate(places, start=1)
+        if rank not in paired
+    )
+
+
+def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
+    """What a result says of a place."""
+    row, column, inside = _nearest(grid, np.array([x]), np.array([y]))
+    if not inside.all():
+        return f"outside the {name}'s domain"
+    if grid["safe"][row, column].all():
+        return f"allowed in the {name}, but others rank before it"
+    bits = int(grid["hazard"][row, column][0, 0])
+    bits &= ~UNSEEN if bits & UNMAPPED else 255
+    kinds = ", ".join(kind for bit, kind in HAZARDS.items() if bits & bit)
+    return f"not allowed in the {name}{f' ({kinds})' if kinds else ', which has a hazard near it'}"
+
+
+def _write(out: Path, result: Comparison) -> None:
+    try:
+        text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
+        write_bytes(out / "comparison.json", (text + "\n").encode())
+        write_bytes(out / "comparison.png", _picture(result))
+    except OSError as error:
+        msg = f"{out}: cannot be written: {error.strerror}"
+        raise ResultsError(msg) from None
+
+
+def _picture(result: Comparison) -> bytes:
+    """Height difference, and safe ground of both, with the sites."""
+    import io
+
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    from quadtree_lss.desk import plot
+
+    grid, other = result.first.grid, result.second.grid
+    row, column, inside = _nearest(other, grid.x, grid.y)
+    figure = Figure(figsize=(13.0, 6.0), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    half = 0.5 * grid.spacing
+    extent = (grid.x[0] - half, grid.x[-1] + half, grid.y[0] - half, grid.y[-1] + half)
+    shown = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
+    limit = max(float(np.nanpercentile(np.abs(result.difference), 99.0)), 1e-3)
+    image = left.imshow(result.difference, cmap="RdBu_r", vmin=-limit, vmax=limit, **shown)
+    figure.colorbar(image, ax=left, label="second less first height, m", extend="both", shrink=0.8)
+    left.set_title("Height")
+    both = np.isfinite(result.difference)
+    kind = np.where(both, 1 + 2 * grid["safe"] + (inside & other["safe"][row, column]), 0)
+    names = ("not compared", "excluded by both", "gained", "lost", "allowed by both")
+    colours = ("#cdcdcd", "#882255", "#56b4e9", "#e69f00", "#009e73")
+    right.imshow(kind, cmap=ListedColormap(colours), vmin=-0.5, vmax=4.5, **shown)
+    right.legend(
+        handles=[Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)],
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.1),
+        ncols=3,
+        frameon=False,
+    )
+    right.set_title("Where landing is allowed; sites of the second")
+    plot.sites(right, result.second.positions)
+    for axes in (left, right):
+        for site in result.sites_lost:
+            axes.plot(site.x, site.y, "x", color="black", markersize=9, markeredgewidth=2)
+        axes.set_xlabel("x (map), m   (x: sites lost)" if result.sites_lost else "x (map), m")
+    left.set_ylabel("y (map), m")
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=110)
+    return content.getvalue()

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landing sites straight on an elevation model: each cell between its posts is a leaf."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.desk.exchange.dem import ElevationModel, read_dem
+from quadtree_lss.desk.replay.replay import write_results
+from quadtree_lss.desk.replay.result import ReplayResult
+from quadtree_lss.desk.replay.summary import run_summary
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
+
+#: Leaves along a side, at most.
+MOST_CELLS = 1 << 10
+#: Grid points along a side, at most.
+MOST_POINTS = 2000
+
+
+def rank_sites(
+    dem: str | Path | ElevationModel,
+    out: str | Path | None,
+    config: Config,
+    *,
+    report: bool = True,
+    landing: Mapping[str, ArrayLike | None] | None = None,
+) -> ReplayResult:
+    """Ranks landing sites on an elevation model and writes the results.
+
+    The domain is that of the model, its smallest cells are those between the posts, or of
+    several of them where a map would have more than 1024 x 1024. An area cuts the model to it.
+
+    Args:
+        dem: Model or its file (see `read_dem`).
+        out: Folder for the results as of `replay`; None writes nothing.
+        config: Of which ``lss`` matters, and ``lidar.range_noise`` as the posts' deviation.
+        report: Also draw figures and ``report.html``.
+        landing: By ``area``, ``keep_out`` (V, 2) and ``target`` (2,), map frame, m.
+
+    Raises:
+        ExchangeError: the file is no elevation model.
+        ConfigError: the configuration does not go with the model's size.
+        ReplayError: the results cannot be written.
+    """
+    began = time.perf_counter()
+    name = "" if isinstance(dem, ElevationModel) else str(Path(dem).resolve())
+    model = dem if isinstance(dem, ElevationModel) else read_dem(Path(dem))
+    wanted = {key: value for key, value in (landing or {}).items() if value is not None}
+    if "area" in wanted:
+        corners = np.asarray(wanted["area"], np.float64)
+        room = 0.5 * config.lss.vehicle_diameter + config.lss.margin + 2.0 * model.spacing
+        part = model.within(corners.min(axis=0) - room, corners.max(axis=0) + room)
+        model = part if min(len(part.x), len(part.y)) >= 3 else model
+    cells, block = cells_of(model, config.lidar.range_noise)
+    domain = cells.domain
+    values = {"xmin": domain.xmin, "ymin": domain.ymin, "size": domain.size}
+    levels = {"min_level": 0, "max_level": domain.max_level}
+    own: dict[str, Any] = {f"domain.{key}": value for key, value in (values | levels).items()}
+    coarsest = domain.size / MOST_POINTS
+    if config.lss.grid_spacing < coarsest:
+        own["lss.grid_spacing"] = coarsest
+    config = config_from_values(own, config)
+    asked = time.perf_counter()
+    found = LandingSiteSelector(config).assess(cells, **wanted)
+    lss_ms = 1e3 * (time.perf_counter() - asked)
+    notes = tuple(_notes(model, block))
+    summary = {
+        **run_summary((), len(cells.level), config, 0.0, lss_ms),
+        **dict.fromkeys(("scans_dropped", "points_dropped", "messages_rejected"), {}),
+        **dict.fromkeys(("points_used", "poses", "refused_divisions"), 0),
+        **dict.fromkeys(("first_stamp_ns", "last_stamp_ns"), None),
+        **dict.fromkeys(("scan_rate", "pose_rate", "range_noise_ratio"), float("nan")),
+        **dict.fromkeys(("scan_topic", "pose_topic"), ""),
+        "bag": name,
+        "posts": [len(model.x), len(model.y)],
+        "post_spacing": model.spacing,
+        "crs": model.crs,
+        "duration": time.perf_counter() - began,
+        "maps": 1,
+        "landing": {key: np.asarray(value).tolist() for key, value in wanted.items()},
+        "target": found.selected.id,
+        "target_changes": int(found.selected.id > 0),
+        "explanation": found.explanation,
+        "reasons": found.sites.reasons,
+        "interrupted": False,
+        "losses": (),
+        "warnings": notes,
+    }
+    result = ReplayResult(None if out is None else Path(out), cells, found, (), summary, (), notes)
+    if result.out is not None:
+        write_results(result.out, result, config, report)
+    return result
+
+
+def _notes(model: ElevationModel, block: int) -> list[str]:
+    notes = []
+    if block > 1:
+        notes.append(
+            f"a leaf has {block} x {block} of the model's cells, which are too many for a map;"
+            " an area (--area) cuts the model to it"
+        )
+    if model.spacing > 0.5:
+        notes.append(
+            f"posts are {model.spacing:g} m apart: what is smaller, as rocks, is not in the model"
+        )
+    return notes
+
+
+def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
+    """A map whose leaves are all of one level, and how many cells of the model a leaf has a side.
+
+    A leaf's plane is the least-squares one through its posts; one that lacks a post is not
+    measured.
+
+    Args:
+        model: The heights.
+        deviation: Standard deviation of each, m.
+    """
+    block = 1
+    count = max(len(model.x), len(model.y)) - 1
+    while -(-count // block) > MOST_CELLS:
+        block += 1
+    level = max(int(np.ceil(np.log2(-(-count // block)))), 0)
+    side = block * model.spacing
+    domain = Domain(float(model.x[0]), float(model.y[0]), side * 2**level, 0, level)
+    n = 1 << level
+    heights = np.full((n * block + 1,) * 2, np.nan)
+    heights[: len(model.y), : len(model.x)] = model.elevation
+    steps = (np.arange(block + 1) / block - 0.5) * side
+    posts = (block + 1) ** 2
+    spread = float(np.sum(steps**2) * (block + 1))
+    middle, slope_x, slope_y, square = np.zeros((4, n, n))
+    for j, y in enumerate(steps):
+        for i, x in enumerate(steps):
+            z = heights[j : j + n * block : block, i : i + n * block : block]
+            middle += z / posts
+            slope_x += z * x / spread
+            slope_y += z * y / spread
+    for j, y in enumerate(steps):
+        for i, x in enumerate(steps):
+            z = heights[j : j + n * block : block, i : i + n * block : block]
+            square += (z - middle - slope_x * x - slope_y * y) ** 2 / posts
+    iy, ix = np.divmod(np.arange(n * n), n)
+    known = np.isfinite(middle).ravel()
+    normal = np.stack([-slope_x.ravel(), -slope_y.ravel(), np.ones(n * n)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    variance = deviation**2 + square.ravel()
+    covariance = np.zeros((n * n, 3, 3))
+    for k, share in enumerate((1.0 / spread, 1.0 / spread, 1.0 / posts)):
+        covariance[:, k, k] = variance * share
+    covariance[~known] = np.nan
+    return (
+        CellMap(
+            stamp_ns=1,
+            domain=domain,
+            level=np.full(n * n, level, np.uint8),
+            ix=ix.astype(np.uint32),
+            iy=iy.astype(np.uint32),
+            z=middle.ravel(),
+            normal=normal,
+            covariance_range=covariance,
+            covariance_pose=np.where(known[:, None, None], 0.0, np.nan) * np.ones((3, 3)),
+            count=np.where(known, posts, 0).astype(np.uint32),
+            measured=known,
+            roughness=np.where(known, side**2 * np.sqrt(square.ravel()), np.nan),
+            exception_fraction=np.where(known, 0.0, np.nan),
+            feature=np.full((n * n, 5), np.nan),
+            low=np.full(n * n, np.nan),
+            high=np.full(n * n, np.nan),
+            observed=known.reshape(n, n),
+            known=known.reshape(n, n),
+        ),
+        block,
+    )

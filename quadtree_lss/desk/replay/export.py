@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A results folder for other programs: layers, meshes, sites, occupancy grids."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.desk.exchange.geojson import sites_geojson
+from quadtree_lss.desk.exchange.geotiff import reference, write_geotiff
+from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.exchange.map_server import write_map
+from quadtree_lss.desk.exchange.mesh import write_meshes
+from quadtree_lss.desk.replay.saved import Results, load_results
+from quadtree_lss.onboard.arrays import Bytes
+from quadtree_lss.onboard.core.landing.raster import rasterise
+
+IDENTIFIED, UNSEEN = 0x3F, 128
+
+
+def export_results(
+    results: Results | str | Path,
+    out: str | Path | None = None,
+    formats: Iterable[str] = (),
+    *,
+    crs: str = "",
+    origin: tuple[float, float] | None = None,
+) -> list[Path]:
+    """Writes what a replay found in the forms of other programs.
+
+    Args:
+        results: Results or their folder.
+        out: Folder for the files, made if missing; by default ``exchange`` in the results.
+        formats: Names of `FORMATS`; none takes all.
+        crs: Coordinate reference system of the map frame, as ``EPSG:32611``; by default that of the
+            elevation model, if the results are of one that tells.
+        origin: Instead, latitude and longitude of the map frame's origin, deg (x east, y north).
+
+    Returns:
+        What was written.
+
+    Raises:
+        ResultsError: the folder is none of results.
+        ExchangeError: a library is missing, the system is none, or nothing can be written.
+    """
+    found = results if isinstance(results, Results) else load_results(results)
+    if origin is None:
+        crs = crs or str(found.summary.get("crs") or "")
+    system = reference(crs, origin)
+    folder = found.folder / "exchange" if out is None else Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        wanted = list(formats) or list(FORMATS)
+        return [path for name in wanted for path in FORMATS[name](found, folder, system)]
+    except OSError as error:
+        msg = f"{error.filename or folder}: cannot be written: {error.strerror or error}"
+        raise ExchangeError(msg) from None
+
+
+def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
+    """Every layer of the landing grid, and height and deviation of the map's own cells where the
+    ground is known."""
+    grid, domain = results.grid, results.map.domain
+    layers = [(name, values, grid.x, grid.y) for name, values in grid.layers.items()]
+    middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
+    x, y = domain.xmin + middles, domain.ymin + middles
+    raster = rasterise(results.map, results.config.lss.max_gap)
+    deviation = results.map.at(x, y[:, None]).deviation
+    known = (np.where(raster.seen, values, np.nan) for values in (raster.elevation, deviation))
+    names = ("map_height", "map_deviation")
+    layers += [(name, v, x, y) for name, v in zip(names, known, strict=True)]
+    written = []
+    for name, values, across, along in layers:
+        path = folder / f"{name}.tif"
+        write_geotiff(path, values, across, along, crs=crs, name=name)
+        written.append(path)
+    return written
+
+
+def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:
+    def write(results: Results, folder: Path, crs: str) -> list[Path]:
+        """The ground at the grid points, coloured by where landing is allowed, in relief."""
+        grid, path = results.grid, folder / f"ground.{end}"
+        heights = np.asarray(grid["elevation"], np.float64)
+        shift = write_meshes([path], grid.x, grid.y, heights, _colours(results))
+        if not shift.any():
+            return [path]
+        note = folder / f"ground.{end}.txt"
+        note.write_text("add to x, y, z in m: {:.1f} {:.1f} {:.1f}\n".format(*shift))
+        return [path, note]
+
+    return write
+
+
+def _colours(results: Results) -> Bytes:
+    """(ny, nx, 3): green where landing is allowed, else grey, shaded."""
+    from quadtree_lss.desk.plot import relief
+    from quadtree_lss.desk.report.palette import SAFE_COLOUR
+
+    grid = results.grid
+    green = np.array([int(SAFE_COLOUR[k : k + 2], 16) for k in (1, 3, 5)], np.float64)
+    base = np.where(grid["safe"][..., None], 0.45 * green + 120.0, 175.0)
+    shade = np.nan_to_num(relief(grid["elevation"], grid.spacing), nan=0.5)
+    return np.clip(base * (0.5 + shade[..., None]), 0.0, 255.0).astype(np.uint8)
+
+
+def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
+    lss, path = results.config.lss, folder / "sites.geojson"
+    content = sites_geojson(results.sites, 0.5 * lss.vehicle_diameter + lss.margin, crs)
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return [path]
+
+
+def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
+    """``hazards`` as the topic has it, and ``landing``: free where landing is allowed."""
+    grid = results.grid
+    hazard, safe = np.asarray(grid["hazard"]), np.asarray(grid["safe"])
+    unseen = (hazard & UNSEEN) > 0
+    maps = {
+        "hazards": np.where((hazard & IDENTIFIED) > 0, 100, np.where(unseen, -1, 0)),
+        "landing": np.where(safe, 0, np.where(unseen, -1, 100)),
+    }
+    written: list[Path] = []
+    for name, values in maps.items():
+        written += write_map(folder / name, values.astype(np.int8), grid.x, grid.y)
+    return written
+
+
+FORMATS: dict[str, Callable[[Results, Path, str], Any]] = {
+    "geotiff": _geotiff,
+    "ply": _mesh("ply"),
+    "gltf": _mesh("glb"),
+    "geojson": _geojson,
+    "map_server": _map_server,
+}
+"""By name, what writes the files."""

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``history.npz``: what became of the flight over time, for the page's slider."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.core.landing.hazards import UNSEEN
+from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.intake import ReadyScan
+from quadtree_lss.onboard.messages.maps import known_probability
+
+ANSWERS, SCANS = 240, 4000
+"""At most so many are kept of a flight however long, evenly spread, and the last."""
+
+_EVERY = 16
+_ANGLES = np.arange(12) * (2.0 * np.pi / 12)
+_DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+
+T = TypeVar("T")
+
+
+class Thinned(Generic[T]):
+    """At most ``limit`` of many, evenly spread, and the last."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit, self._step, self._count = limit, 1, 0
+        self._kept: list[T] = []
+        self._last: list[T] = []
+
+    def add(self, item: T) -> None:
+        """One more."""
+        self._last = [item]
+        if self._count % self._step == 0:
+            if len(self._kept) == self._limit:
+                self._kept, self._step = self._kept[::2], 2 * self._step
+            if self._count % self._step == 0:
+                self._kept.append(item)
+                self._last = []
+        self._count += 1
+
+    def all(self) -> list[T]:
+        """Those that are kept, in their order."""
+        return [*self._kept, *self._last]
+
+
+class History:
+    """Notes answers, as a sink of `Passes`, and where the lidar was and looked."""
+
+    def __init__(self) -> None:
+        self._answers: Thinned[dict[str, Any]] = Thinned(ANSWERS)
+        self._scans: Thinned[tuple[int, NDArray[Any], NDArray[Any]]] = Thinned(SCANS)
+
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+        """Maps are not kept: what they show, answers do."""
+
+    def landing(self, now_ns: int, found: LandingAssessment) -> None:
+        """An answer: what is seen, where landing is allowed, how likely, sites and target."""
+        sites = found.sites
+        ranked = sites.id, sites.position, sites.score, sites.probability
+        self._answers.add(
+            {
+                "stamp_ns": found.stamp_ns,
+                "seen": np.packbits(found.hazard & UNSEEN == 0),
+                "allowed": np.packbits(found.safe),
+                "probability": _percent(known_probability(found)),
+                "sites": np.column_stack(ranked),
+                "target": np.array([found.selected.id, *found.selected.position]),
+            }
+        )
+
+    def scan(self, scan: ReadyScan) -> None:
+        """A scan that was mapped."""
+        points = scan.points_lidar.reshape(-1, 3)[::_EVERY]
+        ground = points @ scan.pose.rotation_map_lidar[:2].T + scan.pose.position[:2]
+        ground = ground[np.isfinite(ground[:, 0]) & np.isfinite(ground[:, 1])]
+        outline = np.full((len(_DIRECTIONS), 2), np.nan)
+        if len(ground):
+            outline = ground[(ground @ _DIRECTIONS.T).argmax(axis=0)]
+        self._scans.add((scan.stamp_ns, scan.pose.position.copy(), outline))
+
+    def arrays(self, *, probability: bool = True) -> dict[str, NDArray[Any]]:
+        """The content of the file: S scans, A answers, K sites of all answers; map frame, m.
+
+        Args:
+            probability: Also of each grid point, which is most of the file.
+        """
+        scans, answers = self._scans.all(), self._answers.all()
+        sites = np.concatenate([a["sites"] for a in answers]) if answers else np.zeros((0, 6))
+        return {
+            "scan_stamp_ns": np.array([stamp for stamp, _, _ in scans], dtype=np.int64),
+            "scan_position": np.array([place for _, place, _ in scans]).reshape(-1, 3),
+            "scan_outline": np.array([edge for _, _, edge in scans]).reshape(
+                -1, len(_DIRECTIONS), 2
+            ),
+            "answer_stamp_ns": np.array([a["stamp_ns"] for a in answers], dtype=np.int64),
+            "seen": np.array([a["seen"] for a in answers], dtype=np.uint8),
+            "allowed": np.array([a["allowed"] for a in answers], dtype=np.uint8),
+            **(
+                {"probability": np.array([a["probability"] for a in answers])}
+                if probability
+                else {}
+            ),
+            "target": np.array([a["target"] for a in answers]).reshape(-1, 4),
+            "site_answer": np.repeat(np.arange(len(answers)), [len(a["sites"]) for a in answers]),
+            "site_id": sites[:, 0].astype(np.int64),
+            "site_position": sites[:, 1:4],
+            "site_score": sites[:, 4],
+            "site_probability": sites[:, 5],
+        }
+
+
+def _percent(share: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Probabilities (ny, nx) as whole per cent, row by row; 255 where there is none."""
+    return np.nan_to_num(np.rint(100.0 * share), nan=255.0).astype(np.uint8).ravel()

@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bag contains and whether it is ready to replay: by the replay's own reading of it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.desk.replay.bags import POSE_TYPES, SCAN_TYPE, Bag, BagError
+from quadtree_lss.desk.replay.cloud_files import open_recording
+from quadtree_lss.desk.replay.map_messages import MapPairs
+from quadtree_lss.desk.replay.points import points_line, points_warning
+from quadtree_lss.desk.replay.records import RawMessage
+from quadtree_lss.desk.replay.results import plain
+from quadtree_lss.desk.replay.run import Progress
+from quadtree_lss.desk.replay.stream import SECOND_NS, Span, Stream
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.sensing.register import register
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
+from quadtree_lss.onboard.messages.lost_points import likely_reason
+
+OLD_STAMP_NS = 365 * 86400 * SECOND_NS
+"""Stamps of 1970 count from the start of a computer, not from an epoch."""
+TYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32"}
+TYPE_NAMES |= {7: "float32", 8: "float64"}
+
+
+@dataclass
+class TopicInfo:
+    """One topic; stamps are known for the topics that would be used.
+
+    Attributes:
+        name, type, count: As recorded.
+        rate: Messages per second between the first and the last one's stamps; of clouds and poses
+            that would not be used by their reception, of other topics unknown.
+        frames: Frame names and how many messages carry each.
+        first_stamp_ns, last_stamp_ns: Least and greatest stamp.
+        backward: Stamps smaller than the one before.
+        delay: Median of time of reception less stamp, s.
+        layout: Fields of a cloud with type and offset, size and organisation.
+        points: Median number of points of a cloud.
+    """
+
+    name: str
+    type: str
+    count: int
+    rate: float = float("nan")
+    frames: dict[str, int] = field(default_factory=dict)
+    first_stamp_ns: int | None = None
+    last_stamp_ns: int | None = None
+    backward: int = 0
+    delay: float = float("nan")
+    layout: str = ""
+    points: float = float("nan")
+
+
+@dataclass
+class BagInfo:
+    """Content of a bag and what a replay would make of it.
+
+    Attributes:
+        path: The bag.
+        kind: ``scans``, ``maps`` or ``nothing``: what a replay would read.
+        start_ns, seconds: First time of reception, and the length.
+        topics: All topics.
+        scan_topic, pose_topic: Those a replay would read, empty if not found.
+        scans_with_pose: Scans that could be mapped.
+        scans_dropped: Scans that could not, by reason.
+        points: Points of the scans that could be mapped.
+        points_dropped: Those of them that would not enter the map, by reason.
+        problems: Why it cannot be replayed, one line each; empty if it can.
+        notes: What to know, one line each.
+        losses: What cannot be read of the bag.
+    """
+
+    path: str
+    kind: str
+    start_ns: int
+    seconds: float
+    topics: list[TopicInfo]
+    scan_topic: str = ""
+    pose_topic: str = ""
+    scans_with_pose: int = 0
+    scans_dropped: dict[str, int] = field(default_factory=dict)
+    points: int = 0
+    points_dropped: dict[str, int] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)
+
+    @property
+    def works(self) -> bool:
+        """Whether a replay would give landing sites or say that there are none."""
+        return not self.problems
+
+    def as_dict(self) -> dict[str, Any]:
+        """In JSON's types."""
+        content: dict[str, Any] = plain({"works": self.works, **asdict(self)})
+        return content
+
+    def table(self) -> str:
+        """For people."""
+        return "\n".join(_lines(self))
+
+
+def inspect_bag(
+    bag: str | Path,
+    config: Config,
+    *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    poses: str | Path | None = None,
+    progress: Progress | None = None,
+) -> BagInfo:
+    """Reads a bag as a replay would, without mapping.
+
+    Args:
+        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
+        config: As for the replay: frames, waiting times, mount.
+        scan_topic, pose_topic: Topics; by default found by name, then by type.
+        poses: File of poses for point clouds.
+        progress: See `run.Progress`.
+
+    Raises:
+        BagError: there is nothing to read.
+    """
+    with open_recording(bag, poses, config.frames.map) as opened:
+        info = BagInfo(
+            path=str(bag),
+            kind="nothing",
+            start_ns=opened.start_ns,
+            seconds=(opened.end_ns - opened.start_ns) / SECOND_NS,
+            topics=[TopicInfo(t.name, t.type, t.count) for t in opened.topics],
+        )
+        stream = Stream(scan_topic, pose_topic)
+        pairs = MapPairs.alone(opened) if scan_topic is None else None
+        try:
+            stream.resolve(opened, config)
+        except BagError as error:
+            if pairs is None:
+                info.problems.append(str(error))
+            else:
+                info.kind = "maps"
+                info.notes.append(
+                    "maps and no scans: replay ranks landing sites on the last map, `replay"
+                    " --record` on every one"
+                )
+        else:
+            info.kind = "scans"
+            info.scan_topic, info.pose_topic = stream.scans, stream.poses
+            _read(info, opened, stream, config, progress)
+        _rates_by_reception(info, opened)
+        info.losses = [*opened.losses, *stream.losses]
+        info.notes += opened.notes
+    return info
+
+
+def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
+    """Of the clouds and poses that are not read: what they may be chosen by."""
+    spans = {t.name: Span() for t in info.topics if t.type in (SCAN_TYPE, *POSE_TYPES)}
+    for topic in info.topics:
+        if topic.first_stamp_ns is not None:
+            spans.pop(topic.name, None)
+    for message in bag.messages(list(spans)):
+        spans[message.topic].add(message.received_ns)
+    for topic in info.topics:
+        if topic.name in spans:
+            topic.rate = spans[topic.name].rate
+
+
+def _read(
+    info: BagInfo, bag: Bag, stream: Stream, config: Config, progress: Progress | None
+) -> None:
+    intake = stream.intake(config)
+    d = config.domain
+    domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
+    dropped: Counter[str] = Counter()
+    missed_at: tuple[float, float] | None = None
+    why = ""
+    seen = {topic.name: _Stamps() for topic in info.topics}
+    texts: dict[str, str] = {}
+    shown = time.monotonic()
+    for message in stream.messages(bag):
+        kind = SCAN_TYPE if message.topic == stream.scans else stream.pose_type
+        if message.topic != stream.gimbal:
+            seen[message.topic].add(bag, message, kind)
+        stream.take(bag, intake, message)
+        for ready in intake.ready(message.received_ns):
+            info.scans_with_pose += 1
+            scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
+            info.points += ready.points_lidar.size // 3
+            dropped.update(lost)
+            if missed_at is None and not len(scan.key):
+                missed_at = scan.centre
+                why = likely_reason(ready.points_lidar, ready.pose, config)
+        for notice in intake.notices():
+            texts.setdefault(notice.reason, notice.text)
+        if progress is not None and time.monotonic() - shown > 0.2:
+            shown = time.monotonic()
+            progress((message.received_ns - stream.start_ns) / SECOND_NS, stream.seconds)
+    intake.finish()
+    for notice in intake.notices():
+        texts.setdefault(notice.reason, notice.text)
+    info.scans_dropped, info.points_dropped = dict(intake.dropped), dict(dropped)
+    warning = points_warning(info.points, dropped, domain, missed_at, why)
+    if warning is not None:
+        (info.notes if info.points > dropped.total() else info.problems).append(warning)
+    for topic in info.topics:
+        seen[topic.name].tell(topic)
+    _judge(info, texts, config)
+
+
+class _Stamps:
+    """What the messages of a topic have in their headers."""
+
+    def __init__(self) -> None:
+        self.stamps: list[int] = []
+        self.delays: list[float] = []
+        self.points: list[int] = []
+        self.frames: Counter[str] = Counter()
+        self.layouts: Counter[str] = Counter()
+
+    def add(self, bag: Bag, message: RawMessage, kind: str) -> None:
+        try:
+            msg = bag.decode(message.raw, kind)
+            stamp = stamp_ns(msg.header)
+        except MessageError:
+            return  # counted and told by the intake
+        self.stamps.append(stamp)
+        self.delays.append((message.received_ns - stamp) / SECOND_NS)
+        self.frames[one_line(msg.header.frame_id, 80)] += 1
+        if kind == SCAN_TYPE:
+            self.points.append(msg.width * msg.height)
+            self.layouts[_layout(msg)] += 1
+
+    def tell(self, topic: TopicInfo) -> None:
+        if not self.stamps:
+            return
+        stamps = np.array(self.stamps, dtype=np.int64)
+        topic.frames = dict(self.frames.most_common())
+        topic.first_stamp_ns, topic.last_stamp_ns = int(stamps.min()), int(stamps.max())
+        topic.backward = int(np.count_nonzero(np.diff(stamps) < 0))
+        topic.delay = float(np.median(self.delays))
+        span = (topic.last_stamp_ns - topic.first_stamp_ns) / SECOND_NS
+        if span > 0.0:
+            topic.rate = (len(stamps) - 1) / span
+        if self.points:
+            topic.points = float(np.median(self.points))
+            topic.layout = "; or ".join(name for name, _ in self.layouts.most_common(3))
+
+
+def _layout(msg: Any) -> str:
+    items = [
+        f"{item.name} {TYPE_NAMES.get(item.datatype, '?')} @{item.offset}" for item in msg.fields
+    ]
+    shape = f"{msg.height} x {msg.width} organised" if msg.height > 1 else "unorganised"
+    order = "big" if msg.is_bigendian else "little"
+    fields = one_line(", ".join(items), 400)
+    return f"{fields}; {msg.point_step} bytes a point, {order} endian, {shape}"
+
+
+def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> None:
+    by_name = {topic.name: topic for topic in info.topics}
+    scans, poses = by_name[info.scan_topic], by_name[info.pose_topic]
+    told = [f"{key}: {text}" for key, text in texts.items()]
+    if not info.scans_with_pose:
+        info.problems += told or ["no scan has a pose at its stamp"]
+    else:
+        info.notes += told
+    for topic in (scans, poses):
+        if topic.first_stamp_ns is None:
+            info.problems.append(f"{topic.name}: no message has a usable header")
+            continue
+        if topic.backward:
+            info.notes.append(f"{topic.name}: {topic.backward} stamps go back in time")
+        if topic.first_stamp_ns < OLD_STAMP_NS:
+            info.notes.append(
+                f"{topic.name}: stamps of 1970: they count from a computer's start, which is fine"
+                " as long as scans and poses agree"
+            )
+        if len(topic.frames) > 1:
+            info.notes.append(f"{topic.name}: several frames: {', '.join(topic.frames)}")
+    both = (scans.first_stamp_ns, scans.last_stamp_ns, poses.first_stamp_ns, poses.last_stamp_ns)
+    if None not in both:
+        first, last, begin, end = (value or 0 for value in both)
+        if first > end or last < begin:
+            gap = max(first - end, begin - last) / SECOND_NS
+            info.problems.append(
+                f"stamps of scans and poses do not overlap, {gap:.3f} s lie between them:"
+                " different clocks?"
+            )
+    if poses.rate < scans.rate:
+        info.notes.append(
+            f"poses come at {poses.rate:.1f} Hz, scans at {scans.rate:.1f} Hz: interpolation over"
+            f" up to pose.max_gap = {config.pose.max_gap:g} s"
+        )
+
+
+def _lines(info: BagInfo) -> list[str]:
+    when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(info.start_ns / SECOND_NS))
+    lines = [f"{one_line(info.path)}: {info.seconds:.2f} s from {when} UTC"]
+    names = [one_line(topic.name, 80) for topic in info.topics]
+    width = max(map(len, names))
+    for topic, name in zip(info.topics, names, strict=True):
+        rate = "" if topic.rate != topic.rate else f"{topic.rate:.2f} Hz"
+        lines.append(f"  {name:{width}} {topic.count:7d} {rate:>11}  {one_line(topic.type, 80)}")
+        if topic.first_stamp_ns is None or topic.last_stamp_ns is None:
+            continue
+        frames = ", ".join(f"{name!r}" for name in topic.frames)
+        order = f"{topic.backward} go back" if topic.backward else "in order"
+        lines.append(
+            f"      stamps {topic.first_stamp_ns / SECOND_NS:.3f} … "
+            f"{topic.last_stamp_ns / SECOND_NS:.3f} s, {order}; received {topic.delay:.3f} s"
+            f" later; frame {frames}"
+        )
+        if topic.layout:
+            lines.append(f"      {topic.points:.0f} points: {topic.layout}")
+    if info.kind == "scans":
+        dropped = ", ".join(f"{n} {reason}" for reason, n in info.scans_dropped.items() if n)
+        lines.append(
+            f"scans {one_line(info.scan_topic, 80)}, poses {one_line(info.pose_topic, 80)}:"
+            f" {info.scans_with_pose} scans have a pose at their stamp;"
+            f" dropped: {dropped or 'none'}"
+        )
+        if info.points:
+            lines.append(f"{points_line(info.points, info.points_dropped)} with this configuration")
+    lines += [one_line(f"note: {line}") for line in info.notes]
+    lines += [one_line(f"damaged: {line}") for line in info.losses]
+    lines += [one_line(f"problem: {line}") for line in info.problems]
+    lines.append("ready to replay" if info.works else "cannot be replayed: see the problems above")
+    return lines

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading mcap files in whatever state: their records from the beginning, with every check.
+
+Where the chain of records breaks, it is taken up again at the next chunk (or, in a file without
+chunks, the next message) that can be told by its lengths.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from quadtree_lss.desk.replay.chunks import Chunk, ChunkedFile, Record
+from quadtree_lss.desk.replay.unpack import MOST_BYTES, DamagedError, unpack
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, STATISTICS = 2, 3, 4, 5, 6, 7, 11
+LAST_KIND, FIRST_PRIVATE = 0x0F, 0x80
+RUN_BYTES = 1 << 22
+"""Of messages outside chunks that are taken together as one."""
+
+_HEAD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQII")
+_MESSAGE = struct.Struct("<HIQQ")
+_CANDIDATE = re.compile(b"[\x05\x06]")
+_BLOCK = 1 << 20
+
+
+class McapFile(ChunkedFile):
+    """An mcap file; its index and summary are used as far as they are there."""
+
+    def _walk(self) -> None:
+        self._schemas: dict[int, str] = {}
+        self._runs: set[int] = set()
+        if self._read(0, len(MAGIC)) != MAGIC:
+            self.damage[0] = "no mcap file: wrong first bytes"
+            return
+        place, before = len(MAGIC), len(MAGIC)
+        while place < self._size:
+            kind, length = self._head(place)
+            if kind == FOOTER and length == 20 and place == self._size - 37:
+                return
+            if not self._plausible(place):
+                before = self._next_chunk(before)
+                if before < self._size:  # otherwise the file ends here
+                    self.damage.setdefault(place, "records damaged or cut out")
+                place = before
+                continue
+            end = self._take(place, kind, length)
+            # A chunk's length is sure; what leads out of another record may be damaged itself.
+            before, place = (end if kind == CHUNK else place + 1), end
+        self.cut = "ends before its end mark (truncated)"
+
+    def _read(self, place: int, length: int) -> bytes:
+        self._file.seek(place)
+        return self._file.read(length)
+
+    def _head(self, place: int) -> tuple[int, int]:
+        head = self._read(place, _HEAD.size)
+        return _HEAD.unpack(head) if len(head) == _HEAD.size else (0, 0)
+
+    def _plausible(self, place: int) -> bool:
+        """Whether a record may begin here; a last one may be cut."""
+        kind, length = self._head(place)
+        begin = place + _HEAD.size
+        if kind == CHUNK:
+            return self._records_of(begin, length) is not None
+        known = 0 < kind <= LAST_KIND or kind >= FIRST_PRIVATE
+        if kind == MESSAGE:
+            known = _MESSAGE.size <= length <= MOST_BYTES
+        return known and (begin + length <= self._size or length <= MOST_BYTES and kind == MESSAGE)
+
+    def _records_of(self, begin: int, length: int) -> tuple[str, int, int, int] | None:
+        """Compression, size unpacked, checksum and place of a chunk's records; None if it is none.
+
+        Every length of a chunk is told twice, so that one can be told from bytes that look alike.
+        """
+        head = self._read(begin, _CHUNK.size + 32)
+        if len(head) < _CHUNK.size + 8:
+            return None
+        _, _, size, checksum, named = _CHUNK.unpack_from(head)
+        if named > 16 or len(head) < _CHUNK.size + named + 8:
+            return None
+        (packed,) = struct.unpack_from("<Q", head, _CHUNK.size + named)
+        begins = _CHUNK.size + named + 8
+        if begins + packed != length:
+            return None
+        name = head[_CHUNK.size : _CHUNK.size + named].decode("ascii", "replace")
+        return name, size, checksum, begin + begins
+
+    def _next_chunk(self, after: int) -> int:
+        """Where the next chunk begins, or the next message outside chunks; else the file's end."""
+        while after < self._size:
+            block = self._read(after, _BLOCK + _HEAD.size)
+            for found in _CANDIDATE.finditer(block, 0, _BLOCK):
+                place = after + found.start()
+                if block[found.start()] == CHUNK:
+                    if self._plausible(place):
+                        return place
+                elif self._runs and self._is_message(place):
+                    return place
+            after += _BLOCK
+        return self._size
+
+    def _is_message(self, place: int) -> bool:
+        """Whether a message begins here: of a known channel, and followed by a record."""
+        kind, length = self._head(place)
+        if kind != MESSAGE or not self._plausible(place):
+            return False
+        (channel,) = struct.unpack("<H", self._read(place + _HEAD.size, 2))
+        return channel in self.topics and self._plausible(place + _HEAD.size + length)
+
+    def _take(self, place: int, kind: int, length: int) -> int:
+        """Note what a record says; where the next one begins."""
+        begin, end = place + _HEAD.size, place + _HEAD.size + length
+        if kind == CHUNK:
+            self.chunks.append(Chunk(begin, length, min(length, self._size - begin)))
+        elif kind == MESSAGE:
+            self._add_message(place, end)
+        elif kind in (SCHEMA, CHANNEL, MESSAGE_INDEX, STATISTICS):
+            content = self._read(begin, min(length, MOST_BYTES))
+            try:
+                self._declare(kind, content)
+            except (struct.error, UnicodeDecodeError, ValueError):
+                self.damage.setdefault(place, "damaged record")
+        return end
+
+    def _add_message(self, place: int, end: int) -> None:
+        """A message outside chunks joins those right before it."""
+        last = self.chunks[-1] if self.chunks else None
+        if last and last.place in self._runs and last.place + last.length == place:
+            if last.length < RUN_BYTES:
+                last.length += end - place
+                last.there = min(last.length, self._size - last.place)
+                return
+        self._runs.add(place)
+        self.chunks.append(Chunk(place, end - place, min(end, self._size) - place))
+
+    def _declare(self, kind: int, content: bytes) -> None:
+        """A schema, a channel, the index of the last chunk, or the numbers at the file's end."""
+        if kind == SCHEMA:
+            (number,) = struct.unpack_from("<H", content)
+            self._schemas[number] = _text(content, 2)[0]
+        elif kind == CHANNEL:
+            number, schema = struct.unpack_from("<HH", content)
+            self.topics[number] = (_text(content, 4)[0], self._schemas.get(schema, ""))
+        elif kind == STATISTICS:
+            (size,) = struct.unpack_from("<I", content, 42)
+            pairs = struct.iter_unpack("<HQ", content[46 : 46 + size])
+            self.expected = {channel: min(count, 2**40) for channel, count in pairs}
+        elif self.chunks and self.chunks[-1].place not in self._runs:
+            channel, size = struct.unpack_from("<HI", content)
+            entries = np.frombuffer(content, dtype="<u8", count=size // 8, offset=6).reshape(-1, 2)
+            if len(entries):
+                in_place = np.argsort(entries[:, 1], kind="stable")
+                self.chunks[-1].times[channel] = np.minimum(
+                    entries[in_place, 0], np.uint64(2**63 - 1)
+                ).astype(np.int64)
+
+    def _open(self, chunk: Chunk) -> Iterator[Record]:
+        if chunk.place in self._runs:
+            records = self._read(chunk.place, chunk.there)
+        else:
+            records = self._unpacked(chunk)
+        offset = 0
+        while offset < len(records):
+            if offset + _HEAD.size > len(records):
+                break
+            kind, length = _HEAD.unpack_from(records, offset)
+            offset += _HEAD.size
+            if offset + length > len(records):
+                break
+            if kind in (SCHEMA, CHANNEL):
+                try:
+                    self._declare(kind, records[offset : offset + length])
+                except (struct.error, UnicodeDecodeError) as error:
+                    msg = "damaged record in a chunk"
+                    raise DamagedError(msg) from error
+            elif kind == MESSAGE and length >= _MESSAGE.size:
+                channel, _, time_ns, _ = _MESSAGE.unpack_from(records, offset)
+                begin = offset + _MESSAGE.size
+                raw = records[begin : offset + length]
+                yield Record(channel, min(time_ns, 2**63 - 1), raw)
+            offset += length
+        if offset != len(records) and chunk.there == chunk.length:
+            msg = "a record leads out of its chunk"
+            raise DamagedError(msg)
+
+    def _unpacked(self, chunk: Chunk) -> bytes:
+        """Records of a chunk; of a cut one those that are there."""
+        found = self._records_of(chunk.place, chunk.length)
+        if found is None:
+            msg = "damaged chunk"
+            raise DamagedError(msg)
+        compression, size, checksum, begin = found
+        if chunk.length > MOST_BYTES:
+            msg = f"chunk of {chunk.length} bytes, {MOST_BYTES} is the most,"
+            raise DamagedError(msg)
+        data = self._read(begin, chunk.place + chunk.there - begin)
+        records = unpack(compression, data, size)
+        if chunk.there == chunk.length:
+            if len(records) != size:
+                msg = f"chunk of {len(records)} bytes instead of {size}"
+                raise DamagedError(msg)
+            if checksum and zlib.crc32(records) != checksum:
+                msg = "wrong checksum of a chunk"
+                raise DamagedError(msg)
+        return records
+
+
+def _text(content: bytes, place: int) -> tuple[str, int]:
+    """A text and where it ends."""
+    (length,) = struct.unpack_from("<I", content, place)
+    end = place + 4 + length
+    if end > len(content):
+        msg = "a text leads out of its record"
+        raise ValueError(msg)
+    return content[place + 4 : end].decode(), end

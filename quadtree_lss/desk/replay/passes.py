@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landing passes in a bag's time, as ``lss_node`` makes them on the maps it gets."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any, NamedTuple, Protocol
+
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.maps import round_trip
+
+
+class TargetChange(NamedTuple):
+    """A row of ``selected.csv``: another target, or none (``id`` 0, NaN)."""
+
+    stamp_ns: int
+    id: int
+    x: float
+    y: float
+    z: float
+    reason: str
+
+
+class Sink(Protocol):
+    """Gets what is made, with the bag's time."""
+
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+        """A map is published, which ``take`` gives; only in this call it surely can."""
+
+    def landing(self, now_ns: int, found: LandingAssessment) -> None:
+        """An answer."""
+
+
+class Passes:
+    """Makes maps at most ``publish.rate`` times a second of the bag's time, answers at most
+    ``publish.lss_rate`` times, and the last state always.
+
+    Args:
+        config: Rates and everything about landing sites.
+        restrictions: Keyword arguments of ``LandingSiteSelector.assess`` at the time.
+        sinks: Get maps and answers.
+
+    Attributes:
+        cells: The last map, as its message gives it to ``lss_node``.
+        last: The last answer.
+        lss_ms: What it took.
+        changes: Of the target.
+    """
+
+    def __init__(
+        self, config: Config, restrictions: Callable[[], dict[str, Any]], sinks: Sequence[Sink] = ()
+    ) -> None:
+        self._restrictions, self._sinks = restrictions, sinks
+        self._selector = LandingSiteSelector(config)
+        self._map, self._landing = _Clock(config.publish.rate), _Clock(config.publish.lss_rate)
+        self._snapshot: Callable[[], CellMap] | None = None
+        self.cells: CellMap | None = None
+        self.last: LandingAssessment | None = None
+        self.lss_ms = float("nan")
+        self.changes: list[TargetChange] = []
+
+    def changed(self) -> None:
+        """There is a new map."""
+        self._map.changed = True
+
+    def landing_changed(self) -> None:
+        """Something else is asked of landing: ``restrictions`` tells what."""
+        self._landing.changed = True
+
+    def tick(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
+        """Makes what is due at a time of the bag."""
+        if self._map.due(now_ns):
+            self._make_map(now_ns, snapshot)
+        if self._landing.due(now_ns):
+            self._assess(now_ns)
+
+    def finish(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
+        """Makes the last state, however soon it comes after the one before."""
+        if self._map.changed or self._snapshot is None:
+            self._make_map(now_ns, snapshot)
+        while self._landing.changed:
+            self._assess(now_ns)
+
+    def _make_map(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
+        """A map that nobody looks at need not be taken.
+
+        Where the next one is due before an answer is, it either comes first or is the same.
+        """
+        self._map.sent(now_ns)
+        self._snapshot, self.cells = cache(snapshot), None
+        self._landing.changed = True
+        if self._landing.due_ns < self._map.due_ns:
+            self._snapshot()
+        for sink in self._sinks:
+            sink.map(now_ns, self._snapshot)
+
+    def _assess(self, now_ns: int) -> None:
+        self._landing.sent(now_ns)
+        if self._snapshot is None:
+            return
+        if self.cells is None:
+            self.cells = round_trip(self._snapshot())
+        began = time.perf_counter()
+        found = self._selector.assess(self.cells, **self._restrictions())
+        self.lss_ms = 1e3 * (time.perf_counter() - began)
+        self._note(found)
+        self.last, self._landing.changed = found, found.pending
+        for sink in self._sinks:
+            sink.landing(now_ns, found)
+
+    def _note(self, found: LandingAssessment) -> None:
+        """A row where the target is another one, another place or none any more."""
+        x, y, z = found.selected.position.tolist()
+        row = TargetChange(found.stamp_ns, found.selected.id, x, y, z, found.selected.reason.key)
+        last = self.changes[-1] if self.changes else None
+        if row.id and (last is None or (row.id, row.x, row.y) != (last.id, last.x, last.y)):
+            self.changes.append(row)
+        elif not row.id and last is not None and last.id:
+            self.changes.append(row)
+
+
+class _Clock:
+    """Whether a change is due at a rate in Hz."""
+
+    def __init__(self, rate: float) -> None:
+        self._period_ns = round(1e9 / rate)
+        self.due_ns = 0
+        self.changed = False
+
+    def due(self, now_ns: int) -> bool:
+        # What is due long after now was set before a recorder's clock stepped back.
+        return self.changed and not self.due_ns - self._period_ns <= now_ns < self.due_ns
+
+    def sent(self, now_ns: int) -> None:
+        self.changed = False
+        self.due_ns = now_ns + self._period_ns

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes would have published on a bag, as a bag: maps and landing sites in its time."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.errors import WriterError
+
+from quadtree_lss.desk.replay.stream import ReplayError
+from quadtree_lss.desk.replay.types import typestore
+from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.outputs import GRID_MAP, GRID_MAP_TYPE, TOPIC_TYPES, MessageMaker
+
+_NO_TIME = QosTime(0, 0)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _NO_TIME,
+    _NO_TIME,
+    QosLiveliness.AUTOMATIC,
+    _NO_TIME,
+    False,
+)
+"""So that `ros2 bag play` serves late subscribers, as the nodes do."""
+
+
+class Recorder:
+    """Context manager that writes the output topics into a new mcap bag: a sink of `Passes`.
+
+    Args:
+        path: Folder to write, which must not exist.
+        frame: Of the map.
+        maps: Write maps too; not for a bag that holds them already.
+        viewer_rate: ``landing/grid_map``, which is large, at most so often in the bag's time, Hz,
+            and the last.
+
+    Raises:
+        ReplayError: ``path`` exists or cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, frame: str, *, maps: bool = True, viewer_rate: float = 1.0
+    ) -> None:
+        self._path, self._maps = path, maps
+        self._writer = self._open()
+        self._store = typestore(ros1=False)
+        self._messages = MessageMaker(self._store.types, np.asarray, frame)
+        self._connections: dict[str, Any] = {}
+        self._period_ns = round(1e9 / viewer_rate)
+        self._viewed_ns: int | None = None
+        self._unseen: tuple[int, LandingAssessment] | None = None
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._unseen is not None:
+            self._view(*self._unseen)
+        self._writer.close()
+        if not self._connections:  # an empty bag is of no use
+            shutil.rmtree(self._path, ignore_errors=True)
+
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+        """Writes a map."""
+        if self._maps:
+            for topic, message in self._messages.of_map(take()):
+                self._write(topic, message, now_ns)
+
+    def landing(self, now_ns: int, found: LandingAssessment) -> None:
+        """Writes an answer, with the age of its map in the bag's time."""
+        age = 1e-9 * (now_ns - found.stamp_ns) if found.stamp_ns else float("nan")
+        for topic, message in self._messages.of_landing(found, age):
+            self._write(topic, message, now_ns)
+        self._unseen = (now_ns, found)
+        if self._viewed_ns is None or abs(now_ns - self._viewed_ns) >= self._period_ns:
+            self._view(now_ns, found)
+
+    def _view(self, now_ns: int, found: LandingAssessment) -> None:
+        self._viewed_ns, self._unseen = now_ns, None
+        self._write(GRID_MAP, self._messages.grid_map(found), now_ns)
+
+    def _open(self) -> Writer:
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            writer = Writer(self._path, version=9, storage_plugin=StoragePlugin.MCAP)
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            writer.open()
+        except (WriterError, OSError) as error:
+            text = str(error)
+            if isinstance(error, OSError) and error.strerror:
+                text = f"{error.filename}: {error.strerror}"
+            if self._path.exists():
+                text = "it exists already"
+            msg = f"--record {self._path}: cannot be written: {text}"
+            raise ReplayError(msg) from None
+        return writer
+
+    def _write(self, topic: str, message: Any, now_ns: int) -> None:
+        kind = GRID_MAP_TYPE if topic == GRID_MAP else TOPIC_TYPES[topic]
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                f"/{topic}", kind, typestore=self._store, offered_qos_profiles=[LATCHED]
+            )
+        raw = self._store.serialize_cdr(message, kind)
+        self._writer.write(self._connections[topic], now_ns, raw)

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded bag through the nodes' logic, synchronously: same messages in, same map out."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import replace as changed
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.desk.replay import results
+from quadtree_lss.desk.replay.bags import Bag
+from quadtree_lss.desk.replay.cloud_files import open_recording
+from quadtree_lss.desk.replay.history import History
+from quadtree_lss.desk.replay.landing import LandingTopics
+from quadtree_lss.desk.replay.map_messages import MapPairs
+from quadtree_lss.desk.replay.passes import Passes, Sink
+from quadtree_lss.desk.replay.points import points_line
+from quadtree_lss.desk.replay.result import ReplayResult
+from quadtree_lss.desk.replay.run import Progress, Run
+from quadtree_lss.desk.replay.stream import ReplayError, Stream
+from quadtree_lss.desk.replay.summary import run_summary
+from quadtree_lss.onboard.config.loading import dump_config
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+
+__all__ = ["Progress", "ReplayError", "ReplayResult", "replay"]
+
+
+def replay(
+    bag: str | Path | Bag,
+    out: str | Path | None,
+    config: Config,
+    *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    poses: str | Path | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+    report: bool = True,
+    record: str | Path | None = None,
+    landing: Mapping[str, ArrayLike | None] | None = None,
+    progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> ReplayResult:
+    """Maps a bag, ranks landing sites and writes the results.
+
+    Deterministic: messages go in the order of the bag, and their times of reception stand for
+    the clock by which scans wait for their pose. Of a bag that holds maps but no scans, the last
+    map is taken.
+
+    Args:
+        bag: A bag as of `bags.Bag`, its path, or point clouds (`cloud_files.open_recording`).
+        out: Folder for the results, made if missing; None writes nothing.
+        config: Everything that can be set.
+        scan_topic, pose_topic: Topics; by default found by name, then by type.
+        poses: File of poses for point clouds.
+        start: Seconds after the bag's first message at which to begin.
+        duration: Seconds to process, None for all.
+        report: Also draw figures and ``report.html``.
+        record: New bag for what the nodes would have published (see `record.Recorder`).
+        landing: By ``area``, ``keep_out`` (V, 2) and ``target`` (2,), map frame, m, or None for
+            none: what holds whatever the bag says. Those not in it are read from the topics
+            ``landing/…`` of the bag.
+        progress: See `run.Progress`.
+        stop: Asked after each message; True ends the replay there, and the results are those of
+            what was processed.
+
+    Raises:
+        BagError: the bag cannot be read or its topics are ambiguous.
+        ReplayError: no scan could be mapped, or ``out`` or ``record`` cannot be written.
+        KeyboardInterrupt: stopped before there was a map.
+    """
+    folder = None if out is None else Path(out)
+    began = time.perf_counter()
+    run, stream = Run(config, progress, stop), Stream(scan_topic, pose_topic, start, duration)
+    with ExitStack() as stack:
+        given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
+        opened = stack.enter_context(given)
+        pairs = MapPairs.alone(opened) if scan_topic is None else None
+        if pairs is None:
+            stream.resolve(opened, config)
+        else:
+            stream.limit(opened)
+        fixed = {name: None if v is None else np.asarray(v) for name, v in (landing or {}).items()}
+        wishes = LandingWishes(config.frames.map, fixed)
+        run.landing = LandingTopics(wishes, opened, stream.start_ns)
+        made = _make_folder(folder)
+        try:
+            history = run.history = History()
+            sinks: list[Sink] = [history]
+            if record is not None:
+                from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
+
+                options = {"maps": pairs is None, "viewer_rate": config.publish.marker_rate}
+                recorder = Recorder(Path(record), config.frames.map, **options)
+                sinks.append(stack.enter_context(recorder))
+            passes = run.passes = Passes(config, wishes.arguments, sinks)
+            cells = (
+                run.map_scans(opened, stream)
+                if pairs is None
+                else run.read_maps(opened, stream, pairs)
+            )
+        except BaseException:
+            if made is not None:
+                with contextlib.suppress(OSError):  # not empty: somebody else's files
+                    made.rmdir()
+            raise
+        passes.finish(run.done_ns, lambda: cells)
+        losses = (*opened.losses, *stream.losses, *run.losses)
+        notes = opened.notes
+    if progress is not None and not run.interrupted:
+        progress(stream.seconds, stream.seconds)
+    decoded, assessment = passes.cells, passes.last
+    assert decoded is not None and assessment is not None
+    if not decoded.observed.any():
+        assessment = changed(assessment, explanation=_why_nothing(run))
+    seconds = stream.seconds
+    if run.interrupted:
+        seconds = min(seconds, max(run.done_ns - stream.start_ns, 0) / 1e9)
+    speed = seconds / (time.perf_counter() - began)
+    warnings = (*notes, *run.warnings())
+    summary = {
+        **run_summary(run.timings, len(decoded.level), config, speed, passes.lss_ms),
+        "scans_dropped": dict(run.intake.dropped),
+        "points_used": run.points_used,
+        "points_dropped": dict(run.points_dropped),
+        "bag": stream.bag,
+        "first_stamp_ns": min((row.stamp_ns for row in run.timings), default=None),
+        "last_stamp_ns": max((row.stamp_ns for row in run.timings), default=None),
+        "scan_topic": stream.scans,
+        "pose_topic": stream.poses,
+        "duration": seconds,
+        "maps": run.maps,
+        "poses": run.intake.poses_taken,
+        "scan_rate": stream.rate(stream.scans),
+        "pose_rate": stream.rate(stream.poses),
+        "messages_rejected": dict(run.intake.rejected),
+        "range_noise_ratio": run.noise_ratio,
+        "refused_divisions": run.refused_divisions,
+        "landing": wishes.as_lists(),
+        "target": passes.changes[-1].id if passes.changes else 0,
+        "target_changes": len(passes.changes),
+        "explanation": assessment.explanation,
+        "reasons": assessment.sites.reasons,
+        "interrupted": run.interrupted,
+        "losses": losses,
+        "warnings": warnings,
+    }
+    result = ReplayResult(
+        folder,
+        decoded,
+        assessment,
+        tuple(run.timings),
+        summary,
+        losses,
+        warnings,
+        run.interrupted,
+        tuple(passes.changes),
+    )
+    if folder is not None:
+        write_results(folder, result, config, report, history)
+    return result
+
+
+def write_results(
+    out: Path,
+    result: ReplayResult,
+    config: Config,
+    report: bool,
+    history: History | None = None,
+) -> None:
+    """The files of a results folder, which is made if it is missing.
+
+    Raises:
+        ReplayError: they cannot be written.
+    """
+    try:
+        _write(out, result, config, history or History(), report)
+    except OSError as error:
+        msg = f"{out}: cannot be written: {error.strerror}"
+        raise ReplayError(msg) from None
+
+
+def _why_nothing(run: Run) -> str:
+    """Instead of a node's ``nothing is mapped yet``: no more will come."""
+    if run.maps:
+        return "nothing is mapped: the last map holds no measurement"
+    return f"nothing is mapped: {points_line(run.points, run.points_dropped)}"
+
+
+def _make_folder(folder: Path | None) -> Path | None:
+    """Before the work begins: a folder that cannot be written would waste it.
+
+    Returns:
+        The folder if it is new.
+    """
+    if folder is None:
+        return None
+    fresh = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{folder}: cannot be written: {error.strerror}"
+        raise ReplayError(msg) from None
+    return folder if fresh else None
+
+
+def _write(out: Path, result: ReplayResult, config: Config, history: History, report: bool) -> None:
+    results.write_sites(out / "sites.csv", result.assessment)
+    results.write_selected(out / "selected.csv", result.targets)
+    results.write_cells(out / "cells.npz", result.cells)
+    results.write_grid(out / "grid.npz", result.assessment)
+    results.write_timing(out / "timing.csv", result.timings)
+    results.write_history(out / "history.npz", history.arrays(probability=report))
+    results.write_bytes(out / "config.yaml", dump_config(config).encode())
+    results.write_summary(out / "summary.json", result.summary)
+    results.remove_report(out)
+    if report:
+        from quadtree_lss.desk.report.report import report_files  # matplotlib takes long to import
+
+        for name, content in report_files(out).items():
+            results.write_bytes(out / name, content)

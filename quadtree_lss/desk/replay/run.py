@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A map made from the scans of a bag, or read from a bag of maps."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from quadtree_lss.desk.replay.bags import Bag
+from quadtree_lss.desk.replay.landing import LandingTopics
+from quadtree_lss.desk.replay.map_messages import MapPairs
+from quadtree_lss.desk.replay.points import points_warning
+from quadtree_lss.desk.replay.records import RawMessage
+from quadtree_lss.desk.replay.results import ScanTiming
+from quadtree_lss.desk.replay.stream import SECOND_NS, ReplayError, Stream
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.mapping.pose_errors import LEAST
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.lost_points import MAP_OVERRULED, likely_reason, overruled_text
+from quadtree_lss.onboard.messages.maps import MapMessageError
+
+if TYPE_CHECKING:
+    from quadtree_lss.desk.replay.history import History
+    from quadtree_lss.desk.replay.passes import Passes
+
+Progress = Callable[[float, float], None]
+"""Called with the seconds of the bag that are done and the seconds there are."""
+
+
+@dataclass
+class Run:
+    """What has been done so far.
+
+    Args:
+        config: Everything that can be set.
+        progress: See `Progress`.
+        stop: Asked after each message; True ends the run there.
+        passes: Gets the maps as they come, or None.
+        landing: Hears areas, keep-outs and targets as they come, or None.
+        history: Notes where the lidar looked, or None.
+
+    Attributes:
+        interrupted: True if ``stop`` ended it.
+        done_ns: Time of reception up to which the bag was processed.
+        timings: A row per mapped scan.
+        points_dropped: Points of mapped scans that are not in the map, by reason.
+        refused_divisions: Cells that ``mapping.max_cells`` left whole.
+        maps: Maps that were read, for a bag of maps.
+    """
+
+    config: Config
+    progress: Progress | None = None
+    stop: Callable[[], bool] | None = None
+    passes: Passes | None = None
+    landing: LandingTopics | None = None
+    history: History | None = None
+    interrupted: bool = False
+    done_ns: int = 0
+    timings: list[ScanTiming] = field(default_factory=list)
+    points_dropped: Counter[str] = field(default_factory=Counter)
+    refused_divisions: int = 0
+    noise_ratio: float = float("nan")
+    maps: int = 0
+
+    def __post_init__(self) -> None:
+        self.intake = Intake(self.config)
+        self._notices: Counter[str] = Counter()
+        self._texts: dict[str, str] = {}
+        self._pose_texts: dict[str, str] = {}
+        self._decode_ms: dict[int, float] = {}
+        self._missed_at: tuple[float, float] | None = None
+        self._missed_why = ""
+        self._shown_ns = 0
+
+    def map_scans(self, bag: Bag, stream: Stream) -> CellMap:
+        """Maps every scan of the stream.
+
+        Raises:
+            ReplayError: there was none that could be mapped.
+            KeyboardInterrupt: stopped before there was one.
+        """
+        self.intake = stream.intake(self.config)
+        mapper = Mapper(self.config)
+        for message in self._messages(bag, stream.topics, stream):
+            began = time.perf_counter()
+            stamp_ns = stream.take(bag, self.intake, message)
+            if stamp_ns is not None:
+                self._decode_ms[stamp_ns] = 1e3 * (time.perf_counter() - began)
+            for scan in self.intake.ready(message.received_ns):
+                self._map(mapper, scan)
+                if self.passes is not None:
+                    self.passes.changed()
+            self._note()
+            if self.passes is not None:
+                self.passes.tick(message.received_ns, mapper.snapshot)
+            if self._ends_after(message.received_ns, stream):
+                break
+        self.intake.finish()
+        self._note()
+        self._judge_poses(mapper)
+        self._need(bool(self.timings), bag, "no scan could be mapped", "there is no scan")
+        return mapper.snapshot()
+
+    def read_maps(self, bag: Bag, stream: Stream, pairs: MapPairs) -> CellMap:
+        """The last map of a bag of maps; the landing passes get all of them.
+
+        Raises:
+            ReplayError: there is none that can be read.
+            KeyboardInterrupt: stopped before there was one.
+        """
+        last: CellMap | None = None
+        for message in self._messages(bag, pairs.topics, stream):
+            try:
+                found = pairs.take(bag, message, self.config.lss)
+            except MapMessageError as error:
+                self._tell(f"map_{error.reason}", str(error))
+                found = None
+            if found is not None:
+                last, self.maps = found, self.maps + 1
+                if self.passes is not None:
+                    self.passes.changed()
+            self._note()
+            if self.passes is not None and last is not None:
+                newest = last
+                self.passes.tick(message.received_ns, lambda: newest)  # noqa: B023
+            if self._ends_after(message.received_ns, stream):
+                break
+        self._need(last is not None, bag, "no map can be read", "no cells with observed cells")
+        assert last is not None
+        return last
+
+    def _messages(self, bag: Bag, topics: Iterable[str], stream: Stream) -> Iterator[RawMessage]:
+        """Those of the topics; what is asked of landing goes where it is heard."""
+        landing = self.landing
+        wanted = [*topics, *(landing.names if landing is not None else ())]
+        for message in bag.messages(wanted, stream.start_ns, stream.stop_ns):
+            if landing is None or not landing.take(bag, message):
+                yield message
+            elif self.passes is not None:
+                self.passes.landing_changed()
+
+    @property
+    def points(self) -> int:
+        """Points of the mapped scans."""
+        return sum(row.points for row in self.timings)
+
+    @property
+    def points_used(self) -> int:
+        """Those of them that entered the map."""
+        return self.points - sum(self.points_dropped.values())
+
+    def lost_points(self) -> str | None:
+        """Why less than half of the points entered the map; None if more did."""
+        d = self.config.domain
+        domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
+        lost = self.points_dropped
+        return points_warning(self.points, lost, domain, self._missed_at, self._missed_why)
+
+    def warnings(self) -> list[str]:
+        """One line per kind of trouble, most frequent first."""
+        lost = self.lost_points()
+        lines = [] if lost is None else [lost]
+        lines += [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
+        if self.refused_divisions:
+            lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
+        lines += self._pose_texts.values()
+        noise = noise_notice(self.noise_ratio, self.config)
+        if noise is not None:
+            lines.append(noise.text)
+        return lines
+
+    def _need(self, found: bool, bag: Bag, failure: str, default: str) -> None:
+        if found:
+            return
+        if self.interrupted:
+            raise KeyboardInterrupt
+        causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
+        msg = f"{bag.path}: {failure}: {causes}"
+        raise ReplayError(msg)
+
+    def _ends_after(self, received_ns: int, stream: Stream) -> bool:
+        self.done_ns = received_ns
+        if self.progress is not None and received_ns - self._shown_ns >= SECOND_NS // 5:
+            self._shown_ns = received_ns
+            self.progress((received_ns - stream.start_ns) / SECOND_NS, stream.seconds)
+        self.interrupted = self.stop is not None and self.stop()
+        return self.interrupted
+
+    def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
+        began = time.perf_counter()
+        report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+        map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
+        if len(self._decode_ms) > 2 * self.config.pose.queue:
+            self._decode_ms.clear()  # those of dropped scans
+        if self.history is not None:
+            self.history.scan(scan)
+        self.points_dropped.update(report.dropped)
+        if not report.points_used and report.dropped["outside"] and self._missed_at is None:
+            self._missed_at = report.centre
+            self._missed_why = likely_reason(scan.points_lidar, scan.pose, self.config)
+        overruled = overruled_text(report)
+        if overruled is not None:
+            self._tell(MAP_OVERRULED, overruled)
+        self.refused_divisions += report.refused_divisions
+        self.noise_ratio = report.noise_ratio
+        if len(self.timings) % LEAST == 0:
+            self._judge_poses(mapper)
+        self.timings.append(
+            ScanTiming(
+                report.stamp_ns,
+                report.points,
+                report.points_used,
+                report.leaves,
+                report.divisions,
+                map_ms,
+            )
+        )
+
+    def _judge_poses(self, mapper: Mapper) -> None:
+        notices = pose_notices(mapper.pose_errors(), self.config)
+        self._pose_texts.update({notice.reason: notice.text for notice in notices})
+
+    @property
+    def losses(self) -> list[str]:
+        """Messages of maps and of what is asked of landing that could not be decoded, a line each.
+
+        `Stream` tells of the others.
+        """
+        keys = [key for key in self._notices if key.endswith("_encoding")]
+        others = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
+        return [one_line(f"{self._notices[k]} messages lost: {self._texts[k]}") for k in others]
+
+    def _note(self) -> None:
+        told = self.intake.notices()
+        if self.landing is not None:
+            told += self.landing.notices
+            self.landing.notices.clear()
+        for notice in told:
+            self._tell(notice.reason, notice.text)
+
+    def _tell(self, reason: str, text: str) -> None:
+        self._notices[reason] += 1
+        self._texts.setdefault(reason, text)

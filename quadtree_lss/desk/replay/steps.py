@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scans of a recording one by one, and the map as it grows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from quadtree_lss.desk.replay.bags import Bag
+from quadtree_lss.desk.replay.cloud_files import open_recording
+from quadtree_lss.desk.replay.stream import Stream
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.onboard.messages.intake import ReadyScan
+
+
+def scans(
+    bag: str | Path | Bag,
+    config: Config,
+    *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    poses: str | Path | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+) -> Iterator[ReadyScan]:
+    """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them.
+
+    Args:
+        bag: A bag, or the path of one or of point clouds (`cloud_files.open_recording`).
+        config: Of which ``pose``, ``frames`` and ``mount`` matter.
+        scan_topic, pose_topic: Topics; by default found by name, then by type.
+        poses: File of poses for point clouds.
+        start, duration: Part of the bag in s from its first message.
+
+    Raises:
+        BagError: the bag cannot be read or its topics are ambiguous.
+        ReplayError: the part lies outside the bag.
+    """
+    stream = Stream(scan_topic, pose_topic, start, duration)
+    given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
+    with given as opened:
+        stream.resolve(opened, config)
+        intake = stream.intake(config)
+        for message in stream.messages(opened):
+            stream.take(opened, intake, message)
+            yield from intake.ready(message.received_ns)
+            intake.notices()
+
+
+class Step(NamedTuple):
+    """One scan, what became of it, and the mapper that has it now."""
+
+    scan: ReadyScan
+    report: ScanReport
+    mapper: Mapper
+
+
+def steps(
+    bag: str | Path | Bag,
+    config: Config,
+    *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    poses: str | Path | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+) -> Iterator[Step]:
+    """Maps a bag scan by scan; ``step.mapper.snapshot()`` is the map so far.
+
+    Arguments and errors are those of `scans`.
+    """
+    mapper = Mapper(config)
+    options = {"scan_topic": scan_topic, "pose_topic": pose_topic, "poses": poses}
+    for scan in scans(bag, config, **options, start=start, duration=duration):
+        yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)

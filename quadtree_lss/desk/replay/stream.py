@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which messages of a bag are read: topics, and a part in time."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from quadtree_lss.desk.replay.bags import (
+    GIMBAL_TOPIC,
+    SCAN_TOPIC,
+    TRANSFORMS_TOPIC,
+    Bag,
+    choose_pose_topic,
+    choose_topic,
+)
+from quadtree_lss.desk.replay.records import RawMessage
+from quadtree_lss.desk.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, TRANSFORMS_TYPE
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
+from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
+from quadtree_lss.onboard.messages.intake import Intake
+
+SECOND_NS = 1_000_000_000
+
+
+class ReplayError(QuadtreeLssError):
+    """The bag gave no map, or the results cannot be written."""
+
+
+@dataclass
+class Span:
+    """How many times there are, and the least and the greatest of them, ns."""
+
+    count: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+    def add(self, time_ns: int) -> None:
+        """One more."""
+        self.first_ns = min(self.first_ns, time_ns) if self.count else time_ns
+        self.last_ns = max(self.last_ns, time_ns) if self.count else time_ns
+        self.count += 1
+
+    @property
+    def rate(self) -> float:
+        """Per second between the first and the last; NaN if they do not differ."""
+        length = (self.last_ns - self.first_ns) / SECOND_NS
+        return (self.count - 1) / length if length > 0.0 else math.nan
+
+
+@dataclass
+class Stream:
+    """Scans and poses of an open bag, or of a part of it.
+
+    Args:
+        scan_topic, pose_topic: Topics asked for, None to find them.
+        start, duration: Part in s after the bag's first message, None for all there is.
+
+    Attributes:
+        bag: Path of the bag, absolute.
+        scans, poses, gimbal: Topics that are read; the last is empty without a gimbal.
+        pose_type: Type of the poses' messages.
+        start_ns, stop_ns: Times of reception: start_ns <= t < stop_ns.
+        seconds: Length of the part.
+    """
+
+    scan_topic: str | None = None
+    pose_topic: str | None = None
+    start: float = 0.0
+    duration: float | None = None
+    bag: str = field(default="", init=False)
+    scans: str = field(default="", init=False)
+    poses: str = field(default="", init=False)
+    pose_type: str = field(default=POSE_TYPE, init=False)
+    gimbal: str = field(default="", init=False)
+    start_ns: int = field(default=0, init=False)
+    stop_ns: int = field(default=0, init=False)
+    seconds: float = field(default=0.0, init=False)
+    _stamps: dict[str, Span] = field(default_factory=dict, init=False)
+    _transforms: list[Any] = field(default_factory=list, init=False)
+    _undecoded: dict[str, list[str]] = field(default_factory=dict, init=False)
+
+    def resolve(self, bag: Bag, config: Config) -> None:
+        """Finds topics and limits in an open bag.
+
+        Raises:
+            BagError: a topic is missing or ambiguous.
+            ReplayError: the part lies outside the bag.
+        """
+        self.limit(bag)
+        self.scans = choose_topic(bag, self.scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic")
+        self.poses, self.pose_type = choose_pose_topic(bag, self.pose_topic, config.pose.source)
+        if config.mount.gimbal:
+            self.gimbal = choose_topic(bag, None, GIMBAL_TOPIC, GIMBAL_TYPE, "mount.gimbal")
+        if config.mount.tf:
+            # Of all the bag: latched, they stand at its beginning, whatever part is replayed.
+            topic = choose_topic(bag, None, TRANSFORMS_TOPIC, TRANSFORMS_TYPE, "mount.tf")
+            for message in bag.messages([topic]):
+                with contextlib.suppress(MessageError):
+                    self._transforms.append(bag.decode(message.raw, TRANSFORMS_TYPE))
+
+    def limit(self, bag: Bag) -> None:
+        """The limits in time alone."""
+        self.bag = str(bag.path.resolve())
+        length = (bag.end_ns - bag.start_ns) / SECOND_NS
+        if not 0.0 <= self.start <= length:
+            msg = f"--start {self.start:g} s is outside the bag's {length:.3f} s"
+            raise ReplayError(msg)
+        if self.duration is not None and not 0.0 < self.duration < math.inf:
+            msg = f"--duration {self.duration:g} s is not positive and finite"
+            raise ReplayError(msg)
+        self.start_ns = bag.start_ns + round(self.start * SECOND_NS)
+        self.stop_ns = bag.end_ns + 1
+        if self.duration is not None:
+            self.stop_ns = min(self.stop_ns, self.start_ns + round(self.duration * SECOND_NS))
+        self.seconds = (min(self.stop_ns, bag.end_ns) - self.start_ns) / SECOND_NS
+
+    @property
+    def topics(self) -> list[str]:
+        """Those that are read."""
+        return [name for name in (self.scans, self.poses, self.gimbal) if name]
+
+    def messages(self, bag: Bag) -> Iterator[RawMessage]:
+        """The messages, in the order of the bag."""
+        return bag.messages(self.topics, self.start_ns, self.stop_ns)
+
+    def intake(self, config: Config) -> Intake:
+        """What turns the messages into scans with their pose."""
+        intake = Intake(
+            config,
+            scan_topic=self.scans,
+            pose_topic=self.poses,
+            gimbal_topic=self.gimbal or GIMBAL_TOPIC,
+        )
+        for message in self._transforms:
+            intake.on_transforms(message)
+        return intake
+
+    def take(self, bag: Bag, intake: Intake, message: RawMessage) -> int | None:
+        """Gives one message to ``intake``; the stamp if it is a usable scan."""
+        names = {self.scans: ("cloud", SCAN_TYPE), self.poses: ("pose", self.pose_type)}
+        what, kind = names.get(message.topic, ("gimbal", GIMBAL_TYPE))
+        try:
+            msg = bag.decode(message.raw, kind)
+        except MessageError as error:
+            intake.reject(what, error)
+            self._undecoded.setdefault(message.topic, []).append(str(error))
+            return None
+        with contextlib.suppress(MessageError):  # the intake tells
+            self._stamps.setdefault(message.topic, Span()).add(stamp_ns(msg.header))
+        if what == "cloud":
+            return intake.on_cloud(msg, message.received_ns)
+        if what == "pose":
+            intake.on_pose(msg)
+        else:
+            intake.on_gimbal(msg)
+        return None
+
+    @property
+    def losses(self) -> list[str]:
+        """One line for each topic of which messages could not be decoded, so far."""
+        return [
+            one_line(f"{len(texts)} messages of {topic} lost: {texts[0]}")
+            for topic, texts in self._undecoded.items()
+        ]
+
+    def rate(self, topic: str) -> float:
+        """Messages of a topic per second of their stamps, so far; NaN for fewer than two."""
+        return self._stamps[topic].rate if topic in self._stamps else math.nan

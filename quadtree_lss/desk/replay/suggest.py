@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A configuration from the data: where the ground lies, the noise of ranges, the finest cells."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from quadtree_lss.desk.replay.cloud_files import open_recording
+from quadtree_lss.desk.replay.run import Progress
+from quadtree_lss.desk.replay.stream import SECOND_NS, ReplayError, Stream
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.loading import dump_values
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.messages.intake import ReadyScan
+
+#: Of a bag so many scans are looked at, and so many points of each.
+SCANS, POINTS = 60, 1500
+#: Neighbours of a return, itself among them, that the plane is laid through.
+NEIGHBOURS = 9
+#: Sides of the finest cell: so many times the distance of returns, and the range noise, at least.
+SPACINGS, NOISES = 2.5, 4.0
+#: The lower three tenths of chi square of six degrees, over six: smooth ground decides.
+QUANTILE, AT_QUANTILE = 0.3, 0.638
+#: Of a level: rather finer than coarser, where the wanted cell lies between two.
+FINER = 0.2
+#: Levels between the coarsest and the finest cells, and the finest that helps a lander, m.
+LEVELS, FINEST = 4, 0.1
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Values for a bag, and why.
+
+    Attributes:
+        values: By dotted key.
+        reasons: A line for each key that has one.
+        notes: What to know, a line each.
+    """
+
+    values: dict[str, Any]
+    reasons: dict[str, str]
+    notes: tuple[str, ...]
+
+    def text(self) -> str:
+        """A parameter file."""
+        lines = [f"# {note}" for note in self.notes]
+        return "\n".join([*lines, dump_values(self.values, self.reasons)])
+
+    def as_dict(self) -> dict[str, Any]:
+        """In JSON's types."""
+        return {"values": self.values, "reasons": self.reasons, "notes": list(self.notes)}
+
+
+def suggest_config(
+    bag: str | Path,
+    config: Config,
+    *,
+    poses: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Suggestion:
+    """Domain, range noise, cells and landing grid for a bag.
+
+    Args:
+        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
+        config: How scans find their poses; what is suggested is checked together with it.
+        poses: File of poses for point clouds.
+        progress: See `run.Progress`.
+
+    Raises:
+        BagError: the bag cannot be read or its topics are ambiguous.
+        ReplayError: no scan has a pose, or none a return.
+    """
+    seen = _Seen()
+    stream = Stream()
+    with open_recording(bag, poses, config.frames.map) as opened:
+        stream.resolve(opened, config)
+        count = next(t.count for t in opened.topics if t.name == stream.scans)
+        intake, every = stream.intake(config), max(count // SCANS, 1)
+        for number, message in enumerate(stream.messages(opened)):
+            stream.take(opened, intake, message)
+            for scan in intake.ready(message.received_ns):
+                seen.add(scan, config, every)
+            if progress is not None and number % 50 == 0:
+                done = (message.received_ns - stream.start_ns) / SECOND_NS
+                progress(done, stream.seconds)
+        intake.finish()
+        causes = [notice.text for notice in intake.notices()]
+    if not seen.places:
+        why = causes[0] if causes else "no scan has a pose and a return"
+        msg = f"{bag}: nothing to suggest from: {why}"
+        raise ReplayError(msg)
+    return seen.suggestion(Path(bag), config)
+
+
+class _Seen:
+    """What scans show."""
+
+    def __init__(self) -> None:
+        self.places: list[Array] = []
+        self._scans = self._used = 0
+        self._noise: list[float] = []
+        self._spacing: list[float] = []
+        self._above: list[float] = []
+
+    def add(self, scan: ReadyScan, config: Config, every: int) -> None:
+        """Looks at every so-manieth scan."""
+        self._scans += 1
+        if (self._scans - 1) % every:
+            return
+        points = scan.points_lidar.reshape(-1, 3).astype(np.float64)
+        ranges = np.linalg.norm(points, axis=1)
+        with np.errstate(invalid="ignore"):
+            sound = (ranges >= config.lidar.min_range) & (ranges <= config.lidar.max_range)
+        points, ranges = points[sound], ranges[sound]
+        if len(points) < NEIGHBOURS:
+            return
+        self._used += 1
+        placed = points @ scan.pose.rotation_map_lidar.T + scan.pose.position
+        few = slice(None, None, max(len(points) // POINTS, 1))
+        self.places.append(placed[few])
+        self._above.append(scan.pose.position[2] - float(np.median(placed[:, 2])))
+        low, high = np.percentile(placed[:, :2], [10.0, 90.0], axis=0)
+        area = float(np.prod(high - low)) / 0.64
+        self._spacing.append(math.sqrt(area / len(points)))
+        variance = _scatter(points / ranges[:, None], ranges, few)
+        self._noise.append(math.sqrt(float(np.quantile(variance, QUANTILE)) / AT_QUANTILE))
+
+    def suggestion(self, bag: Path, config: Config) -> Suggestion:
+        noise = max(_rounded(float(np.median(self._noise))), 1e-3)
+        spacing = float(np.median(self._spacing))
+        low, high = np.percentile(np.concatenate(self.places)[:, :2], [0.5, 99.5], axis=0)
+        middle, side = 0.5 * (low + high), 1.04 * float(np.max(high - low))
+        wanted = max(SPACINGS * spacing, NOISES * noise, FINEST)
+        level = min(max(round(math.log2(side / wanted) + FINER), 0), 10)
+        finest = math.ceil(100.0 * side / 2**level) / 100.0
+        size = finest * 2**level
+        corner = np.round(2.0 * (middle - 0.5 * size)) / 2.0
+        grid = min(max(finest, size / 2000.0), 1.0)
+        values: dict[str, Any] = {
+            "domain.xmin": float(corner[0]),
+            "domain.ymin": float(corner[1]),
+            "domain.size": round(size, 6),
+            "domain.min_level": max(level - LEVELS, 0),
+            "domain.max_level": level,
+            "lidar.range_noise": noise,
+            "lss.grid_spacing": round(grid, 3),
+        }
+        coarse = size / 2 ** max(level - LEVELS, 0)
+        reasons = {
+            "domain.xmin": f"99 % of the returns lie in x {low[0]:.1f} ... {high[0]:.1f}, "
+            f"y {low[1]:.1f} ... {high[1]:.1f} m",
+            "domain.max_level": f"cells of {coarse:g} ... {finest:g} m: returns of a scan are"
+            f" {spacing:.2g} m apart on the ground",
+            "lidar.range_noise": "scatter of neighbouring returns where the ground is smoothest",
+        }
+        if 2.0 * spacing > config.lss.max_gap:
+            values["lss.max_gap"] = _rounded(2.0 * spacing)
+            reasons["lss.max_gap"] = "returns are farther apart than the default bridges"
+        notes = [f"Suggested for {bag} from {self._used} of its {self._scans} scans."]
+        if float(np.median(self._above)) < 0.0:
+            notes.append(
+                "The ground lies above the lidar by these poses: see mount.axes and frames first"
+                " (quadtree-lss info)."
+            )
+        config_from_values(values, config)
+        return Suggestion(values, reasons, tuple(notes))
+
+
+def _scatter(rays: Array, ranges: Array, chosen: slice) -> Array:
+    """Variance of ranges about a plane through each chosen return and its neighbours, m^2.
+
+    Args:
+        rays: (N, 3) unit vectors.
+        ranges: (N,) m.
+        chosen: Of the returns.
+    """
+    near = cKDTree(rays).query(rays[chosen], k=NEIGHBOURS)[1]
+    middle = rays[chosen]
+    first = np.cross(middle, np.where(np.abs(middle[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]]))
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(middle, first)
+    across = [np.einsum("kni,ki->kn", rays[near], axis) for axis in (first, second)]
+    design = np.stack([np.ones(near.shape), *across], axis=-1)
+    scale = np.abs(design).max(axis=(1,), keepdims=True)
+    orthogonal, _ = np.linalg.qr(design / np.where(scale > 0.0, scale, 1.0))
+    values = ranges[near] - ranges[near].mean(axis=1, keepdims=True)
+    fitted = np.einsum("knj,kj->kn", orthogonal, np.einsum("knj,kn->kj", orthogonal, values))
+    return np.asarray(np.sum((values - fitted) ** 2, axis=1) / (NEIGHBOURS - 3))
+
+
+def _rounded(value: float) -> float:
+    """To two digits."""
+    return float(f"{value:.2g}")

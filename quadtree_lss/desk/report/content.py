@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a results folder holds, as arrays: all that the page and the figures are made of."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Content:
+    """A results folder; lengths m, map frame.
+
+    Attributes:
+        grid: Arrays of ``grid.npz``; ``probability`` where the file has it.
+        cells: Of ``cells.npz``, ``domain`` included.
+        history: Of ``history.npz``, empty without the file.
+        sites: Columns of ``sites.csv``, best first.
+        timing: Columns of ``timing.csv``.
+        summary: ``summary.json``; numbers that do not exist are None.
+    """
+
+    grid: Arrays
+    cells: Arrays
+    history: Arrays
+    sites: Arrays
+    timing: Arrays
+    summary: Mapping[str, Any]
+
+    @cached_property
+    def config(self) -> Config:
+        """What the run was made with."""
+        return config_from_values(self.summary["config"])
+
+    @property
+    def seen(self) -> Mask:
+        """(ny, nx) of the grid points whose ground is seen and mapped."""
+        seen: Mask = (self.grid["hazard"] & UNSEEN) == 0
+        return seen
+
+    @property
+    def unmapped(self) -> Mask:
+        """(ny, nx) of those whose ground is seen, but not yet mapped."""
+        unmapped: Mask = (self.grid["hazard"] & UNMAPPED) > 0
+        return unmapped
+
+    @property
+    def spacing(self) -> float:
+        """Of the grid points, m."""
+        x = self.grid["x"]
+        return float(x[1] - x[0]) if len(x) > 1 else self.config.lss.grid_spacing
+
+    @property
+    def zone(self) -> float:
+        """Radius of the ground that a landing needs, m."""
+        return 0.5 * self.config.lss.vehicle_diameter + self.config.lss.margin
+
+    @property
+    def probability(self) -> Array | None:
+        """(ny, nx) of a safe touchdown, NaN where it was not judged; None if nowhere."""
+        found = self.grid.get("probability")
+        return None if found is None or not np.isfinite(found).any() else found
+
+    @property
+    def reasons(self) -> list[str]:
+        """A sentence for each site."""
+        rows = len(self.sites["x"])
+        return [*self.summary.get("reasons", ()), *[""] * rows][:rows]
+
+
+def read(folder: str | Path) -> Content:
+    """Reads a folder that ``replay`` wrote."""
+    path = Path(folder)
+    history = path / "history.npz"
+    return Content(
+        grid=_arrays(path / "grid.npz"),
+        cells=_arrays(path / "cells.npz"),
+        history=_arrays(history) if history.exists() else {},
+        sites=_columns(path / "sites.csv"),
+        timing=_columns(path / "timing.csv"),
+        summary=json.loads((path / "summary.json").read_text(encoding="utf-8")),
+    )
+
+
+def _arrays(path: Path) -> Arrays:
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def _columns(path: Path) -> Arrays:
+    """Columns of a CSV file; whole numbers stay exact, what is no number becomes NaN."""
+    with path.open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    columns = zip(*rows, strict=True) if rows else [()] * len(header)
+    return {name: _numbers(texts) for name, texts in zip(header, columns, strict=True)}
+
+
+def _numbers(texts: tuple[str, ...]) -> NDArray[Any]:
+    try:
+        return np.array([int(text) for text in texts], dtype=np.int64)
+    except ValueError:
+        return np.array([_number(text) for text in texts])
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")

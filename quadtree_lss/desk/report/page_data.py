@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``report.html`` draws: a results folder as columns, with their units and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.desk.report import palette
+from quadtree_lss.desk.report.answer import areas, largest_circle, nearest_miss
+from quadtree_lss.desk.report.content import Content
+from quadtree_lss.desk.report.packing import Columns
+from quadtree_lss.onboard.core.geometry.feature import peak
+
+MAX_GRID_POINTS = 250_000
+"""Of the landing grid that are embedded; of larger grids every other, third, … point is."""
+MAX_LEAVES = 80_000
+"""With their planes; beyond, only the outlines of the leaves are embedded."""
+MAX_ANSWERS = 60
+"""Of the slider."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One more layer of the grid points, such as the truth.
+
+    Attributes:
+        name, title, unit: Of the layer.
+        values: (ny, nx) numbers with ``kind`` of ``palette.MAPS`` and ``limits``, or numbers of
+            ``classes``: pairs of name and colour.
+        note: What must be known to read it.
+    """
+
+    name: str
+    title: str
+    values: NDArray[Any]
+    unit: str = ""
+    kind: str = "elevation"
+    limits: tuple[float, float] | None = None
+    classes: Sequence[tuple[str, str]] = ()
+    note: str = ""
+
+
+def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str, Any], Columns]:
+    """Everything the page's script draws, ready for JSON, and the columns it refers to."""
+    columns, config = Columns(), content.config
+    grid = _grid(content, columns)
+    stride = grid["stride"]
+    circle, miss = largest_circle(content), nearest_miss(content)
+    return {
+        "grid": grid,
+        "layers": [_layer(layer, columns, stride) for layer in layers],
+        "leaves": _leaves(content.cells, columns),
+        "sites": _sites(content),
+        "zone": content.zone,
+        "noise": config.lidar.range_noise,
+        "lander": {"radius": 0.5 * config.lss.vehicle_diameter, "pad": config.lss.pad_radius},
+        "circle": circle and asdict(circle),
+        "miss": miss and asdict(miss),
+        "landing": content.summary.get("landing") or {},
+        "areas": asdict(areas(content)),
+        "history": _history(content, columns, stride),
+        "timing": _timing(content),
+        "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
+        "excluding": palette.excluding(config.lss.assessment),
+        "centred": config.lss.assessment != "paper",
+        "colours": {
+            "clear": palette.CLEAR_COLOUR,
+            "excluded": palette.EXCLUDED_COLOUR,
+            "safe": palette.SAFE_COLOUR,
+            "site": palette.SITE_COLOUR,
+        },
+        "maps": {
+            kind: columns.whole(palette.colour_table(name), "u1")
+            for kind, name in palette.MAPS.items()
+        },
+    }, columns
+
+
+def _grid(content: Content, columns: Columns) -> dict[str, Any]:
+    grid = content.grid
+    stride = int(np.ceil(np.sqrt(max(grid["hazard"].size / MAX_GRID_POINTS, 1.0))))
+
+    def part(name: str) -> NDArray[Any]:
+        return grid[name][::stride, ::stride]
+
+    limit = palette.slope_limit(content.config.lss)
+    found: dict[str, Any] = {
+        "nx": len(grid["x"][::stride]),
+        "ny": len(grid["y"][::stride]),
+        "xmin": float(grid["x"][0]),
+        "ymin": float(grid["y"][0]),
+        "spacing": content.spacing * stride,
+        "stride": stride,
+        "elevation": columns.quantised(part("elevation"))
+        | {"limits": palette.colour_limits(grid["elevation"])},
+        "slope": columns.quantised(part("slope_deg"))
+        | {"limits": (0.0, max(palette.top_limit(grid["slope_deg"])[1], limit)), "mark": limit},
+        "score": columns.quantised(part("score"))
+        | {"limits": palette.colour_limits(grid["score"])},
+        "hazard": columns.whole(part("hazard"), "u1"),
+        "safe": columns.whole(part("safe"), "u1"),
+    }
+    if content.probability is not None:
+        found["probability"] = columns.quantised(100.0 * part("probability"))
+        found["probability"]["limits"] = (0.0, 100.0)
+    return found
+
+
+def _layer(layer: Layer, columns: Columns, stride: int) -> dict[str, Any]:
+    values = layer.values[::stride, ::stride]
+    about = {"name": layer.name, "title": layer.title, "unit": layer.unit, "note": layer.note}
+    if layer.classes:
+        classes = [{"name": name, "colour": colour} for name, colour in layer.classes]
+        return {**about, "classes": classes, "values": columns.whole(values, "u1")}
+    limits = layer.limits or palette.colour_limits(layer.values)
+    return {**about, "kind": layer.kind, "values": {**columns.quantised(values), "limits": limits}}
+
+
+def _leaves(cells: Mapping[str, NDArray[Any]], columns: Columns) -> dict[str, Any]:
+    xmin, ymin, size, min_level, max_level = cells["domain"].tolist()
+    found: dict[str, Any] = {
+        "number": len(cells["level"]),
+        "xmin": xmin,
+        "ymin": ymin,
+        "size": size,
+        "min_level": int(min_level),
+        "max_level": int(max_level),
+        "level": columns.whole(cells["level"], "u1"),
+        "ix": columns.whole(cells["ix"], "u2"),
+        "iy": columns.whole(cells["iy"], "u2"),
+    }
+    if found["number"] > MAX_LEAVES:
+        return found
+    estimated = np.isfinite(cells["z"])
+    with np.errstate(invalid="ignore"):
+        deviation = np.where(estimated, np.sqrt(cells["covariance"][:, 2, 2]), np.nan)
+    rough = cells["roughness"] / cells["size"] ** 2  # Eq. 55 by area: distance from the plane
+    shown = np.isfinite(cells["feature"][:, 0])
+    height = np.full(found["number"], np.nan)
+    height[shown] = peak(cells["feature"][shown])
+    bounds = {
+        name: columns.quantised(cells[name])
+        for name in ("low", "high")
+        if name in cells and np.isfinite(cells[name]).any()
+    }
+    return (
+        found
+        | bounds
+        | {
+            "z": columns.quantised(cells["z"]),
+            "slope_x": columns.quantised(np.where(estimated, -cells["nx"] / cells["nz"], np.nan)),
+            "slope_y": columns.quantised(np.where(estimated, -cells["ny"] / cells["nz"], np.nan)),
+            "deviation": columns.quantised(deviation) | {"limits": palette.top_limit(deviation)},
+            "roughness": columns.quantised(rough) | {"limits": palette.top_limit(rough)},
+            "exceptions": columns.quantised(cells["exception_fraction"], "u1"),
+            "feature": columns.quantised(height),
+            "count": columns.whole(cells["count"], "u4"),
+            "measured": columns.whole(cells["measured"], "u1"),
+        }
+    )
+
+
+def _sites(content: Content) -> list[dict[str, Any]]:
+    names = [name for name in content.sites if name not in ("rank", "nx", "ny", "nz")]
+    return [
+        {
+            "rank": k + 1,
+            **{name: _json(content.sites[name][k]) for name in names},
+            "normal": [float(content.sites[name][k]) for name in ("nx", "ny", "nz")],
+            "reason": content.reasons[k],
+        }
+        for k in range(len(content.sites["x"]))
+    ]
+
+
+def _json(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] | None:
+    """Answers and scans in seconds since the first of both; None without a second answer."""
+    history = content.history
+    if not history:
+        return None
+    scans, answers = history["scan_stamp_ns"], history["answer_stamp_ns"]
+    mapped = np.flatnonzero(answers > 0)  # of a map with a scan in it
+    if len(mapped) < 2:
+        return None
+    first = int(min(scans.min(initial=answers[mapped[0]]), answers[mapped].min()))
+    shown = mapped[np.unique(np.linspace(0, len(mapped) - 1, MAX_ANSWERS).round().astype(int))]
+    shape = content.grid["hazard"].shape
+
+    def bits(name: str) -> NDArray[Any]:
+        rows = np.unpackbits(history[name][shown], axis=1, count=shape[0] * shape[1])
+        return rows.reshape(-1, *shape)[:, ::stride, ::stride]
+
+    def packed(name: str) -> NDArray[Any]:
+        return np.packbits(bits(name).reshape(len(shown), -1), axis=1)
+
+    # Of what is seen hardly anything changes from one answer to the next.
+    seen = packed("seen")
+    seen[1:] ^= seen[:-1].copy()
+    place = {answer: k for k, answer in enumerate(shown.tolist())}
+    likely = {}
+    if "probability" in history:
+        found = history["probability"][shown].reshape(-1, *shape)[:, ::stride, ::stride]
+        # Changes from one answer to the next, modulo 256, are nearly all zero.
+        likely["probability"] = columns.whole(np.diff(found, axis=0, prepend=np.uint8(0)), "u1")
+    sites: list[list[list[float | None]]] = [[] for _ in shown]
+    for row, answer in enumerate(history["site_answer"].tolist()):
+        if answer in place:
+            values = (
+                history["site_id"][row],
+                *history["site_position"][row],
+                history["site_score"][row],
+                history["site_probability"][row],
+            )
+            sites[place[answer]].append([_json(value) for value in values])
+    outline = history["scan_outline"]
+    return {
+        "seconds": _seconds(answers[shown], first),
+        "seen": columns.whole(seen, "u1"),
+        "allowed": columns.whole(packed("allowed"), "u1"),
+        **likely,
+        "sites": sites,
+        "targets": [[_json(value) for value in row] for row in history["target"][shown]],
+        "scan_seconds": _seconds(scans, first),
+        "position": columns.floats(history["scan_position"]),
+        "outline": columns.floats(outline),
+        "corners": outline.shape[1],
+    }
+
+
+def _seconds(stamps: NDArray[Any], first: int) -> list[float]:
+    return [round((stamp - first) / 1e9, 4) for stamp in stamps.tolist()]
+
+
+def _timing(content: Content) -> dict[str, Any]:
+    timing = content.timing
+    stamps = timing["stamp_ns"]
+    return {
+        "seconds": _seconds(stamps, int(stamps[0]) if len(stamps) else 0),
+        "map_ms": [round(value, 3) for value in timing["map_ms"].tolist()],
+        **{name: timing[name].tolist() for name in ("leaves", "points_used", "points")},
+    }

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Colours that the page and the figures share; classes are of Okabe and Ito's palette."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Bytes
+from quadtree_lss.onboard.config.sections import LssConfig
+
+UNSEEN, UNSEEN_COLOUR = 128, "#bbbbbb"
+UNMAPPED, UNMAPPED_NAME, UNMAPPED_COLOUR = 64, "seen, not yet mapped", "#8c8ca6"
+UNKNOWN = UNSEEN | UNMAPPED
+# Bit, name and colour of hazards, the first that applies is drawn.
+HAZARDS = (
+    (UNMAPPED, UNMAPPED_NAME, UNMAPPED_COLOUR),
+    (UNSEEN, "unseen", UNSEEN_COLOUR),
+    (8, "touchdown", "#e69f00"),
+    (4, "exception", "#56b4e9"),
+    (1, "slope", "#d55e00"),
+    (2, "elevation", "#cc79a7"),
+)
+CLEAR_COLOUR = "#f0e9c8"  # no hazard
+# Of where landing is allowed; the latter is no colour of a hazard nor of the absence of one.
+SAFE_COLOUR, EXCLUDED_COLOUR = "#009e73", "#882255"
+SITE_COLOUR = "#1c1c1c"  # of no map and no kind of hazard; ringed in white
+MAPS = {
+    "elevation": "cividis",
+    "slope": "viridis",
+    "score": "viridis_r",
+    "probability": "viridis",
+    "deviation": "magma",
+    "error": "RdBu_r",
+}
+"""matplotlib's name of the colour map of each kind of layer."""
+
+
+def excluding(assessment: str) -> int:
+    """Bits of the hazards that exclude landing with ``lss.assessment``."""
+    return 8 | 4 | 2 | 1 if assessment == "paper" else 8 | 4
+
+
+def slope_limit(lss: LssConfig) -> float:
+    """The slope that a reader is told to compare with, deg."""
+    return lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
+
+
+def colour_table(name: str) -> Bytes:
+    """(256, 3) colours of a matplotlib colour map."""
+    colours = matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3]
+    return np.ascontiguousarray(colours, dtype=np.uint8)
+
+
+def colour_limits(values: Array) -> tuple[float, float]:
+    """Range of a colour map that outliers do not stretch: 1 and 99 %."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, [1.0, 99.0])
+    return float(low), float(high) if high > low else float(low) + 1e-6
+
+
+def top_limit(values: Array) -> tuple[float, float]:
+    """From 0 to the 99th percentile."""
+    return 0.0, max(colour_limits(values)[1], 1e-6)
+
+
+def even_limits(values: Array) -> tuple[float, float]:
+    """As far below 0 as above it: 99 % of the absolute values."""
+    top = top_limit(np.abs(values))[1]
+    return -top, top
+
+
+def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.75) -> Array:
+    """(ny, nx, 3) colours in 0 … 1 on ground (ny, nx) that is lit from the north-west.
+
+    Level and unseen ground keeps its colours. Slopes are exaggerated until the steeper ones throw
+    shade, as on the page.
+    """
+    along_y, along_x = (_rise(elevation, axis) / spacing for axis in (0, 1))
+    steep = np.nanpercentile(np.hypot(along_x, along_y), 90) if np.isfinite(along_x).any() else 0
+    factor = np.clip(0.6 / max(steep, 1e-9), 0.5, 6.0)
+    a, b = factor * along_x, factor * along_y
+    lit = np.nan_to_num((1.0 + np.sqrt(0.5) * (a - b)) / np.hypot(np.hypot(a, b), 1.0), nan=1.0)
+    grey = np.where(lit < 1.0, 0.5 * np.maximum(lit, 0.0), 0.5 + 0.4 * (lit - 1.0) / 0.41421)
+    grey = grey[..., None]
+    # The blend mode "hard light".
+    dark, bright = 2.0 * image * grey, 1.0 - 2.0 * (1.0 - image) * (1.0 - grey)
+    result: Array = np.clip(image + strength * (np.where(grey < 0.5, dark, bright) - image), 0, 1)
+    return result
+
+
+def _rise(z: Array, axis: int) -> Array:
+    """Central difference per step, one-sided beside what is not known."""
+    after = np.roll(z, -1, axis)
+    before = np.roll(z, 1, axis)
+    ends = [slice(None)] * 2
+    for place, array in ((-1, after), (0, before)):
+        ends[axis] = slice(place, None) if place else slice(0, 1)
+        array[tuple(ends)] = np.nan
+    known_after, known_before = np.isfinite(after), np.isfinite(before)
+    steps = known_after.astype(float) + known_before
+    rise = np.where(known_after, after, z) - np.where(known_before, before, z)
+    return np.where(steps > 0, rise / np.maximum(steps, 1.0), 0.0) + 0.0 * z

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flies a study on Dask: a flight is a task, and what it gives is a file."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import logging
+import os
+import signal
+import time
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Flown, kind_of
+from quadtree_lss.lab.campaign.store import Record, Store
+from quadtree_lss.lab.campaign.study import Study, this_build
+from quadtree_lss.lab.campaign.summary import CampaignResult, narrow_enough, write_summary
+from quadtree_lss.onboard.errors import one_line
+
+Progress = Callable[[int, int], None]
+"""Called with the flights that are done and the flights there are."""
+
+REMEDY = "pip install 'quadtree_lss[campaign]'"
+SETTINGS = {
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 30,
+    "distributed.worker.profile.enabled": False,
+}
+"""Dask has its workers give back what they free, page by page: a sixth of a flight's time. And it
+has them look at their own stack a hundred times a second and keep what they saw for 1,000 s."""
+LOOK_S = 0.5
+TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
+"""One and the same from Python 3.11 on."""
+TURN = 20
+"""Flights after which it is asked again whether an interval is narrow enough."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """Who flies: ``workers`` processes of this computer, or those of a scheduler."""
+
+    workers: int | None = None
+    scheduler_address: str | None = None
+    scheduler_file: str | None = None
+
+
+def campaign(
+    study: Study,
+    out: str | Path,
+    where: Where | None = None,
+    *,
+    add: int = 0,
+    rerun: Collection[int] | None = None,
+    rerun_failed: bool = False,
+    progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> CampaignResult:
+    """Flies what of a study has no file yet, and writes the summary.
+
+    Args:
+        study: See `study.read_study`.
+        out: Folder; flights that were flown there are not flown again.
+        where: Who flies.
+        add: Flights more than the study has, of all combinations together.
+        rerun: Numbers of flights to fly again.
+        rerun_failed: Fly those again that failed.
+        progress: See `Progress`.
+        stop: Asked now and then; once it answers True, what is done is kept and summed up.
+        tell: Gets the address of the dashboard.
+
+    Raises:
+        CampaignError: the study cannot be flown there, or Dask is not installed.
+        KeyboardInterrupt: stopped before a flight was done.
+    """
+    store, stopped = Store(out), stop or (lambda: False)
+    with store.opened():
+        study = _extended(study, store.added(add) if add else store.added())
+        for index in rerun or ():
+            if not 0 <= index < study.count:
+                msg = f"there is no flight {index}; the study has 0 to {study.count - 1}"
+                raise CampaignError(msg)
+            store.forget(study.case(index))
+        records: dict[int, Record] = {}
+        for index in range(study.count):
+            record = store.read(study.case(index))
+            if record is not None and record.error and rerun_failed:
+                store.forget(study.case(index))
+            elif record is not None:
+                records[index] = record
+        enough = _Enough(study, records)
+        missing = iter(i for i in range(study.count) if i not in records)
+        tell_progress = progress or (lambda done, total: None)
+        tell_progress(len(records), study.count)
+        interrupted = False
+        if len(records) < study.count and not enough.reached():
+            with _client(where or Where()) as client:
+                if tell is not None:
+                    tell(f"dashboard: {client.dashboard_link}")
+                for record in _fly_all(client, study, store, missing, enough, stopped):
+                    records[record.index] = record
+                    tell_progress(len(records), study.count)
+                interrupted = stopped() and not enough.reached() and len(records) < study.count
+        if interrupted and not records:
+            raise KeyboardInterrupt
+        kept = dict(sorted(records.items()))
+        if enough.count is not None:
+            kept = {index: record for index, record in kept.items() if index < enough.count}
+        result = CampaignResult(store.out, study, kept, interrupted, enough.count)
+        write_summary(result, store)
+        return result
+
+
+def _extended(study: Study, added: int) -> Study:
+    if added and study.seeds:
+        msg = "flights are added to a number of flights; of seeds, name more in the study"
+        raise CampaignError(msg)
+    return replace(study, repeats=study.repeats + -(-added // len(study.combinations)))
+
+
+class _Enough:
+    """Whether the first flights, without a gap, have an interval as narrow as was asked for.
+
+    Only whole turns count, so that the answer does not depend on which flight ends first.
+    """
+
+    def __init__(self, study: Study, records: dict[int, Record]) -> None:
+        self.study, self.records = study, records
+        self.count: int | None = None
+        self._first = 0
+
+    def reached(self) -> bool:
+        """Looks at what is new."""
+        if self.study.until is None or self.count is not None:
+            return self.count is not None
+        while self._first in self.records:
+            self._first += 1
+            if self._first % (TURN * len(self.study.combinations)):
+                continue
+            first = [self.records[index] for index in range(self._first)]
+            if narrow_enough(self.study, first):
+                self.count = self._first
+                return True
+        return False
+
+
+def fly(case: Case) -> Flown | str:
+    """One flight, on a worker; a text says why it failed."""
+    import psutil  # with Dask
+
+    if (case.version, case.build) != this_build():
+        return f"the worker has version and build {this_build()}, not {case.version, case.build}"
+    try:
+        figures, timing = kind_of(case.kind).fly(case)
+    except Exception as error:  # whatever it is, the others go on
+        return one_line(f"{type(error).__name__}: {error}")
+    gc.collect()  # a flight's large arrays hang in rings of small objects
+    memory = psutil.Process().memory_info().rss / 1e6
+    return Flown(figures, {**timing, "memory_mb": memory, "process": os.getpid()})
+
+
+def _fly_all(
+    client: Any,
+    study: Study,
+    store: Store,
+    missing: Iterator[int],
+    enough: _Enough,
+    stop: Callable[[], bool],
+) -> Iterator[Record]:
+    """Keeps two flights for each worker on the way, so that a million need no more memory."""
+    from dask.distributed import wait
+
+    running: dict[Any, Case] = {}
+    began = time.monotonic()
+
+    def fill() -> None:
+        threads = sum(client.nthreads().values())
+        if not threads and time.monotonic() - began > 60.0 and not running:
+            msg = "the scheduler has had no worker for a minute"
+            raise CampaignError(msg)
+        while len(running) < 2 * max(threads, 1):
+            index = next(missing, None)
+            if index is None:
+                return
+            case = study.case(index)
+            future = client.submit(fly, case, key=f"flight-{index}-{id(store)}", pure=False)
+            running[future] = case
+
+    fill()
+    while running and not stop() and not enough.reached():
+        with contextlib.suppress(*TIMED_OUT):
+            wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
+        for future in [f for f in running if f.done()]:
+            case = running.pop(future)
+            yield _take(future, case, store)
+            future.release()
+        fill()
+    for future in running:
+        future.cancel()
+
+
+def _take(future: Any, case: Case, store: Store) -> Record:
+    if future.status != "finished":
+        error = future.exception() if future.status == "error" else None
+        why = one_line(f"{type(error).__name__}: {error}") if error else "it was cancelled"
+        return store.write(case, {}, why)
+    answer = future.result()
+    if isinstance(answer, str):
+        return store.write(case, {}, answer)
+    figures, timing = answer
+    store.note_time(case.index, timing)
+    return store.write(case, figures)
+
+
+@contextlib.contextmanager
+def _client(where: Where) -> Iterator[Any]:
+    """Dask's client of the workers that were asked for."""
+    try:
+        import dask
+        from dask.distributed import Client, LocalCluster
+    except ImportError as error:
+        msg = f"campaigns need Dask: {REMEDY}"
+        raise CampaignError(msg) from error
+    given = [v for v in (where.workers, where.scheduler_address, where.scheduler_file) if v]
+    if len(given) > 1:
+        msg = "workers, scheduler_address and scheduler_file exclude one another"
+        raise CampaignError(msg)
+    for name in ("distributed", "asyncio", "tornado"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with contextlib.ExitStack() as stack:
+        try:
+            if where.scheduler_address or where.scheduler_file:
+                how: dict[str, Any] = {"timeout": "20s"}
+                if where.scheduler_file:
+                    if not Path(where.scheduler_file).is_file():
+                        msg = f"{where.scheduler_file}: no such file"
+                        raise CampaignError(msg)
+                    how["scheduler_file"] = where.scheduler_file
+                else:
+                    how["address"] = where.scheduler_address
+                client = stack.enter_context(Client(**how))
+            else:
+                deaf = stack.enter_context(contextlib.ExitStack())
+                deaf.enter_context(_deaf_children())
+                deaf.enter_context(dask.config.set(SETTINGS))
+                cluster = LocalCluster(
+                    n_workers=where.workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
+                client = stack.enter_context(Client(stack.enter_context(cluster)))
+                deaf.close()
+        except (OSError, ValueError, *TIMED_OUT) as error:
+            msg = f"no scheduler: {one_line(str(error) or type(error).__name__)}"
+            raise CampaignError(msg) from error
+        yield client
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes that are started within it ignore Ctrl-C: what it means is the parent's affair."""
+    try:
+        heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except ValueError:  # not the main thread, which alone hears it
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, heard)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The kind ``fly``: a lander flies by the nodes' answers in lock-step; the true ground judges."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity
+from quadtree_lss.lab.flight import fly as lockstep
+from quadtree_lss.lab.flight.settings import AVOIDANCE, FlightSettings, flight_settings
+
+CONDITIONS = (
+    "terrain",
+    "rocks",
+    "range_noise",
+    "outliers",
+    "dropouts",
+    "half",
+    "slant_range",
+    "speed",
+    "glide_slope_deg",
+    "scatter",
+    "survey",
+    "fault",
+    "reference",
+)
+"""As of ``flight.settings``; ``survey`` is the first pass of the lidar, s."""
+
+
+def settings_of(case: Case) -> tuple[FlightSettings, bool]:
+    """What is flown, and whether it is compared with the least propellant.
+
+    The scenario is the avoidance; ``fault`` is one as of ``--fault``.
+    """
+    given: dict[str, Any] = dict(case.conditions)
+    reference, fault = bool(given.pop("reference", False)), given.pop("fault", None)
+    given |= {"avoidance": case.scenario, "config": dict(case.parameters)}
+    given["faults"] = (str(fault),) if fault else ()
+    given["terrain"] = given.get("terrain") or ""
+    if "rocks" in given:
+        given["rock_abundance"] = given.pop("rocks")
+    if "survey" in given:
+        given["plan"] = {"survey": given.pop("survey")}
+    return flight_settings(given), reference
+
+
+def fly(case: Case) -> Flown:
+    """Figures of one flight."""
+    began = time.process_time()
+    settings, reference = settings_of(case)
+    found = lockstep.flown(case.seed, settings, reference=reference).figures
+    down = found["outcome"] == "touchdown"
+    figures = {
+        **{k: int(v) if isinstance(v, bool) else v for k, v in found.items() if k != "seed"},
+        "one": 1,
+        "aborted": int(not down),
+        "unsafe": int(down and not found["safe"]),
+        "unsafe_known": int(down and not found["ground_safe"] and found["map_said"] == "unsafe"),
+    }
+    return Flown(figures, {"cpu_s": time.process_time() - began})
+
+
+def keep(case: Case, folder: Path) -> None:
+    """Record, picture and page of the flight."""
+    from quadtree_lss.lab.flight.page import write_flight
+
+    settings, reference = settings_of(case)
+    write_flight(folder, lockstep.flown(case.seed, settings, reference=reference))
+
+
+FLY = Kind(
+    fly=fly,
+    keep=keep,
+    page="flight.html",
+    scenarios=AVOIDANCE,
+    conditions=CONDITIONS,
+    quantities=(
+        Quantity("safe", "Safe touchdowns", worst="smallest", of="one"),
+        Quantity("unsafe", "Unsafe touchdowns", of="one"),
+        Quantity("aborted", "Flights without touchdown", of="one"),
+        Quantity("unsafe_known", "Unsafe where the map had said so", of="one"),
+        Quantity("error", "Touchdown from the aim", "m", 3),
+        Quantity("from_planned", "Touchdown from the planned point", "m", 1),
+        Quantity("propellant", "Propellant", "kg", 1),
+        Quantity("propellant_ratio", "Propellant over the least there could be", "", 3),
+        Quantity("diverts", "Diverts after the first target", "", 1),
+        Quantity("last_divert_height", "Height of the last divert", "m", 1, "smallest"),
+        Quantity("last_divert_time", "Time of the last divert", "s", 1),
+        Quantity("time", "Time of flight", "s", 1),
+    ),
+    explained=("propellant",),
+    by=("from_planned", "diverts"),
+)

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kinds of flights that a study can be of, and what is told of each.
+
+A kind is registered by its name in `REGISTERED`, as ``module:attribute``; a study may also name one
+of its own so. What it flies is a function of a `Case` alone: the same case gives the same figures,
+in any process and any order.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+REGISTERED = {
+    "map": "quadtree_lss.lab.campaign.mapped:MAP",
+    "fly": "quadtree_lss.lab.campaign.flights:FLY",
+}
+
+Value = float | int | str | bool | None
+
+
+class CampaignError(QuadtreeLssError):
+    """A study or a campaign that cannot be run as asked; the text is one clear line."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One flight of a study, with everything decided.
+
+    Attributes:
+        index: Number of the flight in the study, from 0.
+        kind: See `kind_of`.
+        scenario: What is flown.
+        seed: Of everything that is random in it.
+        conditions: What differs from the scenario's own, by the names that the kind knows.
+        parameters: All parameters, dotted; see `config.settings.values_from_config`.
+        labels: What varies over the study, by name, for tables and plots.
+        version, build: Of the package that is to fly it.
+    """
+
+    index: int
+    kind: str
+    scenario: str
+    seed: int
+    conditions: Mapping[str, Value] = field(default_factory=dict)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    labels: Mapping[str, Value] = field(default_factory=dict)
+    version: str = ""
+    build: str = ""
+
+
+class Flown(NamedTuple):
+    """What a flight gave.
+
+    Attributes:
+        figures: Numbers by name, the same whenever the case is flown.
+        timing: Numbers by name that depend on the computer.
+    """
+
+    figures: dict[str, Value]
+    timing: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A figure that the summary tells, and which end of it is bad.
+
+    With ``of``, the name of another figure, it counts events: so many of so many. Unless
+    ``ranked``, its worst flights are not listed.
+    """
+
+    name: str
+    label: str
+    unit: str = ""
+    digits: int = 2
+    worst: Literal["smallest", "largest"] = "largest"
+    of: str | None = None
+    ranked: bool = True
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How to fly a case, and what its figures mean.
+
+    Attributes:
+        fly: Gives the figures of a case; raises `QuadtreeLssError` if it fails.
+        keep: Flies a case again and leaves everything there is to see in a folder.
+        page: The page in that folder.
+        scenarios, conditions: Names that a study may use.
+        quantities: Of the table.
+        explained: Figures that the sensitivity plots explain.
+        by: Figures that may explain them, beside what the study varies.
+    """
+
+    fly: Callable[[Case], Flown]
+    keep: Callable[[Case, Path], None]
+    page: str
+    scenarios: Collection[str]
+    conditions: Collection[str]
+    quantities: tuple[Quantity, ...]
+    explained: tuple[str, ...] = ()
+    by: tuple[str, ...] = ()
+
+    def quantity(self, name: str) -> Quantity:
+        """The one of that name."""
+        for quantity in self.quantities:
+            if quantity.name == name:
+                return quantity
+        msg = f"no quantity {name!r}; there are {', '.join(q.name for q in self.quantities)}"
+        raise CampaignError(msg)
+
+
+def kind_of(name: str) -> Kind:
+    """The kind of that name, or of that ``module:attribute``."""
+    module, colon, attribute = REGISTERED.get(name, name).partition(":")
+    if colon:
+        try:
+            kind = getattr(importlib.import_module(module), attribute)
+        except (ImportError, AttributeError, ValueError) as error:
+            msg = f"kind {name!r} cannot be imported: {error}"
+            raise CampaignError(msg) from error
+        if isinstance(kind, Kind):
+            return kind
+    msg = f"unknown kind {name!r}; there are {', '.join(sorted(REGISTERED))}"
+    raise CampaignError(msg)

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The kind ``map``: a flight is simulated, mapped, its sites ranked, and scored, all in memory."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.desk.replay.bags import Topic
+from quadtree_lss.desk.replay.memory import MessageBag
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.replay.summary import peak_memory_mb
+from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity, Value
+from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
+from quadtree_lss.lab.evaluation.reliability import EDGES, Reliability
+from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
+from quadtree_lss.lab.evaluation.risk_flights import lander_of
+from quadtree_lss.lab.simulation import SCENARIOS, simulate
+from quadtree_lss.lab.simulation.flight import Simulation
+from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, TYPES
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import Config
+
+CONDITIONS = (
+    "duration",
+    "terrain",
+    "range_noise",
+    "outliers",
+    "dropouts",
+    "flights",
+    "glide_slope_deg",
+    "navigation_error",
+    "conservatism",
+    "rocks",
+    "slope_deg",
+)
+TOLD = ("0.1", "0.3", "1", "3", "10")
+"""Where the bins of `EDGES` begin whose counts are kept, %."""
+
+
+def fly(case: Case) -> Flown:
+    """Figures of one flight; needs no file but a terrain that the case may name."""
+    config = load_config([], case.parameters)
+    began = time.process_time()
+    results, truth, seconds = fly_in_memory(case.scenario, case.seed, config, case.conditions)
+    scores = score(results, truth)
+    timing = {
+        "map_ms_median": scores.map_ms_median,
+        "map_ms_p99": scores.map_ms_p99,
+        "lss_ms": scores.lss_ms,
+        "truth_s": seconds,
+        "cpu_s": time.process_time() - began,
+        "peak_memory_mb": peak_memory_mb(),
+    }
+    return Flown(figures(scores, results, truth), timing)
+
+
+def fly_in_memory(
+    scenario: str, seed: int, config: Config, conditions: Any
+) -> tuple[Results, Truth, float]:
+    """Results and truth of a simulated flight without a bag, the same to the bit as with one.
+
+    Returns:
+        Both, and the CPU seconds that the truth took.
+    """
+    simulation = Simulation(scenario, seed, **conditions)
+    counts = {SCAN_TOPIC: simulation.scans, POSE_TOPIC: simulation.poses}
+    topics = [Topic(name, kind, counts[name]) for name, kind in TYPES.items()]
+    bag = MessageBag("bag", topics, simulation.span_ns, simulation.messages())
+    results = results_of(replay(bag, None, config, report=False))
+    began = time.process_time()
+    truth = truth_of(simulation.truth("bag", lander_of(config)))
+    return results, truth, time.process_time() - began
+
+
+def figures(scores: EvaluationResult, results: Results, truth: Truth) -> dict[str, Value]:
+    """What is kept of a flight; None where a number does not exist."""
+    detection, elevation = scores.detection, scores.elevation
+    judged = [verdict for verdict in scores.site_verdicts if verdict != "unknown"]
+    largest = scores.missed[0] if scores.missed else None
+    rise_y, rise_x = np.gradient(truth.elevation, truth.y, truth.x)
+    found: dict[str, float | int | None] = {
+        "hazardous_found": 100.0 * detection.hazardous_found,
+        "safe_found": 100.0 * detection.safe_found,
+        "precision": 100.0 * detection.precision,
+        "unseen_box": 100.0 * detection.unseen_box,
+        "missed_grid_points": detection.missed_grid_points,
+        "hazardous_grid_points": detection.hazardous_grid_points,
+        "missed_depth": detection.missed_depth,
+        "missed_x": largest.x if largest else None,
+        "missed_y": largest.y if largest else None,
+        "missed_relief": largest.relief if largest else None,
+        "sites": scores.sites,
+        "unsafe_in_top_five": scores.unsafe_in_top_five,
+        "judged_in_top_five": len(judged),
+        "unsafe_first": int(scores.site_verdicts[:1] == ("unsafe",)),
+        "judged_first": int(bool(scores.site_verdicts) and scores.site_verdicts[0] != "unknown"),
+        "without_site": int(not scores.sites),
+        "one": 1,
+        "rms_mean_removed": elevation.rms_mean_removed,
+        "mean_absolute": elevation.mean_absolute,
+        "mean_error": elevation.mean,
+        "maximum": elevation.maximum,
+        "leaves": scores.leaves_estimated,
+        "scans": int(results.stamps_ns.size),
+        "noise_ratio": results.summary["range_noise_ratio"],
+        "truly_safe": 100.0 * float(truth.safe.mean()),
+        "true_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(rise_x, rise_y))))),
+    }
+    found |= risks(scores.risk)
+    return {
+        name: None if value is None or not np.isfinite(value) else value
+        for name, value in found.items()
+    }
+
+
+def risks(of: Reliability | None) -> dict[str, float | int | None]:
+    """Scores of the predicted risks, and how many grid points failed of those told such a risk.
+
+    By bin of ``TOLD``, beside how many were expected to. Of a map without risks there are none.
+    """
+    bins = {} if of is None else {one.low: one for one in of.bins}
+    found: dict[str, float | int | None] = {
+        "brier": None if of is None else of.brier,
+        "log_score": None if of is None else of.log_score,
+    }
+    for name, low in zip(TOLD, EDGES[1:], strict=False):
+        one = bins.get(low)
+        some = one is not None and one.grid_points > 0
+        found[f"risk_{name}_points"] = one.grid_points if some else 0
+        found[f"risk_{name}_unsafe"] = round(one.unsafe * one.grid_points) if some else 0
+        found[f"risk_{name}_expected"] = one.predicted * one.grid_points if some else 0.0
+    return found
+
+
+def keep(case: Case, folder: Path) -> None:
+    """Bag, truth, results with their page, and figures of the evaluation."""
+    config = load_config([], case.parameters)
+    options: dict[str, Any] = dict(case.conditions)
+    simulate(
+        case.scenario,
+        folder / "bag",
+        seed=case.seed,
+        overwrite=True,
+        lander=lander_of(config),
+        **options,
+    )
+    replay(folder / "bag", folder / "results", config)
+    evaluate(folder / "results", folder / "truth.npz", folder / "evaluation", consistency=False)
+
+
+MAP = Kind(
+    fly=fly,
+    keep=keep,
+    page="evaluation/report.html",
+    scenarios=tuple(SCENARIOS),
+    conditions=CONDITIONS,
+    quantities=(
+        Quantity("hazardous_found", "Hazardous terrain found", "%", 2, "smallest"),
+        Quantity("safe_found", "Safe terrain found", "%", 1, "smallest"),
+        Quantity("precision", "Ground called safe that is", "%", 2, "smallest"),
+        Quantity("unsafe_in_top_five", "Unsafe sites in the top five", of="judged_in_top_five"),
+        Quantity("unsafe_first", "Unsafe first site", of="judged_first"),
+        Quantity("without_site", "Flights without a site", of="one"),
+        Quantity("brier", "Brier score of the risk", "", 4),
+        *(
+            Quantity(
+                f"risk_{name}_unsafe",
+                f"Unsafe grid points of those told {100 * low:g} to {100 * high:g} %",
+                of=f"risk_{name}_points",
+                ranked=False,
+            )
+            for name, low, high in zip(TOLD, EDGES[1:], EDGES[2:], strict=False)
+        ),
+        Quantity("rms_mean_removed", "Elevation RMS, mean removed", "m", 4),
+        Quantity("mean_absolute", "Elevation error, mean absolute", "m", 4),
+        Quantity("maximum", "Elevation error, largest", "m", 2),
+        Quantity("missed_depth", "Deepest missed grid point", "m", 2),
+        Quantity("unseen_box", "Scanned box out of the score", "%", 2),
+        Quantity("leaves", "Leaves with an estimate", "", 0),
+    ),
+    explained=("safe_found", "hazardous_found"),
+    by=("truly_safe", "true_slope_deg", "noise_ratio", "mean_error"),
+)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a campaign: a file for each flight, which is the checkpoint.
+
+A flight's file holds what is the same whenever it is flown. Its name has the number of the flight
+and a key of all that decides it; it appears in one step. What a flight took is in ``times.csv``.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from quadtree_lss.desk.replay.results import plain, write_bytes
+from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
+
+TIMES = "times.csv"
+
+
+@dataclass(frozen=True)
+class Record:
+    """What is known of a flight: its figures, or why there are none."""
+
+    index: int
+    seed: int
+    scenario: str
+    labels: dict[str, Value]
+    figures: dict[str, Value]
+    error: str = ""
+
+
+def key_of(case: Case) -> str:
+    """Of everything that decides a flight: another key, another flight."""
+    content = asdict(case)
+    del content["labels"]
+    terrain = case.conditions.get("terrain")
+    if terrain is not None:
+        content["conditions"]["terrain"] = _hash_of(str(terrain))
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@cache
+def _hash_of(path: str) -> str:
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        msg = f"{path}: {error.strerror}"
+        raise CampaignError(msg) from error
+
+
+class Store:
+    """Results in ``out/flights``."""
+
+    def __init__(self, out: str | Path) -> None:
+        self.out = Path(out)
+        self._flights = self.out / "flights"
+
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """Within it, nobody else runs a campaign in this folder."""
+        try:
+            self._flights.mkdir(parents=True, exist_ok=True)
+            lock = (self.out / ".lock").open("w")
+        except OSError as error:
+            msg = f"{self.out}: cannot be written: {error.strerror}"
+            raise CampaignError(msg) from error
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                msg = f"{self.out}: another campaign runs there"
+                raise CampaignError(msg) from None
+            yield
+
+    def path(self, case: Case) -> Path:
+        """File of a flight."""
+        return self._flights / f"{case.index:06d}-{key_of(case)}.json"
+
+    def read(self, case: Case) -> Record | None:
+        """The record of a flight, None if it has not been flown."""
+        return read_record(self.path(case))
+
+    def write(self, case: Case, figures: dict[str, Value], error: str = "") -> Record:
+        """Keep what a flight gave."""
+        labels = dict(case.labels)
+        record = Record(case.index, case.seed, case.scenario, labels, plain(figures), error)
+        text = json.dumps(plain(asdict(record)), indent=1, sort_keys=True, allow_nan=False)
+        write_bytes(self.path(case), (text + "\n").encode())
+        return record
+
+    def forget(self, case: Case) -> None:
+        """It is to be flown again."""
+        self.path(case).unlink(missing_ok=True)
+
+    def note_time(self, index: int, timing: dict[str, float]) -> None:
+        """A row of ``times.csv``, with the columns that the file has."""
+        row = {"index": str(index), **{name: f"{value:.7g}" for name, value in timing.items()}}
+        with (self.out / TIMES).open("a+", newline="", encoding="utf-8") as file:
+            file.seek(0)
+            names = next(csv.reader(file), None)
+            how = {"extrasaction": "ignore", "lineterminator": "\n"}
+            writer = csv.DictWriter(file, names or list(row), **how)
+            if not names:
+                writer.writeheader()
+            writer.writerow(row)
+
+    def times(self) -> list[dict[str, str]]:
+        """Rows of ``times.csv``."""
+        path = self.out / TIMES
+        if not path.exists():
+            return []
+        with path.open(newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+
+    def added(self, more: int = 0) -> int:
+        """Flights that were added to what the study says; ``more`` are added now."""
+        path = self.out / "added"
+        before = int(path.read_text("utf-8")) if path.exists() else 0
+        if more:
+            write_bytes(path, f"{before + more}\n".encode())
+        return before + more
+
+
+def read_record(path: Path) -> Record | None:
+    """A flight's file; None if it is none."""
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        return Record(**content)
+    except (OSError, ValueError, TypeError):
+        return None

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A study: which flights there are. Read from a YAML file; see ``docs/campaigns.md``."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.desk.replay.summary import versions
+from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, kind_of
+from quadtree_lss.lab.campaign.values import MOST_FLIGHTS, Drawn, parse_seeds, values_of
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import values_from_config
+from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
+
+KEYS = (
+    "name",
+    "kind",
+    "scenario",
+    "config",
+    "seed",
+    "flights",
+    "seeds",
+    "conditions",
+    "parameters",
+    "cases",
+    "until",
+)
+OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
+
+
+Combination = Mapping[tuple[str, str], Any]
+"""Values by (``scenario`` | ``conditions`` | ``parameters`` | ``case``, name)."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """Flights by number; `case` gives each.
+
+    Attributes:
+        name: For people.
+        kind: See `kinds.kind_of`.
+        seed: Entropy of the flights' seeds, unless ``seeds`` names them.
+        repeats: Flights of each combination.
+        combinations: What of the lists goes together, in turn.
+        until: Quantity and half width of its interval at which enough was flown, or None.
+        files: Configurations of each case.
+    """
+
+    name: str
+    kind: str
+    seed: int
+    repeats: int
+    seeds: tuple[int, ...] = ()
+    combinations: tuple[Combination, ...] = ({},)
+    files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    varied: tuple[str, ...] = ()
+    until: tuple[str, float] | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of flights."""
+        return self.repeats * len(self.combinations)
+
+    @cached_property
+    def drawn(self) -> frozenset[str]:
+        """Names of what each flight draws for itself."""
+        values = (item for c in self.combinations for item in c.items())
+        return frozenset(name for (_, name), value in values if isinstance(value, Drawn))
+
+    @cached_property
+    def what(self) -> Kind:
+        """The kind itself."""
+        return kind_of(self.kind)
+
+    def case(self, index: int) -> Case:
+        """Flight ``index``: combinations take turns, so that more flights never change the first.
+
+        Flights of one turn have the same seed, so that combinations can be compared in pairs.
+        """
+        turn, which = divmod(index, len(self.combinations))
+        combination = self.combinations[which]
+        if self.seeds:
+            seed, entropy = self.seeds[turn], self.seeds[turn]
+        else:
+            sequence = np.random.SeedSequence(self.seed, spawn_key=(turn,))
+            seed, entropy = int(sequence.generate_state(1, np.uint64)[0]) >> 11, self.seed
+        values = {}
+        for key, value in combination.items():
+            if isinstance(value, Drawn):
+                own = zlib.crc32(".".join(key).encode())
+                sequence = np.random.SeedSequence(entropy, spawn_key=(turn, own))
+                value = value.draw(np.random.default_rng(sequence))
+            values[key] = value
+        labels = {name: v for (_, name), v in values.items() if name in self.varied}
+        files = self.files[str(values[("case", "case")])]
+        overrides = {name: v for (part, name), v in values.items() if part == "parameters"}
+        return Case(
+            index=index,
+            kind=self.kind,
+            scenario=str(values[("scenario", "scenario")]),
+            seed=seed,
+            conditions={n: v for (p, n), v in values.items() if p == "conditions"},
+            parameters=_parameters(files, json.dumps(overrides, sort_keys=True)),
+            labels=labels,
+            **dict(zip(("version", "build"), this_build(), strict=True)),
+        )
+
+
+@lru_cache(64)
+def _parameters(files: tuple[str, ...], overrides: str) -> dict[str, Any]:
+    config = load_config(files, json.loads(overrides), origin="the study")
+    return dict(values_from_config(config))
+
+
+@cache
+def this_build() -> tuple[str, str]:
+    """Version and build of what runs here."""
+    found = versions()
+    return found["quadtree_lss"], found["build"]
+
+
+def read_study(path: str | Path) -> Study:
+    """Read and check a study; raises `CampaignError`, and what its parts raise."""
+    file = Path(path)
+    try:
+        content = parse_yaml(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"{file}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise CampaignError(msg) from None
+    except YamlError as error:
+        msg = f"{file}: {error}"
+        raise CampaignError(msg) from None
+    if not isinstance(content, Mapping):
+        msg = f"{file}: a study is a mapping with some of {', '.join(KEYS)}"
+        raise CampaignError(msg)
+    try:
+        study = _study(content, file)
+        for index in range(min(study.count, len(study.combinations))):
+            study.case(index)
+    except CampaignError as error:
+        msg = f"{file}: {error}"
+        raise CampaignError(msg) from None
+    return study
+
+
+def _study(content: Mapping[Any, Any], file: Path) -> Study:
+    _only(content, KEYS, "the study")
+    kind = kind_of(str(content.get("kind", "map")))
+    seeds: tuple[int, ...] = ()
+    if ("seeds" in content) == ("flights" in content):
+        msg = "needs either seeds (101-120) or flights (a number, with seed)"
+        raise CampaignError(msg)
+    if "seeds" in content:
+        seeds = tuple(parse_seeds(str(content["seeds"])))
+    seed = _whole(content.get("seed", 0), "seed", 0)
+    repeats = len(seeds) or _whole(content["flights"], "flights", 1)
+    combinations: list[Combination] = []
+    files: dict[str, tuple[str, ...]] = {}
+    cases = content.get("cases") or [{}]
+    if not isinstance(cases, list) or not all(isinstance(case, Mapping) for case in cases):
+        msg = "cases must be a list of mappings"
+        raise CampaignError(msg)
+    for number, case in enumerate(cases, start=1):
+        _only(case, OF_CASES, f"case {number}")
+        name = str(case.get("name", number))
+        if name in files:
+            msg = f"two cases are called {name!r}"
+            raise CampaignError(msg)
+        named = case.get("config", content.get("config", []))
+        listed = [named] if isinstance(named, str) else list(named or [])
+        files[name] = tuple(str(_beside(entry, file)) for entry in listed)
+        combinations += _combinations(content, case, name, kind, file)
+    drawn = {n for c in combinations for (_, n), v in c.items() if isinstance(v, Drawn)}
+    keys = {key for c in combinations for key in c}
+    listed_names = {
+        name for part, name in keys if len({repr(c.get((part, name))) for c in combinations}) > 1
+    }
+    until = content.get("until")
+    if until is not None:
+        if not isinstance(until, Mapping) or set(until) != {"quantity", "half_width"}:
+            msg = "until needs quantity and half_width"
+            raise CampaignError(msg)
+        kind.quantity(str(until["quantity"]))
+        until = (str(until["quantity"]), float(until["half_width"]))
+    if repeats * len(combinations) > MOST_FLIGHTS:
+        msg = f"{repeats * len(combinations)} flights; {MOST_FLIGHTS} is the most"
+        raise CampaignError(msg)
+    return Study(
+        name=str(content.get("name", file.stem)),
+        kind=str(content.get("kind", "map")),
+        seed=seed,
+        repeats=repeats,
+        seeds=seeds,
+        combinations=tuple(combinations),
+        files=files,
+        varied=tuple(sorted(drawn | listed_names)),
+        until=until,
+    )
+
+
+def _combinations(
+    content: Mapping[Any, Any], case: Mapping[Any, Any], name: str, kind: Kind, file: Path
+) -> list[Combination]:
+    """Every combination of the lists in a case, which wins over what holds for all."""
+    parts: dict[tuple[str, str], Any] = {("case", "case"): name}
+    scenario = case.get("scenario", content.get("scenario", "morpheus"))
+    parts[("scenario", "scenario")] = scenario
+    for part in ("conditions", "parameters"):
+        for given in (content.get(part) or {}, case.get(part) or {}):
+            if not isinstance(given, Mapping):
+                msg = f"{part} must be a mapping"
+                raise CampaignError(msg)
+            for key, value in given.items():
+                parts[(part, str(key))] = value
+    axes = {key: values_of(value, key[1]) for key, value in parts.items()}
+    for (part, key), values in axes.items():
+        if part == "conditions" and key not in kind.conditions:
+            msg = f"unknown condition {key!r}; there are {', '.join(kind.conditions)}"
+            raise CampaignError(msg)
+        if part == "scenario" and (wrong := [v for v in values if v not in kind.scenarios]):
+            msg = f"unknown scenario {wrong[0]!r}; there are {', '.join(kind.scenarios)}"
+            raise CampaignError(msg)
+        if key == "terrain":
+            axes[(part, key)] = [v if v is None else str(_beside(v, file)) for v in values]
+    return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+
+
+def _beside(name: object, file: Path) -> Path:
+    """A file that a study names: beside the study, or as it stands."""
+    there = file.parent / str(name)
+    return there.resolve() if there.is_file() else Path(str(name))
+
+
+def _only(given: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
+    unknown = [str(key) for key in given if key not in known]
+    if unknown:
+        msg = f"unknown key {unknown[0]!r} in {where}; there are {', '.join(known)}"
+        raise CampaignError(msg)
+
+
+def _whole(value: object, name: str, least: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        msg = f"{name} must be a whole number from {least}, not {value!r}"
+        raise CampaignError(msg)
+    return value

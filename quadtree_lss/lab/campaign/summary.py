@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A campaign in a few numbers: rates and means with their intervals, and the worst flights."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.desk.replay.results import plain, write_bytes
+from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
+from quadtree_lss.lab.campaign.statistics import rate_interval, summarise
+from quadtree_lss.lab.campaign.store import Record, Store, read_record
+from quadtree_lss.lab.campaign.study import Study
+
+WORST = 5
+
+
+@dataclass(frozen=True)
+class Line:
+    """A quantity over many flights: its mean or rate, 95 % interval, and the worst flight."""
+
+    quantity: Quantity
+    mean: float
+    low: float
+    high: float
+    worst: float
+    worst_flight: int | None
+    count: int
+    events: int | None = None
+
+    def cells(self) -> tuple[str, str, str, str, str]:
+        """For a table."""
+        q = self.quantity
+        digits = f".{q.digits}f"
+        flight = "–" if self.worst_flight is None else str(self.worst_flight)
+        if self.events is not None:
+            bounds = f"{100.0 * self.low:.2f} … {100.0 * self.high:.2f} %" if self.count else "–"
+            return q.label, f"{self.events} of {self.count}", bounds, "–", flight
+        interval = "–" if self.low != self.low else f"{self.low:{digits}} … {self.high:{digits}}"
+        label = f"{q.label} [{q.unit}]" if q.unit else q.label
+        return label, _show(self.mean, digits), interval, _show(self.worst, digits), flight
+
+
+def _show(value: float, digits: str) -> str:
+    return "–" if value != value else f"{value:{digits}}"
+
+
+def number(record: Record, name: str) -> float:
+    """A figure or label of a flight as a number; NaN if it is none."""
+    value = record.figures.get(name, record.labels.get(name))
+    return float(value) if isinstance(value, (int, float)) else float("nan")
+
+
+def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
+    """One quantity of flights."""
+    indices = [record.index for record in records]
+    values = [number(record, quantity.name) for record in records]
+    if quantity.of is None:
+        statistic = summarise(indices, values, quantity.worst)
+        mean, low, high = statistic.mean, statistic.low, statistic.high
+        worst, flight = statistic.worst, statistic.worst_seed
+        return Line(quantity, mean, low, high, worst, flight, statistic.count)
+    events = int(np.nansum(values))
+    trials = int(np.nansum([number(record, quantity.of) for record in records]))
+    low, high = rate_interval(events, trials)
+    rate = events / trials if trials else float("nan")
+    bad = max(records, key=lambda record: badness(quantity, record), default=None)
+    blamed = bad.index if bad is not None and badness(quantity, bad) > 0.0 else None
+    return Line(quantity, rate, low, high, float("nan"), blamed, trials, events)
+
+
+def badness(quantity: Quantity, record: Record) -> float:
+    """How bad a flight is, the more the worse; of counted events none is 0."""
+    value = number(record, quantity.name)
+    if quantity.of is not None and quantity.worst == "smallest":
+        value = number(record, quantity.of) - value
+    elif quantity.worst == "smallest":
+        value = -value
+    return value if value == value else float("-inf")
+
+
+def narrow_enough(study: Study, records: Sequence[Record]) -> bool:
+    """Whether the interval that the study names is as narrow as it says, in every case of it."""
+    assert study.until is not None
+    name, half_width = study.until
+    quantity = study.what.quantity(name)
+    lines = [line_of(quantity, group) for _, group in groups(study, flown(records))]
+    scale = 1.0 if quantity.of is None else 100.0
+    return all(0.5 * scale * (line.high - line.low) <= half_width for line in lines)
+
+
+def flown(records: Iterable[Record]) -> list[Record]:
+    """Those that did not fail."""
+    return [record for record in records if not record.error]
+
+
+def groups(study: Study, records: Iterable[Record]) -> list[tuple[str, list[Record]]]:
+    """Flights of each combination of the study's lists, by what tells it from the others."""
+    count = len(study.combinations)
+    names: dict[int, str] = {}
+    parts: dict[int, list[Record]] = {}
+    for record in records:
+        which = record.index % count
+        parts.setdefault(which, []).append(record)
+        drawn = study.drawn
+        own = [f"{k} {v}" for k, v in record.labels.items() if k not in drawn]
+        names[which] = ", ".join(own) or "all flights"
+    return [(names[which], parts[which]) for which in sorted(parts)]
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """What a campaign found.
+
+    Attributes:
+        records: Flights by number, failed ones too.
+        interrupted: Stopped before all were flown.
+        enough: Number of flights at which the study's ``until`` was reached, or None.
+    """
+
+    out: Path
+    study: Study
+    records: Mapping[int, Record]
+    interrupted: bool = False
+    enough: int | None = None
+
+    @property
+    def failed(self) -> dict[int, str]:
+        """Why flights failed, by number."""
+        return {index: r.error for index, r in self.records.items() if r.error}
+
+    @cached_property
+    def lines(self) -> list[tuple[str, list[Line]]]:
+        """Each combination's name with its number of flights, and its quantities."""
+        parts = groups(self.study, flown(self.records.values()))
+        return [
+            (f"{name}: {len(part)}", [line_of(q, part) for q in self.study.what.quantities])
+            for name, part in parts
+        ]
+
+    def worst(self) -> list[tuple[Quantity, list[tuple[int, float]]]]:
+        """The worst flights by each ranked quantity, and its value; of events, if there were."""
+        found = []
+        for quantity in (q for q in self.study.what.quantities if q.ranked):
+            least = 0.0 if quantity.of is not None else float("-inf")
+            rated = [(badness(quantity, r), r) for r in flown(self.records.values())]
+            ranked = sorted((-bad, r.index, r) for bad, r in rated if bad > least)[:WORST]
+            found.append((quantity, [(k, number(r, quantity.name)) for _, k, r in ranked]))
+        return found
+
+    def table(self) -> str:
+        """Aligned lines for people."""
+        lines = []
+        for name, part in self.lines:
+            rows = [
+                ("", "mean", "95 % interval", "worst", "flight"),
+                *(row.cells() for row in part),
+            ]
+            widths = [max(len(row[k]) for row in rows) for k in range(5)]
+            lines.append(name)
+            lines += [
+                f"{row[0]:<{widths[0]}}" + "".join(f"  {row[k]:>{widths[k]}}" for k in range(1, 5))
+                for row in rows
+            ]
+            lines.append("")
+        if self.enough is not None:
+            lines.append(f"{self.enough} flights were enough for the interval that was asked for")
+        lines += [f"flight {index} failed: {why}" for index, why in list(self.failed.items())[:10]]
+        return "\n".join(lines).rstrip()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        parts = [
+            {"name": name, "quantities": {row.quantity.name: _line_dict(row) for row in rows}}
+            for name, rows in self.lines
+        ]
+        worst = {q.name: [list(pair) for pair in pairs] for q, pairs in self.worst()}
+        content: dict[str, Any] = plain(
+            {
+                "study": self.study.name,
+                "kind": self.study.kind,
+                "flights": len(self.records),
+                "of": self.study.count,
+                "interrupted": self.interrupted,
+                "enough": self.enough,
+                "summary": parts,
+                "worst": worst,
+                "failed": {str(index): why for index, why in self.failed.items()},
+            }
+        )
+        return content
+
+
+def _line_dict(line: Line) -> dict[str, Any]:
+    content = asdict(line)
+    del content["quantity"]
+    return content
+
+
+def write_summary(result: CampaignResult, store: Store) -> None:
+    """``campaign.json``, ``flights.csv``, ``campaign.html`` and its figures."""
+    from quadtree_lss.lab.campaign.page import page_files
+
+    files = [store.path(result.study.case(index)).name for index in result.records]
+    text = json.dumps({**result.as_dict(), "files": files}, indent=1, allow_nan=False)
+    write_bytes(result.out / "campaign.json", (text + "\n").encode())
+    write_bytes(result.out / "flights.csv", _csv(result.records.values()).encode())
+    for name, content in page_files(result, store.times()).items():
+        write_bytes(result.out / name, content)
+
+
+def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
+    """Kind, and flights that did not fail, of a campaign's folder."""
+    try:
+        content = json.loads((out / "campaign.json").read_text("utf-8"))
+        kind, names = str(content["kind"]), content["files"]
+    except (OSError, ValueError, KeyError, TypeError):
+        msg = f"{out} is no folder of a campaign"
+        raise CampaignError(msg) from None
+    records = (read_record(out / "flights" / name) for name in names)
+    return kind, {r.index: r for r in records if r is not None and not r.error}
+
+
+def _csv(records: Iterable[Record]) -> str:
+    """A row for each flight."""
+    rows = [
+        {
+            "flight": record.index,
+            "seed": record.seed,
+            "scenario": record.scenario,
+            **record.labels,
+            **record.figures,
+            "error": record.error,
+        }
+        for record in records
+    ]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

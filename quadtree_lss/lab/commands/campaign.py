@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss campaign``: a study of many flights, and two campaigns compared."""
+
+from __future__ import annotations
+
+import argparse
+
+from quadtree_lss.desk.commands.common import (
+    DONE,
+    IN_PART,
+    INTERRUPTED,
+    add_command,
+    add_json,
+    named,
+    print_json,
+    whole,
+)
+from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, show, warn
+
+TEXT = "Fly a study of many flights on this computer's cores or on a Dask cluster, with resume."
+EXAMPLES = """examples:
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus     (flies what is missing)
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --add 500
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --rerun 17
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep 17  (bag, page, …)
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep worst
+  quadtree-lss campaign studies/morpheus.yaml --out many --scheduler-address tcp://host:8786
+  quadtree-lss campaign compare campaigns/before campaigns/after
+
+Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept and summed up. A
+second one stops at once.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "campaign", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("what", nargs="+", metavar="STUDY.yaml", help="a study; or: compare DIR DIR")
+    add("--out", type=named, metavar="DIR", help="folder of the campaign; resumed if it is there")
+    where = parser.add_mutually_exclusive_group()
+    text = "processes on this computer (default: one for each core)"
+    where.add_argument("--workers", type=whole(1), metavar="N", help=text)
+    where.add_argument("--scheduler-address", metavar="A", help="of a running Dask scheduler")
+    where.add_argument("--scheduler-file", metavar="F", help="that a Dask scheduler wrote")
+    add("--add", type=whole(1), default=0, metavar="N", help="fly N flights more")
+    add("--rerun", metavar="LIST", help="fly these again, 17 or 3,8-12, or: failed")
+    text = "fly these again into DIR/kept, all of it kept: 17 or 3,8-12, or: worst"
+    add("--keep", metavar="LIST", help=text)
+    add_json(parser)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.what[0] == "compare":
+        return _compare(options)
+    if len(options.what) != 1 or options.out is None:
+        options.parser.error("one STUDY.yaml and --out are required")
+    from quadtree_lss.lab.campaign import Where, campaign, read_study
+    from quadtree_lss.lab.campaign.values import parse_seeds
+
+    study = read_study(options.what[0])
+    if options.keep is not None:
+        from quadtree_lss.lab.campaign.kept import flagged, keep
+
+        worst = options.keep == "worst"
+        for index in flagged(options.out) if worst else parse_seeds(options.keep):
+            print(f"flight {index} is in {keep(study, options.out, index)}", flush=True)
+        return DONE
+    failed = options.rerun == "failed"
+    where = Where(options.workers, options.scheduler_address, options.scheduler_file)
+    then = f"sums up in {options.out} what is done"
+    verbose = options.verbose
+    with Interruption(then) as interruption, ProgressBar("campaign", "flights", verbose) as bar:
+        result = campaign(
+            study,
+            options.out,
+            where,
+            add=options.add,
+            rerun=parse_seeds(options.rerun) if options.rerun and not failed else (),
+            rerun_failed=failed,
+            progress=bar.update,
+            stop=interruption.asked,
+            tell=warn,
+        )
+    if options.json:
+        print_json({"out": str(result.out), **result.as_dict()})
+    else:
+        show(result.table())
+        print(f"page and tables in {result.out}")
+    if result.interrupted:
+        say(f"interrupted: {len(result.records)} of {result.study.count} flights are done")
+        return INTERRUPTED
+    if result.failed:
+        warn(f"{len(result.failed)} of {len(result.records)} flights failed")
+        return IN_PART
+    return DONE
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from quadtree_lss.lab.campaign import compare_campaigns
+
+    if len(options.what) != 3:
+        options.parser.error("compare needs two folders of campaigns")
+    comparison = compare_campaigns(*options.what[1:])
+    if options.json:
+        print_json(comparison.as_dict())
+    else:
+        show(comparison.table())
+    return DONE

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss fly``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from quadtree_lss.desk.commands.common import (
+    DONE,
+    add_command,
+    add_json,
+    named,
+    not_negative,
+    positive,
+    print_json,
+    share,
+    whole,
+)
+from quadtree_lss.desk.commands.console import ProgressBar, first_line
+from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+if TYPE_CHECKING:
+    from quadtree_lss.lab.flight.fly import Flown
+    from quadtree_lss.lab.flight.settings import FlightSettings
+
+Progress = Callable[[float], None]
+
+TEXT = "Fly a simulated lander to a touchdown, guided by landing/selected."
+EXAMPLES = """examples:
+  quadtree-lss fly --seed 7 --out flight7                  (flight7/flight.html, touchdown.json)
+  quadtree-lss fly --lockstep --seed 7 --out lockstep7     (the same without ROS)
+  quadtree-lss fly --lockstep --avoidance none --out straight
+  quadtree-lss fly --lockstep --fault kill_mapping@60+3 --out fault
+"""
+AVOIDANCE = ("package", "paper", "none", "perfect")
+LONGEST = 100.0
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "fly", _run, TEXT, EXAMPLES)
+    add = parser.add_argument
+    add("--seed", type=whole(0), default=1, metavar="N", help="of ground, start, navigation, lidar")
+    add("--out", required=True, type=named, metavar="DIR", help="folder for the results")
+    text = "without ROS: the nodes' functions, called in the flight's own time"
+    add("--lockstep", action="store_true", help=text)
+    text = "seconds of flight per second over ROS (default 1); /clock tells them"
+    add("--rate", type=positive, metavar="R", help=text)
+    text = "by the nodes; with the paper's rules; straight to the planned point; by the truth"
+    add("--avoidance", choices=AVOIDANCE, default="package", help=text)
+    add("--terrain", type=named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
+    add("--rocks", type=share, metavar="K", help=text)
+    add("--range-noise", type=not_negative, default=0.06, metavar="M", help="one sigma, m")
+    add("--outliers", type=share, default=0.0, metavar="F", help="share of false returns")
+    add("--dropouts", type=share, default=0.0, metavar="F", help="share of missing returns")
+    text = "KIND@HEIGHT or KIND@HEIGHT+SECONDS; may be repeated; kinds in docs/closed_loop.md"
+    add("--fault", action="append", default=[], metavar="FAULT", help=text)
+    text = "set one parameter of the nodes, for instance lss.margin=1.0"
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
+    text = "compare with the least propellant there could be (extra 'guidance')"
+    add("--reference", action="store_true", help=text)
+    add("--no-page", action="store_true", help="no picture and no page")
+    add_json(parser)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.lab.flight.fly import flown, least_propellant
+    from quadtree_lss.lab.flight.page import write_flight
+    from quadtree_lss.lab.flight.settings import flight_settings
+
+    settings = flight_settings(_values(options))
+    alone = options.lockstep or options.avoidance in ("none", "perfect")
+    if alone and options.rate is not None:
+        options.parser.error("--rate: only over ROS, not with --lockstep")
+    with ProgressBar("fly", "s", options.verbose) as bar:
+
+        def progress(seconds: float) -> None:
+            bar.update(seconds, LONGEST)
+
+        if alone:
+            done = flown(options.seed, settings, progress=progress)
+        else:
+            done = _live(options, settings, progress)
+    if options.reference:
+        done.figures.update(least_propellant(done.flight))
+    write_flight(options.out, done, page=not options.no_page)
+    if options.json:
+        print_json(done.figures)
+    else:
+        _print(done.figures)
+        print(f"results in {options.out}")
+    return DONE
+
+
+def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progress) -> Flown:
+    try:
+        from quadtree_lss.lab.live.flight import fly_live
+    except ImportError as error:
+        msg = f"ROS 2 is not here ({first_line(error)}); --lockstep flies without"
+        raise QuadtreeLssError(msg) from None
+    rate = 1.0 if options.rate is None else options.rate
+    live = options.out / "nodes"
+    return fly_live(options.seed, settings, live, rate=rate, progress=progress).flown
+
+
+def _values(options: argparse.Namespace) -> dict[str, Any]:
+    config: dict[str, Any] = {}
+    for item in options.set:
+        key, equals, value = item.partition("=")
+        if not equals or not key.strip():
+            options.parser.error(f"--set {item}: expected KEY=VALUE")
+        try:
+            config[key.strip()] = parse_yaml(value)
+        except YamlError as error:
+            options.parser.error(f"--set {item}: not a value: {error}")
+    return {
+        "avoidance": options.avoidance,
+        "terrain": "" if options.terrain is None else str(options.terrain),
+        "rock_abundance": options.rocks,
+        "range_noise": options.range_noise,
+        "outliers": options.outliers,
+        "dropouts": options.dropouts,
+        "faults": tuple(options.fault),
+        "config": config,
+    }
+
+
+def _print(figures: dict[str, Any]) -> None:
+    f = figures
+    if f["outcome"] != "touchdown":
+        print(f"{f['outcome']} after {f['time']:.1f} s, no touchdown")
+        return
+    print(
+        f"{'safe' if f['safe'] else 'UNSAFE'} touchdown at x {f['x']:.2f}, y {f['y']:.2f} m after"
+        f" {f['time']:.1f} s: {f['error']:.2f} m from the aim,"
+        f" {f['from_planned']:.1f} m from the planned point\n"
+        f"propellant {f['propellant']:.1f} kg, {f['diverts']} diverts after the first target;"
+        f" {f['speed_down']:.2f} m/s down, {f['speed_across']:.2f} m/s across"
+    )
+    if f.get("propellant_ratio") is not None:
+        print(f"{f['propellant_ratio']:.3f} of the least propellant, {f['reference']:.1f} kg")

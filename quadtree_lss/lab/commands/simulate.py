@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss simulate``."""
+
+from __future__ import annotations
+
+import argparse
+
+from quadtree_lss.desk.commands.common import (
+    DONE,
+    INTERRUPTED,
+    add_command,
+    add_json,
+    named,
+    not_negative,
+    positive,
+    print_json,
+    share,
+    whole,
+)
+from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, show
+
+SCENARIOS = ("morpheus", "parabola", "descent")
+TEXT = "Simulate a flight: a bag, and truth.npz beside it."
+FLIGHTS = """flights:
+  morpheus   the paper's Section VII: 20 s at 20 Hz on a 30 degree glide slope, 450 m off, 1 degree
+             gimballed lidar, over 60 x 60 m of rocks and craters
+  parabola   the paper's Section VI exactly: 61 scans at 1 Hz from 500 m, 10 degree lidar
+  descent    30 s at 5 Hz from 200 m down to 50 m, looking down with 20 degrees, over 60 x 60 m;
+             for measured ground by --terrain
+--terrain takes an elevation model: .npz with x (nx,), y (ny,) ascending in equal steps and
+elevation (ny, nx), m, z up, at least 9 x 9 m. Without it morpheus and descent fly over a field of
+rocks and craters. The flight is about the model's middle (parabola's about x 10, y 0): let
+domain.xmin, domain.ymin, domain.size of the replay fit, or take those of `config suggest BAG`.
+
+"""
+EXAMPLES = """examples:
+  quadtree-lss simulate morpheus --seed 7 --out flight/bag      (flight/truth.npz beside it)
+  quadtree-lss simulate parabola --seed 1 --out parabola/bag
+  quadtree-lss simulate descent --terrain dem.npz --out descent/bag
+  quadtree-lss simulate morpheus --flights 2 --outliers 0.02 --dropouts 0.05 --out two/bag
+
+Ctrl-C ends the flight there: bag and truth are those of what was flown so far. A second one
+stops at once and leaves no bag.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommand."""
+    parser = add_command(commands, "simulate", _run, TEXT, FLIGHTS + EXAMPLES)
+    add = parser.add_argument
+    add("scenario", choices=SCENARIOS, help="which flight")
+    add("--seed", type=whole(0), default=1, metavar="N", help="of terrain and noise (default 1)")
+    add("--out", required=True, type=named, metavar="BAG", help="bag to write")
+    add_flight_options(parser)
+    add("--overwrite", action="store_true", help="replace an existing bag and truth.npz")
+    add_json(parser)
+
+
+def add_flight_options(parser: argparse._ActionsContainer) -> None:
+    """What is flown, over what, with which noise."""
+    add = parser.add_argument
+    add("--duration", type=positive, metavar="D", help="seconds of flight")
+    add("--terrain", type=named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    add("--range-noise", type=not_negative, metavar="M", help="one sigma of a range, m")
+    add("--outliers", type=share, default=0.0, metavar="F", help="share of false returns")
+    add("--dropouts", type=share, default=0.0, metavar="F", help="share of missing returns")
+    add("--rocks", type=not_negative, metavar="K", help="share of the ground that rocks cover")
+    add("--glide-slope", type=positive, default=30.0, metavar="DEG", help="of morpheus")
+    text = "errors of the navigation, as many times as usual"
+    add("--navigation-error", type=not_negative, default=1.0, metavar="X", help=text)
+    add(
+        "--flights",
+        type=whole(1),
+        default=1,
+        metavar="N",
+        help="fly N times over the same ground, with other navigation errors, into one bag",
+    )
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.lab.simulation.simulate import simulate
+
+    then = f"closes {options.out} and writes truth.npz for what was flown so far"
+    verbose = options.verbose
+    with Interruption(then) as interruption, ProgressBar("simulate", "scans", verbose) as bar:
+        result = simulate(
+            options.scenario,
+            options.out,
+            seed=options.seed,
+            duration=options.duration,
+            terrain=options.terrain,
+            range_noise=options.range_noise,
+            outliers=options.outliers,
+            dropouts=options.dropouts,
+            flights=options.flights,
+            rocks=options.rocks,
+            glide_slope_deg=options.glide_slope,
+            navigation_error=options.navigation_error,
+            overwrite=options.overwrite,
+            progress=bar.update,
+            stop=interruption.asked,
+        )
+    if options.json:
+        print_json(result.as_dict())
+    else:
+        show(result.table())
+    if result.interrupted:
+        say(f"interrupted: the bag has the first {result.scans} scans")
+        return INTERRUPTED
+    return DONE

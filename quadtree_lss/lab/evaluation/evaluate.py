@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Score one results directory against the truth: Tables 2 and 3 and the figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quadtree_lss.desk.replay.results import plain
+from quadtree_lss.lab.evaluation.metrics import (
+    Detection,
+    ElevationError,
+    ErrorField,
+    MissedPlace,
+    SafetyField,
+    SiteVerdict,
+    detection,
+    elevation_error,
+    elevation_field,
+    missed_places,
+    safety_field,
+    site_verdicts,
+)
+from quadtree_lss.lab.evaluation.provenance import check_truth, recorded_bag, results_config
+from quadtree_lss.lab.evaluation.reliability import Reliability, reliability_of
+from quadtree_lss.lab.evaluation.results import (
+    EvaluationError,
+    Results,
+    Truth,
+    load_results,
+    load_truth,
+)
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+if TYPE_CHECKING:
+    from quadtree_lss.lab.evaluation.consistency import Consistency
+
+_TOP = 5
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """Scores of one run, and what was written.
+
+    Sites are those of the first five ranks: ``site_verdicts`` has one word for each, in order, and
+    ``unknown_in_top_five`` counts those that the truth cannot judge. ``missed`` are the hazardous
+    places called safe. ``risk`` is None if the results tell none, ``consistency`` unless the bag
+    was at hand; ``notes`` say what could not be done or checked, and why.
+    """
+
+    elevation: ElevationError
+    detection: Detection
+    sites: int
+    unsafe_in_top_five: int
+    unknown_in_top_five: int
+    site_verdicts: tuple[SiteVerdict, ...]
+    missed: tuple[MissedPlace, ...]
+    risk: Reliability | None
+    leaves: int
+    leaves_estimated: int
+    leaves_measured: int
+    map_ms_median: float
+    map_ms_p99: float
+    map_s_total: float
+    lss_ms: float
+    consistency: Consistency | None
+    out: Path
+    figures: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Numbers only, ready for JSON; None stands for a number that does not exist."""
+        values = asdict(self)
+        values.pop("out")
+        values.pop("figures")
+        return {key: plain(value) for key, value in values.items()}
+
+    def table(self) -> str:
+        """A few aligned lines for people."""
+        e, d = self.elevation, self.detection
+        times = f"{show(self.map_ms_median, '.2f')} / {show(self.map_ms_p99, '.2f', ' ms')}"
+        rows = [
+            ("Elevation error, mean absolute", show(e.mean_absolute, ".3f", " m")),
+            ("  RMS / largest", f"{show(e.rms, '.3f')} / {show(e.maximum, '.2f', ' m')}"),
+            ("  mean", show(e.mean, "+.3f", " m")),
+            ("  RMS with the mean removed", show(e.rms_mean_removed, ".3f", " m")),
+            ("Cells with points without an estimate", _percent(e.without_estimate)),
+            ("Hazardous terrain found", _percent(d.hazardous_found)),
+            ("  of it as unknown", _percent(d.hazardous_unknown)),
+            ("Safe terrain found", _percent(d.safe_found)),
+            ("  not seen", _percent(d.safe_unknown)),
+            ("Scanned box out of the score (unseen)", _percent(d.unseen_box)),
+            (f"Truly unsafe sites in the top {_TOP}", self._unsafe_sites()),
+            ("Leaves with an estimate / all", f"{self.leaves_estimated} / {self.leaves}"),
+            ("Map update, median / 99 %", times),
+            ("Landing site selection", show(self.lss_ms, ".1f", " ms")),
+        ]
+        width = max(len(label) for label, _ in rows)
+        lines = [f"{label:<{width}}  {value}" for label, value in rows]
+        if self.risk is not None:
+            lines += [f"{'Brier score of the risk':<{width}}  {self.risk.brier:.4f}"]
+            lines += ["", self.risk.table()]
+        if self.consistency is not None:
+            lines += ["", self.consistency.table()]
+        if self.notes:
+            lines += ["", *self.notes]
+        return "\n".join(lines)
+
+    def _unsafe_sites(self) -> str:
+        text = f"{self.unsafe_in_top_five} of {len(self.site_verdicts)}"
+        unknown = [k for k, v in enumerate(self.site_verdicts, start=1) if v == "unknown"]
+        if unknown:
+            ranks = ", ".join(map(str, unknown))
+            text += f" (rank {ranks} beyond the true terrain: cannot be judged)"
+        return text
+
+
+def show(value: float, digits: str, unit: str = "") -> str:
+    """A number for a table; a dash where it does not exist."""
+    return "-" if math.isnan(value) else f"{value:{digits}}{unit}"
+
+
+def _percent(fraction: float) -> str:
+    return show(100.0 * fraction, ".2f", " %")
+
+
+def evaluate(
+    results_dir: str | Path,
+    truth_path: str | Path,
+    out: str | Path | None = None,
+    *,
+    bag: str | Path | None = None,
+    consistency: bool = True,
+    figures: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> EvaluationResult:
+    """Score the results of ``replay`` in ``results_dir`` against ``truth.npz``.
+
+    Writes ``evaluation.json`` and, unless ``figures`` is false, ``report.html`` and PNG figures
+    into ``out`` (default: ``results_dir/evaluation``). For the ``consistency`` of Table 2 the
+    recording is mapped again with the results' ``config.yaml``: ``bag``, by default the one that
+    ``summary.json`` names if it is still there; ``progress(done, total)`` counts its scans.
+
+    Raises `EvaluationError` when a file is missing or malformed, when results, truth and bag are
+    not of one flight (`provenance.check_truth`), or when the map and the truth do not overlap.
+    """
+    results, truth = load_results(results_dir), load_truth(truth_path)
+    given = None if bag is None else Path(bag)
+    doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
+    notes = [] if doubt is None else [doubt]
+    heights = elevation_field(results.leaves, results.grid, truth)
+    safety = safety_field(results.grid, truth)
+    if not safety.scored.size:
+        msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
+        raise EvaluationError(msg)
+    table_2 = None
+    if consistency or given is not None:
+        table_2, without = _table_2(results, Path(results_dir), given, progress)
+        notes += [] if without is None else [f"Table 2: {without}"]
+    folder = Path(out) if out is not None else Path(results_dir) / "evaluation"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"cannot create {folder}: {error.strerror}"
+        raise EvaluationError(msg) from error
+    written: tuple[Path, ...] = ()
+    if figures:
+        from quadtree_lss.lab.evaluation.figures import draw_all
+
+        written = draw_all(folder, results, truth, heights, safety)
+    result = replace(
+        _scores(results, truth, heights, safety),
+        consistency=table_2,
+        out=folder,
+        figures=written,
+        notes=tuple(notes),
+    )
+    if figures:
+        result = _with_page(result, Path(results_dir), truth, safety)
+    text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
+    (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+    return result
+
+
+def score(results: Results, truth: Truth) -> EvaluationResult:
+    """The scores alone; nothing is written, and there is no Table 2.
+
+    Raises `EvaluationError` when the map and the truth do not overlap.
+    """
+    safety = safety_field(results.grid, truth)
+    if not safety.scored.size:
+        msg = "the map does not overlap the scanned box"
+        raise EvaluationError(msg)
+    heights = elevation_field(results.leaves, results.grid, truth)
+    return _scores(results, truth, heights, safety)
+
+
+def _scores(
+    results: Results, truth: Truth, heights: ErrorField, safety: SafetyField
+) -> EvaluationResult:
+    verdicts = site_verdicts(results.sites[:_TOP], truth)
+    leaves = results.leaves
+    times = results.map_ms if results.map_ms.size else np.array([math.nan])
+    return EvaluationResult(
+        elevation=elevation_error(heights),
+        detection=detection(safety),
+        sites=len(results.sites),
+        unsafe_in_top_five=verdicts.count("unsafe"),
+        unknown_in_top_five=verdicts.count("unknown"),
+        site_verdicts=verdicts,
+        missed=missed_places(safety, truth),
+        risk=reliability_of(safety),
+        leaves=leaves.level.size,
+        leaves_estimated=int(leaves.estimated.sum()),
+        leaves_measured=int((leaves.measured & leaves.estimated).sum()),
+        map_ms_median=float(np.median(times)),
+        map_ms_p99=float(np.percentile(times, 99.0)),
+        map_s_total=float(times.sum() * 1e-3),
+        lss_ms=float(results.summary.get("lss_ms") or math.nan),
+        consistency=None,
+        out=Path(),
+        figures=(),
+    )
+
+
+def _with_page(
+    result: EvaluationResult, results_dir: Path, truth: Truth, safety: SafetyField
+) -> EvaluationResult:
+    """Writes ``report.html``; with a note if the results have not what it shows."""
+    from quadtree_lss.lab.evaluation.page import evaluation_page
+
+    try:
+        text = evaluation_page(results_dir, truth, safety, result)
+    except KeyError as error:
+        return replace(result, notes=(*result.notes, f"report.html: the results lack {error}"))
+    (result.out / "report.html").write_text(text, encoding="utf-8")
+    return result
+
+
+def _table_2(
+    results: Results,
+    results_dir: Path,
+    given: Path | None,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Consistency | None, str | None]:
+    """Table 2 with the configuration of the results, or why there is none.
+
+    What is wrong with a bag that was given is an error; with one that was merely found, a reason.
+    """
+    from quadtree_lss.lab.evaluation.consistency import consistency  # maps: the whole core
+
+    bag = given if given is not None else recorded_bag(results)
+    if bag is None:
+        return None, "needs --bag"
+    if given is None and not results.stamps_ns.size:
+        return None, "needs --bag with the scans: these results are of recorded maps"
+    total = results.stamps_ns.size
+    scan_topic, pose_topic = (results.summary.get(f"{what}_topic") for what in ("scan", "pose"))
+    try:
+        return consistency(
+            bag,
+            results_config(results_dir),
+            results=results,
+            scan_topic=scan_topic or None,
+            pose_topic=pose_topic or None,
+            progress=None if progress is None else lambda done: progress(done, max(done, total)),
+        ), None
+    except QuadtreeLssError as error:
+        if given is not None:
+            raise
+        return None, f"needs --bag ({error})"

@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How good a map and its landing sites are, given the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, distance_transform_edt, label
+
+from quadtree_lss.lab.evaluation.results import Grid, Leaves, Truth
+from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
+from quadtree_lss.onboard.arrays import Array, Mask
+
+_SAMPLE_STEP = 0.5  # m, at most, between the points where elevations are compared
+_COINCIDE = 1e-3  # m
+
+SiteVerdict = Literal["safe", "unsafe", "unknown"]
+"""Of a site; unknown where the lander would reach over the edge of the true terrain."""
+
+
+@dataclass(frozen=True)
+class ElevationError:
+    """Estimate minus truth (m) over seen terrain, sampled evenly in area."""
+
+    mean_absolute: float
+    rms: float
+    maximum: float
+    mean: float
+    mean_absolute_mean_removed: float
+    rms_mean_removed: float
+    maximum_mean_removed: float
+    samples: int
+    without_estimate: float
+    """Fraction of the finest cells in which a point fell that have no estimate."""
+
+
+@dataclass(frozen=True)
+class ErrorField:
+    """Where the elevation was compared: x (n,), y (m,) and error (m, n), NaN = not seen."""
+
+    x: Array
+    y: Array
+    estimate: Array
+    error: Array
+    seen: Mask
+    without_estimate: float
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Hazard and safe detection (Table 3) over seen ground with small holes filled.
+
+    Ground that is seen but not yet mapped is scored, too: it is unknown, as the holes are.
+    """
+
+    hazardous_found: float
+    """Fraction of the truly hazardous grid points not called safe; unknown counts as hazardous."""
+    safe_found: float
+    """Fraction of the truly safe grid points called safe."""
+    hazardous_unknown: float
+    """Fraction of the truly hazardous grid points found only because they are unknown."""
+    safe_unknown: float
+    """Fraction of the truly safe grid points that are unknown."""
+    hazardous_grid_points: int
+    safe_grid_points: int
+    missed_grid_points: int
+    missed_depth: float
+    """How far (m) the deepest missed grid point lies inside hazardous ground."""
+    unseen_box: float
+    """Fraction of the scanned box that stays out of the score as unseen."""
+    precision: float
+    """Fraction of the grid points called safe that are; NaN if none is called safe."""
+
+
+@dataclass(frozen=True)
+class SafetyField:
+    """Grid point by grid point: their x (nx,), y (ny,) in the box and arrays (ny, nx)."""
+
+    x: Array
+    y: Array
+    truly_safe: Mask
+    called_safe: Mask
+    seen: Mask
+    scored: Mask
+    risk: Array | None = None
+    """By the map; None if it tells none."""
+
+
+@dataclass(frozen=True)
+class MissedPlace:
+    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it.
+
+    ``relief`` is how far the highest post that the lander can touch there, at (``peak_x``,
+    ``peak_y``), stands above the median of its surroundings (m).
+    """
+
+    x: float
+    y: float
+    grid_points: int
+    depth: float
+    relief: float
+    peak_x: float
+    peak_y: float
+
+
+def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
+    """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
+    u, v = (x - grid.x[0]) / grid.spacing, (y - grid.y[0]) / grid.spacing
+
+    def around(w: Array, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
+        low, high = np.floor(w + 1e-9).astype(np.int64), np.ceil(w - 1e-9).astype(np.int64)
+        inside = (low >= 0) & (high <= count - 1)
+        return np.clip(low, 0, count - 1), np.clip(high, 0, count - 1), inside
+
+    i0, i1, inside_x = around(u, grid.x.size)
+    j0, j1, inside_y = around(v, grid.y.size)
+    seen = grid.seen
+    columns = seen[:, i0] & seen[:, i1] & inside_x
+    return np.asarray(columns[j0] & columns[j1] & inside_y[:, None])
+
+
+def elevation_field(leaves: Leaves, grid: Grid, truth: Truth) -> ErrorField:
+    """Compare leaf planes with the truth at points spread evenly over the finest cells."""
+    domain = leaves.domain
+    parts = max(2, int(np.ceil(domain.finest_size / _SAMPLE_STEP)))
+    step = domain.finest_size / parts
+    offsets = (np.arange(domain.finest_count * parts, dtype=np.float64) + 0.5) * step
+    x, y = domain.xmin + offsets, domain.ymin + offsets
+    estimate = leaves.elevation_at(x[None, :], y[:, None])
+    true = truth.elevation_at(*np.meshgrid(x, y))
+    seen = seen_at(grid, x, y) & np.isfinite(true)
+    error = np.where(seen, estimate - true, np.nan)
+    return ErrorField(x, y, estimate, error, seen, leaves.without_estimate)
+
+
+def elevation_error(field: ErrorField) -> ElevationError:
+    """Statistics of an error field; NaN where nothing was seen."""
+    error = field.error[np.isfinite(field.error)]
+    if not error.size:
+        return ElevationError(*[float("nan")] * 7, 0, field.without_estimate)
+    centred = error - error.mean()
+    return ElevationError(
+        mean_absolute=float(np.abs(error).mean()),
+        rms=float(np.sqrt(np.square(error).mean())),
+        maximum=float(np.abs(error).max()),
+        mean=float(error.mean()),
+        mean_absolute_mean_removed=float(np.abs(centred).mean()),
+        rms_mean_removed=float(np.sqrt(np.square(centred).mean())),
+        maximum_mean_removed=float(np.abs(centred).max()),
+        samples=int(error.size),
+        without_estimate=field.without_estimate,
+    )
+
+
+def fill_holes(seen: Mask, spacing: float, width: float = 2.0) -> Mask:
+    """Close unseen gaps up to ``width`` (m) wide: morphological closing with a disc."""
+    radius = 0.5 * width / spacing
+    reach = int(np.floor(radius + 1e-9))
+    if reach == 0:
+        return seen
+    span = np.arange(-reach, reach + 1)
+    disc = span[None, :] ** 2 + span[:, None] ** 2 <= radius**2 + 1e-9
+    padded = np.pad(seen, reach)
+    return np.asarray(binary_closing(padded, disc)[reach:-reach, reach:-reach]) | seen
+
+
+def safety_field(grid: Grid, truth: Truth) -> SafetyField:
+    """Bring the map's verdict and the truth to the same grid points of the scanned box.
+
+    Grid points that both have are compared. Where they share none, the contact simulation is run
+    at the map's own: reading a safety map between its grid points would by itself cost several
+    per cent.
+    """
+    xmin, xmax, ymin, ymax = truth.box
+    i, in_x = _matches(grid.x, truth.safe_x, xmin, xmax)
+    j, in_y = _matches(grid.y, truth.safe_y, ymin, ymax)
+    if in_x.size and in_y.size:
+        truly_safe = truth.safe[np.ix_(j, i)]
+    else:
+        in_x = np.flatnonzero((grid.x >= xmin - _COINCIDE) & (grid.x <= xmax + _COINCIDE))
+        in_y = np.flatnonzero((grid.y >= ymin - _COINCIDE) & (grid.y <= ymax + _COINCIDE))
+        points = np.stack(np.meshgrid(grid.x[in_x], grid.y[in_y]), axis=-1).reshape(-1, 2)
+        truly_safe = contact_safe(truth.x, truth.y, truth.elevation, points, truth.lander)
+        truly_safe = truly_safe.reshape(in_y.size, in_x.size)
+    window = np.ix_(in_y, in_x)
+    return SafetyField(
+        x=grid.x[in_x],
+        y=grid.y[in_y],
+        truly_safe=truly_safe,
+        called_safe=grid.safe[window],
+        seen=grid.seen[window],
+        scored=fill_holes(grid.looked_at, grid.spacing)[window],
+        risk=None if grid.risk is None else grid.risk[window],
+    )
+
+
+def _matches(
+    axis: Array, lattice: Array, low: float, high: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices into ``lattice`` and ``axis`` of the coordinates both have in [low, high]."""
+    nearest = np.clip(np.searchsorted(lattice, axis), 1, lattice.size - 1)
+    nearest -= axis - lattice[nearest - 1] < lattice[nearest] - axis
+    same = np.abs(lattice[nearest] - axis) < _COINCIDE
+    same &= (axis >= low - _COINCIDE) & (axis <= high + _COINCIDE)
+    index = np.flatnonzero(same)
+    return nearest[index], index
+
+
+def detection(field: SafetyField) -> Detection:
+    """Detection rates of Table 3 (fractions); a rate over no grid points is NaN."""
+    hazardous = field.scored & ~field.truly_safe
+    safe = field.scored & field.truly_safe
+    called = field.called_safe & field.seen
+    missed = hazardous & called
+    depth = 0.0
+    if missed.any():
+        spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
+        inside = np.pad(~field.truly_safe, 1, mode="edge")
+        depth = spacing * float(distance_transform_edt(inside)[1:-1, 1:-1][missed].max())
+
+    def share(part: Mask, whole: Mask) -> float:
+        return float((part & whole).sum() / whole.sum()) if whole.any() else float("nan")
+
+    return Detection(
+        hazardous_found=share(~called, hazardous),
+        safe_found=share(called, safe),
+        hazardous_unknown=share(~field.seen, hazardous),
+        safe_unknown=share(~field.seen, safe),
+        hazardous_grid_points=int(hazardous.sum()),
+        safe_grid_points=int(safe.sum()),
+        missed_grid_points=int(missed.sum()),
+        missed_depth=depth,
+        unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
+        precision=share(field.truly_safe, called & field.scored),
+    )
+
+
+def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
+    """Whether a lander set down at each site (K, 2 or 3) stands safely.
+
+    A site on a grid point of the true safety map takes its verdict from there; any other, inside or
+    outside the scanned box, is simulated on the DEM. Where the lander would reach over the edge of
+    the DEM nothing is known.
+    """
+    lander = truth.lander
+    known = on_dem(truth.x, truth.y, sites[:, :2], lander)
+    safe = contact_safe(truth.x, truth.y, truth.elevation, sites[:, :2], lander)
+    verdicts = []
+    for k, (x, y) in enumerate(sites[:, :2]):
+        i, j = int(np.abs(truth.safe_x - x).argmin()), int(np.abs(truth.safe_y - y).argmin())
+        if max(abs(truth.safe_x[i] - x), abs(truth.safe_y[j] - y)) < _COINCIDE:
+            verdict: SiteVerdict = "safe" if truth.safe[j, i] else "unsafe"
+        elif known[k]:
+            verdict = "safe" if safe[k] else "unsafe"
+        else:
+            verdict = "unknown"
+        verdicts.append(verdict)
+    return tuple(verdicts)
+
+
+def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
+    """Connected patches of hazardous ground called safe, the largest first."""
+    missed = field.scored & ~field.truly_safe & field.called_safe & field.seen
+    patch, count = label(missed, np.ones((3, 3), int))
+    if not count:
+        return ()
+    inside = np.pad(~field.truly_safe, 1, mode="edge")
+    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
+    depth = spacing * distance_transform_edt(inside)[1:-1, 1:-1]
+    places = []
+    for k in range(1, count + 1):
+        j, i = np.nonzero(patch == k)
+        x, y = float(field.x[i].mean()), float(field.y[j].mean())
+        reach = 0.5 * truth.lander.diameter + truth.lander.pad_radius
+        box = np.ix_(np.abs(truth.y - y) <= reach, np.abs(truth.x - x) <= reach)
+        ground = truth.elevation[box]
+        peak_j, peak_i = np.unravel_index(int(ground.argmax()), ground.shape)
+        places.append(
+            MissedPlace(
+                x=x,
+                y=y,
+                grid_points=int(j.size),
+                depth=float(depth[j, i].max()),
+                relief=float(ground.max() - np.median(ground)),
+                peak_x=float(truth.x[np.abs(truth.x - x) <= reach][peak_i]),
+                peak_y=float(truth.y[np.abs(truth.y - y) <= reach][peak_j]),
+            )
+        )
+    return tuple(sorted(places, key=lambda place: -place.grid_points))

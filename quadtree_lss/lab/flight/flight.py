@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flight, tick by tick: the true vehicle, what it senses, what guidance makes of the answers.
+
+Neither time nor transport is its own: `step` goes one tick on and returns what was sent; answers
+come by `hear`. So the same flight runs in lock-step and over DDS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.lab.flight.gimbal import Gimbal, quaternion
+from quadtree_lss.lab.flight.ground import Ground, start
+from quadtree_lss.lab.flight.lander import Lander
+from quadtree_lss.lab.flight.pilot import Pilot, Target
+from quadtree_lss.lab.flight.settings import Fault, FlightSettings
+from quadtree_lss.lab.simulation.lidar import FlashLidar
+from quadtree_lss.lab.simulation.navigation import DriftingNavigation
+from quadtree_lss.onboard.arrays import Array
+
+TICK = 0.01
+"""s; a pose each, and ..."""
+GUIDE_EVERY, SCAN_EVERY, ASK_EVERY = 10, 5, 100
+"""... of these so many ticks: guidance, scans, area and target."""
+SCAN_AFTER = 0.0037
+"""A flash is so long after a pose, s."""
+START_NS = 1_700_000_000 * 10**9
+FIELD_OF_VIEW_DEG = 1.0
+SETTLE = 0.5
+"""Where a touchdown is soft: m/s across and degrees of tilt; m/s down are `SINK`."""
+TILT_DEG, SINK = 6.0, 2.0
+JUMP = np.array([2.0, 0.0, 1.0])
+
+
+class Sent(NamedTuple):
+    """A message as plain values: topic, stamp, and what its type takes (see ``wire``)."""
+
+    topic: str
+    stamp_ns: int
+    value: Any
+
+
+class Sample(NamedTuple):
+    """A row of the record: time, true position, mass, thrust, tilt and what the pilot did."""
+
+    time: float
+    x: float
+    y: float
+    z: float
+    mass: float
+    thrust: float
+    tilt_deg: float
+    mode: str
+
+
+class Flight:
+    """One flight.
+
+    Args:
+        seed: Of ground, start, navigation and lidar.
+        settings: Everything else.
+        ground: Where this seed's ground was made before.
+
+    Attributes:
+        began: Position and velocity (3,) at the start.
+        time: s of flight.
+        outcome: Empty in flight, then ``touchdown``, ``aborted`` or ``time``.
+        samples: Ten a second.
+        outlines: Edges of the field of view on the ground, two a second.
+        active: Faults that hold now, by kind.
+    """
+
+    def __init__(self, seed: int, settings: FlightSettings, ground: Ground | None = None) -> None:
+        seeds = np.random.SeedSequence(seed).spawn(4)
+        field, navigation, lidar, scatter = (np.random.default_rng(s) for s in seeds)
+        self.settings = settings
+        self.ground = Ground.of(settings, field) if ground is None else ground
+        self.began = start(settings, self.ground.planned, scatter)
+        self.lander = Lander(settings.vehicle, *self.began)
+        self._ticks = 0
+        self._errors(navigation)
+        planned = self.ground.planned + np.array([0.0, 0.0, scatter.normal(0.0, 1.0)])
+        avoid = settings.avoidance in ("package", "paper")
+        if settings.avoidance == "perfect":
+            best = self.ground.best()
+            planned = planned if best is None else best
+        self.pilot = Pilot(settings.vehicle, settings.rules, planned, avoid=avoid, surveys=avoid)
+        self.looks = avoid
+        self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half)
+        self._lidar = FlashLidar(
+            FIELD_OF_VIEW_DEG,
+            range_noise=settings.range_noise,
+            outliers=settings.outliers,
+            dropouts=settings.dropouts,
+        )
+        self._noise = lidar
+        self._due: list[tuple[Fault, float]] = [(fault, np.inf) for fault in settings.faults]
+        self.active: dict[str, float] = {}
+        self.outcome = ""
+        self.samples: list[Sample] = []
+        self.outlines: list[Array] = []
+        self._asked: dict[str, bytes] = {}
+        self._seen_from = (np.zeros(3), np.eye(3))
+
+    @property
+    def time(self) -> float:
+        """s of flight."""
+        return self._ticks * TICK
+
+    @property
+    def stamp_ns(self) -> int:
+        """Of the present tick."""
+        return START_NS + self._ticks * round(TICK * 1e9)
+
+    def navigated(self) -> tuple[Array, Array]:
+        """Position and velocity (3,) as navigation knows them."""
+        off = self._offset[self._ticks]
+        if "pose_jump" in self.active:
+            off = off + JUMP
+        return self.lander.position + off, self.lander.velocity + self._slip[self._ticks]
+
+    def hear(self, said: Target) -> None:
+        """``landing/selected`` said this."""
+        self.pilot.hear(said)
+
+    def step(self) -> list[Sent]:
+        """One tick: what was sent during it, in order."""
+        position, velocity = self.navigated()
+        if self._ticks % GUIDE_EVERY == 0:
+            thrust = self.pilot.guide(self.time, position, velocity, self.lander.mass)
+            self.lander.command(thrust)
+            self._sample()
+        self._fail(float(position[2] - self.pilot.aim[2]))
+        sent = list(self._sense(position, velocity)) if self.looks else []
+        self.lander.step(TICK)
+        self._ticks += 1
+        self._end()
+        return sent
+
+    def result(self) -> dict[str, Any]:
+        """Figures of a flight that has ended."""
+        place, velocity = self.lander.position, self.lander.velocity
+        down = self.outcome == "touchdown"
+        across, sink = float(np.hypot(*velocity[:2])), float(-velocity[2])
+        soft = across <= SETTLE and sink <= SINK and self.lander.tilt_deg <= TILT_DEG
+        firm = down and self.ground.safe_at(float(place[0]), float(place[1]))
+        diverts = [d for d in self.pilot.decisions if d.what in ("divert", "target")]
+        diverts = [d for d in diverts if d.time > 0.0]
+        moved = [d for d in self.pilot.decisions if d.what == "divert"]
+        return {
+            "outcome": self.outcome,
+            "safe": bool(firm and soft),
+            "ground_safe": bool(firm),
+            "soft": bool(down and soft),
+            "x": float(place[0]),
+            "y": float(place[1]),
+            "z": float(place[2]),
+            "error": float(np.hypot(*(place - self.pilot.aim)[:2])) if down else None,
+            "speed_across": across,
+            "speed_down": sink,
+            "tilt_deg": self.lander.tilt_deg,
+            "time": self.time,
+            "propellant": self.lander.burnt,
+            "diverts": len(moved),
+            "last_divert_time": diverts[-1].time if diverts else None,
+            "last_divert_height": diverts[-1].height if diverts else None,
+            "hovered": any(d.what == "hover" for d in self.pilot.decisions),
+            "from_planned": float(np.hypot(*(place - self.ground.planned)[:2])),
+        }
+
+    def _errors(self, generator: np.random.Generator) -> None:
+        """Errors of position, attitude and velocity for every tick."""
+        longest = round(self.settings.longest / TICK) + 2
+        times = TICK * np.arange(longest)
+        level = np.broadcast_to(np.eye(3), (longest, 3, 3))
+        model = DriftingNavigation()
+        found = model.estimate(generator, times, np.zeros((longest, 3)), level)
+        self._offset, self._tilt, self._covariance = (
+            found.positions,
+            found.rotations,
+            found.covariance,
+        )
+        slow = DriftingNavigation(position_bias=0.02, position_drift=0.01)
+        self._slip = slow.estimate(generator, times, np.zeros((longest, 3)), level).positions
+
+    def _sample(self) -> None:
+        lander = self.lander
+        self.samples.append(
+            Sample(
+                self.time,
+                *(float(v) for v in lander.position),
+                lander.mass,
+                lander.thrust,
+                lander.tilt_deg,
+                self.pilot.mode,
+            )
+        )
+
+    def _fail(self, height: float) -> None:
+        """Faults that begin and end now."""
+        for kind, until in list(self.active.items()):
+            if self.time >= until:
+                del self.active[kind]
+        for item in list(self._due):
+            fault = item[0]
+            if height <= fault.height:
+                self.active[fault.kind] = self.time + fault.seconds
+                self._due.remove(item)
+
+    def _sense(self, position: Array, velocity: Array) -> Iterator[Sent]:
+        """Poses, scans and wishes of this tick."""
+        pilot = self.pilot
+        before = self._seen_from
+        self.gimbal.step(self.time, position, velocity, pilot.target, TICK, pilot.aim)
+        rotation = self.gimbal.rotation()
+        pilot.surveyed = self.gimbal.passes > 1
+        self._seen_from = (self.lander.position.copy(), rotation)
+        if "pose_gap" not in self.active:
+            xyzw = quaternion(rotation)
+            yield Sent("nav/pose", self.stamp_ns, (position, xyzw, self._covariance))
+        looking = not pilot.committed and pilot.mode not in ("terminal", "abort")
+        if self._ticks % SCAN_EVERY == 1 and looking and "lidar_gap" not in self.active:
+            yield self._scan(before)
+        if self._ticks % ASK_EVERY == 0:
+            area = pilot.area()
+            if area is not None:
+                yield from self._ask("landing/area", area)
+            # Where navigation believes to be off, and what guidance adds to it.
+            variances = np.diag(self._covariance)[:2] + self.settings.rules.miss**2
+            yield from self._ask("landing/dispersion", variances)
+            if pilot.surveyed:
+                yield from self._ask("landing/target", pilot.aim)
+        if self.active.get("keep_out", 0.0) and "landing/keep_out" not in self._asked:
+            square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+            yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * square)
+
+    def _scan(self, before: tuple[Array, Array]) -> Sent:
+        """The flash between the last tick, ``before``, and this one."""
+        share = SCAN_AFTER / TICK
+        (place, turn), (place_now, turn_now) = before, self._seen_from
+        place = place + share * (place_now - place)
+        moved = Rotation.from_matrix(turn.T @ turn_now).as_rotvec()
+        turn = turn @ Rotation.from_rotvec(share * moved).as_matrix()
+        # The true boresight is off by what navigation does not know of its attitude.
+        turn = self._tilt[self._ticks].T @ turn
+        points = self._lidar.scan(self.ground.terrain, place, turn, self._noise)
+        if self._ticks // SCAN_EVERY % 10 == 0:
+            self.outlines.append(self._lidar.outline(self.ground.terrain, place, turn))
+        stamp = self.stamp_ns - round((TICK - SCAN_AFTER) * 1e9)
+        return Sent("lidar/points", stamp, points)
+
+    def _ask(self, topic: str, value: Array) -> Iterator[Sent]:
+        """Only what is new is sent."""
+        content = np.round(value, 3).tobytes()
+        if self._asked.get(topic) != content:
+            self._asked[topic] = content
+            yield Sent(topic, self.stamp_ns, value)
+
+    def _end(self) -> None:
+        if self.ground.touches(self.lander.position):
+            self.outcome = "touchdown"
+        elif self.pilot.mode == "abort":
+            self.outcome = "aborted"
+        elif self.time >= self.settings.longest:
+            self.outcome = "time"
+        if self.outcome:
+            self._sample()

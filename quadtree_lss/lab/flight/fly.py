@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One flight in lock-step, from a seed and settings to figures."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.lab.flight.flight import TICK, Flight
+from quadtree_lss.lab.flight.ground import Ground
+from quadtree_lss.lab.flight.onboard import Onboard
+from quadtree_lss.lab.flight.pilot import Target
+from quadtree_lss.lab.flight.reference import Descent, NoReference
+from quadtree_lss.lab.flight.settings import FlightSettings, flight_settings
+from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+
+OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
+"""Faults that hit a node."""
+
+PAPER = {
+    "lss.assessment": "paper",
+    "lss.ranking": "score",
+    "lss.switch_margin": 0.08,
+    "lss.weight_target": 0.004,  # a metre of way against 0.2 m of room
+}
+"""The paper's rules and score."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight that has ended.
+
+    Attributes:
+        flight: Its state at the end, with its record.
+        figures: See ``docs/closed_loop.md``.
+        last: What the nodes said last, None without them.
+    """
+
+    flight: Flight
+    figures: dict[str, Any]
+    last: LandingAssessment | None
+
+
+def fly(seed: int, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of one flight; the same for the same arguments, whoever calls.
+
+    Args:
+        seed: Of ground, start, navigation and lidar.
+        settings: Plain values by name, see ``settings.FlightSettings``; ``reference: true`` adds
+            the least propellant (extra ``guidance``).
+
+    Raises:
+        FlightError, ConfigError, SimulationError: settings that cannot be flown.
+    """
+    given = dict(settings)
+    reference = bool(given.pop("reference", False))
+    return flown(seed, flight_settings(given), reference=reference).figures
+
+
+def flown(
+    seed: int,
+    settings: FlightSettings,
+    *,
+    reference: bool = False,
+    ground: Ground | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Flown:
+    """One flight with its record.
+
+    Args:
+        seed, settings: See `fly`.
+        reference: Compare with the least propellant there could be.
+        ground: Of this seed, if it is there already.
+        progress: Told the seconds flown, now and then.
+    """
+    flight = Flight(seed, settings, ground)
+    onboard = None
+    if flight.looks:
+        config = flight_config(settings, flight.ground)
+        onboard = Onboard(config, settings.answer_delay)
+    down: set[str] = set()
+    while not flight.outcome:
+        sent = flight.step()
+        if onboard is not None:
+            _break(flight, onboard, down)
+            for message in sent:
+                onboard.take(message, flight.stamp_ns)
+            said = onboard.work(flight.stamp_ns)
+            if said is not None:
+                flight.hear(said)
+        if progress is not None and int(100 * flight.time) % 100 == 0:
+            progress(flight.time)
+    last = None if onboard is None else onboard.last
+    figures = figures_of(seed, flight, last)
+    if reference:
+        figures |= least_propellant(flight)
+    return Flown(flight, figures, last)
+
+
+def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:
+    """What became of a flight, ready for JSON."""
+    figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
+    return figures | map_said(last, figures)
+
+
+def flown_again(seed: int, settings: FlightSettings, heard: Iterable[tuple[int, Target]]) -> Flight:
+    """The flight whose guidance heard these answers at these ticks: none computes."""
+    flight, answers = Flight(seed, settings), deque(heard)
+    while not flight.outcome:
+        flight.step()
+        while answers and answers[0][0] <= round(flight.time / TICK):
+            flight.hear(answers.popleft()[1])
+    return flight
+
+
+def flight_config(settings: FlightSettings, ground: Ground) -> Config:
+    """``config/flight.yaml`` with what the settings say, the domain about the planned point."""
+    config = load_config(["flight"], dict(settings.config), origin="settings")
+    half = 0.5 * config.domain.size
+    over: dict[str, Any] = {
+        f"domain.{axis}min": float(ground.planned[k]) - half for k, axis in enumerate("xy")
+    }
+    if settings.avoidance == "paper":
+        over |= PAPER
+    return config_from_values(over, config)
+
+
+def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict[str, Any]:
+    """What the last map said of the ground of the touchdown: safe, unsafe, unseen, unmapped
+    (seen, not yet mapped) or nothing."""
+    said = "nothing"
+    if last is not None:
+        column = int(np.abs(last.x - figures["x"]).argmin())
+        row = int(np.abs(last.y - figures["y"]).argmin())
+        said = "safe" if last.safe[row, column] else "margin"
+        if last.hazard[row, column] & 0x80:
+            said = "unmapped" if last.hazard[row, column] & 0x40 else "unseen"
+        elif last.hazard[row, column] & 0x08:
+            said = "unsafe"
+    return {"map_said": said}
+
+
+def least_propellant(flight: Flight) -> dict[str, Any]:
+    """The convex reference from the flight's start to where it came down, and the ratio to it.
+
+    To the same gate with the same speed; from there down both fly alike.
+    """
+    none = {"reference": None, "propellant_ratio": None}
+    if flight.outcome != "touchdown":
+        return none
+    vehicle, rules = flight.settings.vehicle, flight.settings.rules
+    end = flight.lander.position + np.array([0.0, 0.0, rules.gate])
+    down = np.array([0.0, 0.0, -rules.gate_speed])
+    best = Descent(vehicle, rules.limits).cheapest(*flight.began, end, down)
+    if best is None:
+        return none
+    seconds = rules.gate / rules.touchdown_speed
+    hover = (vehicle.mass - best.propellant) * vehicle.gravity / vehicle.exhaust_speed
+    least = best.propellant + hover * seconds
+    return {"reference": least, "propellant_ratio": flight.lander.burnt / least}
+
+
+def _break(flight: Flight, onboard: Onboard, down: set[str]) -> None:
+    """Nodes that are killed now, or come back."""
+    for kind, node in OUTSIDE.items():
+        active = kind in flight.active
+        if active and kind not in down:
+            down.add(kind)
+            onboard.kill(node)
+        elif not active and kind in down:
+            down.discard(kind)
+            onboard.respawn(node, checkpoint=kind != "forget_mapping")
+
+
+__all__ = ["Flown", "NoReference", "fly", "flown"]

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the lidar looks: strips over the candidate area, then about the target, again and again."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from math import hypot, radians, sqrt
+
+import numpy as np
+
+from quadtree_lss.lab.flight.lander import turned
+from quadtree_lss.onboard.arrays import Array
+
+
+def axes(boresight: Array) -> Array:
+    """Rotation (3, 3) of a lidar, z along a unit vector, y down, x level; as of ``look_at``."""
+    x, y, z = boresight.tolist()
+    level = hypot(x, y)
+    across, back = (y / level, -x / level) if level > 1e-9 else (-z, 0.0)
+    down = (-z * back, z * across, x * back - y * across)
+    return np.array([(across, back, 0.0), down, (x, y, z)]).T
+
+
+def quaternion(rotation: Array) -> Array:
+    """x, y, z, w (4,) of a rotation (3, 3) of which the trace may be anything."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
+    greatest = max(range(4), key=squares.__getitem__)
+    rows = (
+        (squares[0], b + d, c + g, h - f),
+        (b + d, squares[1], f + h, c - g),
+        (c + g, f + h, squares[2], d - b),
+        (h - f, c - g, d - b, squares[3]),
+    )
+    found = np.array(rows[greatest])
+    return found / np.linalg.norm(found)
+
+
+@dataclass(frozen=True)
+class ScanPlan:
+    """How the lidar is led; m, s, degrees.
+
+    Attributes:
+        survey: Duration of a pass over all of the area.
+        closer: Duration of a pass about the target.
+        half: Half side of what a pass about the target covers, at most and at least.
+        overlap: Of neighbouring strips.
+        rate_deg: Greatest turn of the gimbal per second.
+        scan_rate: Scans per second.
+    """
+
+    survey: float = 8.0
+    closer: float = 1.5
+    half: tuple[float, float] = (9.0, 3.0)
+    overlap: float = 0.2
+    rate_deg: float = 60.0
+    scan_rate: float = 20.0
+
+
+class Gimbal:
+    """Aims the boresight; knows navigation's position, the area and the target, and no more.
+
+    Args:
+        plan: How it is led.
+        field_of_view_deg: Of the lidar.
+        centre: (3,) middle of the candidate area.
+        half: Its half side, m.
+
+    Attributes:
+        boresight: (3,) unit vector, map frame by navigation.
+        passes: Begun so far.
+    """
+
+    def __init__(
+        self, plan: ScanPlan, field_of_view_deg: float, centre: Array, half: float
+    ) -> None:
+        self.plan, self.centre, self.half = plan, np.asarray(centre, dtype=np.float64), half
+        self._angle = float(np.radians(field_of_view_deg))
+        self.boresight = np.array([0.0, 0.0, -1.0])
+        self.passes = 0
+        self._corners = np.zeros((0, 3))
+        self._arc: list[float] = []
+        self._began = self._ends = -np.inf
+
+    def step(
+        self,
+        now: float,
+        position: Array,
+        velocity: Array,
+        target: Array | None,
+        dt: float,
+        aim: Array | None = None,
+    ) -> None:
+        """Turns the boresight toward where it should look at ``now`` s.
+
+        Args:
+            now: Time of flight, s.
+            position, velocity: (3,) of the lidar by navigation.
+            target: (3,) to be looked at more closely, None while there is none.
+            dt: Since the last step, s.
+            aim: (3,) where it is going without a target: when it is too low for a pass over all of
+                the area, it looks about there.
+        """
+        if now >= self._ends:
+            if self.passes:
+                self._begin(now, position, velocity, target, aim)
+            else:
+                self._begin(now, position, velocity, None, None)
+            self.passes += 1
+        way = (now - self._began) / (self._ends - self._began) * self._arc[-1]
+        leg = min(bisect_right(self._arc, way), len(self._arc) - 1)
+        share = (way - self._arc[leg - 1]) / (self._arc[leg] - self._arc[leg - 1])
+        before, after = self._corners[leg - 1], self._corners[leg]
+        wanted = before + min(share, 1.0) * (after - before) - position
+        wanted /= sqrt(float(wanted @ wanted))
+        if self.passes == 1 and now == self._began:
+            self.boresight = wanted
+        self.boresight = turned(self.boresight, wanted, radians(self.plan.rate_deg) * dt)
+
+    def rotation(self) -> Array:
+        """Takes lidar axes to the map's, (3, 3)."""
+        return axes(self.boresight)
+
+    def _begin(
+        self,
+        now: float,
+        position: Array,
+        velocity: Array,
+        target: Array | None,
+        aim: Array | None,
+    ) -> None:
+        """Strips across the line of sight, from the near edge to the far one.
+
+        They are as narrow as the footprint will be at the end of the pass, f. Of a square of half
+        side h a pass of T s sees all if (2 h)^2 <= ((1 - overlap) f)^2 T rate, less a tenth for
+        turning round. Where that is not the area it looks about the aim.
+        """
+        centre = self.centre if target is None else target
+        seconds = self.plan.survey if target is None else self.plan.closer
+        half = self.half
+        if target is None and aim is not None:
+            across = self._angle * float(np.linalg.norm(aim - position - 0.9 * seconds * velocity))
+            sees = 0.45 * (1.0 - self.plan.overlap) * across * sqrt(seconds * self.plan.scan_rate)
+            if sees < half:
+                centre, half = aim, max(sees, self.plan.half[1])
+                seconds *= (half / sees) ** 2
+        sight = centre - position
+        distance = float(np.linalg.norm(sight - 0.9 * seconds * velocity))
+        across_deep = self._angle * distance
+        if target is not None:
+            most, least = self.plan.half
+            half = float(np.clip(3.0 * across_deep, least, most))
+        away = np.array([sight[0], sight[1]])
+        level = float(np.hypot(*away))
+        along = away / level if level > 1.0 else np.array([1.0, 0.0])
+        # The footprint is longer along the line of sight, the more so the flatter that is.
+        deep = across_deep / max(-sight[2] / float(np.linalg.norm(sight)), 0.2)
+        edge = half * (abs(along[0]) + abs(along[1])) - 0.4 * deep
+        strips = 1
+        if edge > 0.0:
+            strips = 1 + int(np.ceil(2.0 * edge / (deep * (1.0 - self.plan.overlap))))
+        rows = np.linspace(-max(edge, 0.0), max(edge, 0.0), strips)
+        end = max(half - 0.3 * across_deep, 0.0)
+        left = np.array([-along[1], along[0]])
+        corners = []
+        for k, row in enumerate(rows):
+            side = end if k % 2 == self.passes % 2 else -end
+            for s in (side, -side):
+                corners.append([*(centre[:2] + row * along + s * left), centre[2]])
+        self._corners = np.array(corners)
+        steps = np.linalg.norm(np.diff(self._corners, axis=0), axis=1)
+        self._arc = [0.0, *np.cumsum(np.maximum(steps, 1e-6)).tolist()]
+        self._began, self._ends = now, now + seconds

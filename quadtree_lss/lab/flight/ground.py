@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The true ground of a flight, its start, and what is truly safe there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from quadtree_lss.lab.flight.settings import FlightSettings
+from quadtree_lss.lab.simulation import safety
+from quadtree_lss.lab.simulation.hazard_field import HazardField, hazard_field, strewn
+from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
+from quadtree_lss.onboard.arrays import Array
+
+GRID = 0.25
+"""Lattice of what perfect knowledge chooses from, m."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Terrain, the planned point in its middle, and the candidate area about it.
+
+    Attributes:
+        terrain: The truth.
+        planned: (3,) on the ground.
+        half: Half side of the candidate area, m.
+    """
+
+    terrain: Terrain
+    planned: Array
+    half: float
+
+    @classmethod
+    def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
+        """As the settings say; on a large DEM the planned point lies anywhere within 100 m.
+
+        Raises:
+            SimulationError: the terrain cannot be read.
+        """
+        if settings.terrain:
+            terrain = load_terrain(settings.terrain)
+            if settings.rock_abundance:
+                terrain = strewn(generator, terrain, settings.rock_abundance)
+        elif settings.rock_abundance is None:
+            terrain = hazard_field(generator)
+        else:
+            terrain = hazard_field(generator, HazardField(rock_abundance=settings.rock_abundance))
+        xmin, xmax, ymin, ymax = terrain.bounds
+        x, y = GRID * round(0.5 * (xmin + xmax) / GRID), GRID * round(0.5 * (ymin + ymax) / GRID)
+        room = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0
+        if settings.terrain:
+            spread = float(np.clip(room - settings.half, 0.0, 100.0))
+            x, y = (c + GRID * round(generator.uniform(-spread, spread) / GRID) for c in (x, y))
+        planned = np.array([x, y, float(terrain.elevation_at(x, y))])
+        return cls(terrain, planned, min(settings.half, room))
+
+    def touches(self, position: Array) -> bool:
+        """Whether a lander whose pads are level with ``position`` (3,) is on the ground."""
+        if position[2] > self._highest:
+            return False
+        radius = 0.5 * safety.Lander().diameter
+        angles = 0.25 * np.pi * np.arange(8)
+        x = position[0] + radius * np.append(np.cos(angles), 0.0)
+        y = position[1] + radius * np.append(np.sin(angles), 0.0)
+        heights = self.terrain.elevation_at(x, y)
+        highest = np.nanmax(heights) if np.isfinite(heights).any() else self.planned[2] - 20.0
+        return bool(position[2] <= highest)
+
+    def safe_at(self, x: float, y: float) -> bool:
+        """Whether a lander stands safely there at every heading."""
+        t = self.terrain
+        return bool(safety.contact_safe(t.x, t.y, t.elevation, [[x, y]])[0])
+
+    @cached_property
+    def _highest(self) -> float:
+        n = 60.0
+        t, (x, y, _) = self.terrain, self.planned
+        near = np.ix_(np.abs(t.y - y) < n, np.abs(t.x - x) < n)
+        return float(t.elevation[near].max())
+
+    @cached_property
+    def safe(self) -> tuple[Array, Array, Array]:
+        """x, y (n,) of the candidate area and the room in truth (n, n), m: 0 where unsafe."""
+        n = int(self.half / GRID)
+        x = self.planned[0] + GRID * np.arange(-n, n + 1)
+        y = self.planned[1] + GRID * np.arange(-n, n + 1)
+        t = self.terrain
+        safe = safety.safety_map(t.x, t.y, t.elevation, x, y)
+        return x, y, GRID * distance_transform_edt(np.pad(safe, 1))[1:-1, 1:-1]
+
+    def best(self) -> Array | None:
+        """(3,) what perfect knowledge flies to: room enough, near to the planned point."""
+        x, y, room = self.safe
+        away = np.hypot(x[None, :] - self.planned[0], y[:, None] - self.planned[1])
+        worth = np.where(room > 0.0, np.minimum(room, 1.5) - 0.01 * away, -np.inf)
+        row, column = divmod(int(np.argmax(worth)), len(x))
+        if not np.isfinite(worth[row, column]):
+            return None
+        z = float(self.terrain.elevation_at(x[column], y[row]))
+        return np.array([x[column], y[row], z])
+
+
+def start(
+    settings: FlightSettings, planned: Array, generator: np.random.Generator
+) -> tuple[Array, Array]:
+    """Position and velocity (3,) at the start: on the glide slope, flying along +x, scattered."""
+    slope = np.radians(settings.glide_slope_deg)
+    way = np.array([np.cos(slope), 0.0, -np.sin(slope)])
+    position = planned - settings.slant_range * way
+    position = position + generator.normal(0.0, settings.scatter, 3)
+    velocity = settings.speed * way + generator.normal(0.0, settings.scatter / 20.0, 3)
+    return position, velocity

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lander as a point that points: mass, thrust within limits, actuators that take their time."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import acos, cos, degrees, hypot, radians, sin, sqrt
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array
+
+EARTH_G = 9.80665
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """What the lander can do: a small lunar lander; kg, N, s, degrees.
+
+    Attributes:
+        mass: At the start, with ``propellant``.
+        propellant: Of it, to be burnt.
+        isp: Specific impulse.
+        thrust_min, thrust_max: Of the engine, which is never off in flight.
+        thrust_rate: Greatest change of thrust per second.
+        tilt_max_deg, tilt_rate_deg: Of the thrust from the vertical; of its turn per second.
+        delay: From a command to its first effect.
+        gravity: Of the body, m/s^2.
+    """
+
+    mass: float = 1800.0
+    propellant: float = 250.0
+    isp: float = 310.0
+    thrust_min: float = 1300.0
+    thrust_max: float = 6600.0
+    thrust_rate: float = 6000.0
+    tilt_max_deg: float = 45.0
+    tilt_rate_deg: float = 20.0
+    delay: float = 0.1
+    gravity: float = 1.62
+
+    @property
+    def exhaust_speed(self) -> float:
+        """m/s."""
+        return self.isp * EARTH_G
+
+    @property
+    def weight(self) -> Array:
+        """Acceleration of gravity (3,), map frame, m/s^2."""
+        return np.array([0.0, 0.0, -self.gravity])
+
+
+class Lander:
+    """The true state of a vehicle, and what its actuators make of commands.
+
+    Args:
+        vehicle: What it can do.
+        position, velocity: (3,) map frame, m, m/s.
+
+    Attributes:
+        mass: kg.
+        thrust: N.
+        direction: (3,) unit vector of the thrust, up along the vehicle's axis.
+    """
+
+    def __init__(self, vehicle: Vehicle, position: Array, velocity: Array) -> None:
+        self.vehicle = vehicle
+        self.position = np.array(position, dtype=np.float64)
+        self.velocity = np.array(velocity, dtype=np.float64)
+        self.mass = vehicle.mass
+        self.thrust = vehicle.mass * vehicle.gravity
+        self.direction = np.array([0.0, 0.0, 1.0])
+        self._commands: deque[tuple[float, Array]] = deque()
+        self._command = self.thrust * self.direction
+        self._now = 0.0
+
+    @property
+    def burnt(self) -> float:
+        """Propellant used so far, kg."""
+        return self.vehicle.mass - self.mass
+
+    @property
+    def tilt_deg(self) -> float:
+        """Of the vehicle's axis from the vertical."""
+        return degrees(acos(min(max(float(self.direction[2]), -1.0), 1.0)))
+
+    def command(self, thrust: Array) -> None:
+        """Ask for a thrust (3,), map frame, N; it has an effect after the delay."""
+        self._commands.append((self._now + self.vehicle.delay - 1e-9, np.array(thrust)))
+
+    def step(self, dt: float) -> None:
+        """``dt`` s on: actuators first, then the motion under constant thrust."""
+        while self._commands and self._commands[0][0] <= self._now:
+            self._command = self._commands.popleft()[1]
+        self._actuate(dt)
+        v = self.vehicle
+        if self.burnt >= v.propellant:
+            self.thrust = 0.0
+        acceleration = v.weight + self.thrust / self.mass * self.direction
+        self.position += dt * self.velocity + 0.5 * dt * dt * acceleration
+        self.velocity += dt * acceleration
+        self.mass -= dt * self.thrust / v.exhaust_speed
+        self._now += dt
+
+    def _actuate(self, dt: float) -> None:
+        v = self.vehicle
+        size = sqrt(float(self._command @ self._command))
+        wanted = self._command / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
+        wanted = within_tilt(wanted, v.tilt_max_deg)
+        self.direction = turned(self.direction, wanted, radians(v.tilt_rate_deg) * dt)
+        change = min(max(size - self.thrust, -v.thrust_rate * dt), v.thrust_rate * dt)
+        self.thrust = min(max(self.thrust + change, v.thrust_min), v.thrust_max)
+
+
+def turned(old: Array, new: Array, most: float) -> Array:
+    """A unit vector (3,) turned from ``old`` toward ``new``, by ``most`` rad at most."""
+    angle = acos(min(max(float(new @ old), -1.0), 1.0))
+    if angle > most:
+        new = sin(angle - most) * old + sin(most) * new
+    return new / sqrt(float(new @ new))
+
+
+def within_tilt(direction: Array, limit_deg: float) -> Array:
+    """A unit vector (3,) no farther from the vertical than the limit, in the same heading."""
+    limit = radians(limit_deg)
+    if direction[2] >= cos(limit):
+        return direction
+    across = hypot(direction[0], direction[1])
+    if across < 1e-12:
+        return np.array([0.0, 0.0, 1.0])
+    side = sin(limit) / across
+    return np.array([side * direction[0], side * direction[1], cos(limit)])

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Both nodes in lock-step: what they do with each message, without transport, in the flight's time.
+
+The functions are those that nodes and replay call: `Intake`, `Mapper`, `Passes`. A node that is
+killed loses what it held in memory; what is latched comes back to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.desk.replay.passes import Passes
+from quadtree_lss.desk.replay.types import typestore
+from quadtree_lss.lab.flight.flight import Sent
+from quadtree_lss.lab.flight.pilot import Target
+from quadtree_lss.lab.flight.wire import Wire
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.intake import Intake
+from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+
+REPEAT_NS = 400_000_000
+"""``landing/selected`` is said again so often, as by lss_node."""
+
+
+@dataclass
+class _Answers:
+    """Sink of the passes: answers reach guidance after a delay."""
+
+    delay_ns: int
+    last: LandingAssessment | None = None
+    at_ns: int = 0
+    waiting: list[tuple[int, LandingAssessment]] | None = None
+
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+        """Nobody but lss_node hears it."""
+
+    def landing(self, now_ns: int, found: LandingAssessment) -> None:
+        """An answer is on its way."""
+        self.waiting = [*(self.waiting or []), (now_ns + self.delay_ns, found)]
+
+    def due(self, now_ns: int) -> LandingAssessment | None:
+        """What is said now: a new answer, or the last one again; None if nothing is."""
+        while self.waiting and self.waiting[0][0] <= now_ns:
+            self.last, self.at_ns = self.waiting.pop(0)[1], now_ns
+            return self.last
+        if self.last is not None and now_ns - self.at_ns >= REPEAT_NS:
+            self.at_ns = now_ns
+            return self.last
+        return None
+
+
+class Onboard:
+    """mapping_node and lss_node without transport.
+
+    Args:
+        config: Of both.
+        answer_delay: From a pass to its answer at the guidance, s.
+
+    Attributes:
+        last: The last answer that reached guidance.
+        scans: Mapped so far.
+    """
+
+    def __init__(self, config: Config, answer_delay: float) -> None:
+        self._config = config
+        self._wire = Wire(typestore(ros1=False).types, np.asarray, config.frames.map)
+        self._delay_ns = round(1e9 * answer_delay)
+        self._wishes = LandingWishes(config.frames.map)
+        self._checkpoint: Any = None
+        self._checkpoint_ns = 0
+        self._down: set[str] = set()
+        self.last: LandingAssessment | None = None
+        self.scans = 0
+        self._start_mapping()
+        self._start_lss()
+
+    def take(self, sent: Sent, now_ns: int) -> None:
+        """A message arrives."""
+        topic = sent.topic
+        if topic.startswith("landing/"):
+            self._wishes.take(topic.removeprefix("landing/"), self._wire.message(sent))
+            self._passes.landing_changed()
+        elif "mapping" in self._down:
+            return
+        elif topic == "nav/pose":
+            self._intake.on_pose(self._wire.message(sent))
+        else:
+            self._intake.on_cloud(self._wire.message(sent), now_ns)
+
+    def work(self, now_ns: int) -> Target | None:
+        """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
+        if "mapping" not in self._down:
+            for scan in self._intake.ready(now_ns):
+                self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+                self.scans += 1
+                self._passes.changed()
+            self._intake.notices()
+            if now_ns - self._checkpoint_ns >= 1e9 * self._config.checkpoint.interval:
+                self._checkpoint, self._checkpoint_ns = self._mapper.export_state(), now_ns
+        if "lss" in self._down:
+            return None
+        self._passes.tick(now_ns, self._mapper.snapshot)
+        said = self._answers.due(now_ns)
+        if said is None:
+            return None
+        self.last = said
+        self._chosen = self._chosen or not said.undecided
+        if not self._chosen:  # as lss_node, of which the one before may have named a target
+            return None
+        return Target(said.selected.position.copy() if said.selected.id else None)
+
+    def kill(self, node: str) -> None:
+        """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""
+        self._down.add(node)
+
+    def respawn(self, node: str, *, checkpoint: bool = True) -> None:
+        """It is back, without what it had in memory."""
+        self._down.discard(node)
+        if node == "lss":
+            self._start_lss()
+            if self._mapper.stamp_ns:
+                self._passes.changed()
+            return
+        self._start_mapping()
+        if checkpoint and self._checkpoint is not None:
+            self._mapper.import_state(self._checkpoint)
+        if self._mapper.stamp_ns:
+            self._passes.changed()
+
+    def _start_mapping(self) -> None:
+        self._intake, self._mapper = Intake(self._config), Mapper(self._config)
+
+    def _start_lss(self) -> None:
+        self._answers, self._chosen = _Answers(self._delay_ns), False
+        self._passes = Passes(self._config, self._wishes.arguments, (self._answers,))

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flight as a picture and a short page: path, scans on the ground, diverts, touchdown."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import html
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from quadtree_lss.desk.report.palette import MAPS, colour_limits, shaded
+from quadtree_lss.desk.report.template import document, plain_table, table
+from quadtree_lss.lab.flight.fly import Flown
+from quadtree_lss.lab.flight.ground import Ground
+from quadtree_lss.lab.flight.pilot import Decision
+from quadtree_lss.lab.simulation.safety import Lander
+
+PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
+
+
+def write_flight(out: Path, flown: Flown, *, page: bool = True) -> None:
+    """``touchdown.json``, ``flight.csv``, ``decisions.csv``; with ``page`` the picture and page.
+
+    Raises:
+        OSError: ``out`` cannot be written.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(flown.figures, indent=2, allow_nan=False)
+    (out / "touchdown.json").write_text(text + "\n", encoding="utf-8")
+    flight = flown.flight
+    _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
+    _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
+    if page:
+        picture = io.BytesIO()
+        figure(flown).savefig(picture, format="png", dpi=110)
+        (out / "flight.png").write_bytes(picture.getvalue())
+        (out / "flight.html").write_text(_page(flown, picture.getvalue()), encoding="utf-8")
+
+
+def figure(flown: Flown) -> Figure:
+    """Side view, ground with scans and diverts, touchdown with the pads."""
+    whole = Figure(figsize=(13.0, 8.6), layout="constrained")
+    grid = whole.add_gridspec(2, 2, height_ratios=(1.0, 1.9))
+    _side(whole.add_subplot(grid[0, :]), flown)
+    _above(whole.add_subplot(grid[1, 0]), flown)
+    _touchdown(whole.add_subplot(grid[1, 1]), flown)
+    return whole
+
+
+def _side(axes: Axes, flown: Flown) -> None:
+    flight = flown.flight
+    rows = np.array([(s.time, s.x, s.y, s.z) for s in flight.samples])
+    place = flight.ground.planned
+    height = rows[:, 3] - place[2]
+    away = rows[:, 1] - place[0]
+    axes.plot(away, height, color=PATH, lw=2)
+    axes.axhline(flight.settings.rules.latest_divert, color="0.5", lw=1, ls=":")
+    for number, (began, what) in enumerate(_episodes(flown)):
+        k = int(np.abs(rows[:, 0] - began).argmin())
+        axes.plot(away[k], height[k], "o", color=PLACE, zorder=3)
+        above = number % 2 == 0
+        axes.annotate(
+            f"{began:.1f} s: {what}",
+            (away[k], height[k]),
+            textcoords="offset points",
+            xytext=(6, 14) if above else (-6, -18),
+            ha="left" if above else "right",
+            fontsize="small",
+        )
+    axes.set(xlabel="from the planned point along the approach [m]", ylabel="height [m]")
+    axes.set_title(headline(flown), fontsize="medium")
+    axes.grid(alpha=0.3)
+
+
+def _above(axes: Axes, flown: Flown) -> None:
+    flight = flown.flight
+    ground = flight.ground
+    _terrain(axes, ground, ground.planned[:2], ground.half + 3.0)
+    _unsafe(axes, ground)
+    for k, outline in enumerate(flight.outlines):
+        label = "every 0.5 s: edge of the lidar's view" if k == 0 else None
+        closed = np.vstack([outline, outline[:1]])
+        axes.plot(*closed.T, color=SCANS, lw=0.7, alpha=0.8, label=label)
+    path = np.array([(s.x, s.y) for s in flight.samples])
+    axes.plot(*path.T, color=PATH, lw=2, label="path")
+    axes.plot(*ground.planned[:2], "x", color="black", ms=9, mew=2, label="planned point")
+    told = [d for d in _told(flown) if d.what in ("target", "divert")]
+    if told:
+        places = np.array([(d.x, d.y) for d in told])
+        axes.plot(*places.T, "o", color=PLACE, mec="black", label="targets flown to")
+    axes.plot(*path[-1], "*", color=DOWN, ms=14, mec="black", label="end")
+    half = ground.half + 3.0
+    x, y = ground.planned[:2]
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+    axes.legend(fontsize="x-small", loc="lower right")
+    axes.set_title("ground in truth, unsafe places hatched", fontsize="medium")
+
+
+def _touchdown(axes: Axes, flown: Flown) -> None:
+    """The lander's circle and pads at two headings on the true ground."""
+    ground, lander = flown.flight.ground, Lander()
+    x, y = flown.figures["x"], flown.figures["y"]
+    shown = _terrain(axes, ground, np.array([x, y]), 4.0)
+    if shown is not None:
+        axes.figure.colorbar(shown, ax=axes, label="elevation [m]", shrink=0.8)
+    radius = 0.5 * lander.diameter
+    axes.add_patch(Circle((x, y), radius, fill=False, color="white", lw=1.5))
+    for k in range(8):
+        angle = 0.25 * np.pi * k
+        pad = (x + radius * np.cos(angle), y + radius * np.sin(angle))
+        style = "-" if k % 2 == 0 else ":"
+        axes.add_patch(Circle(pad, lander.pad_radius, fill=False, color="white", lw=2, ls=style))
+    aim = flown.flight.pilot.aim
+    axes.plot(aim[0], aim[1], "+", color=PLACE, ms=14, mew=2.5)
+    axes.plot(x, y, "*", color=DOWN, ms=13, mec="black")
+    axes.set(xlim=(x - 4.0, x + 4.0), ylim=(y - 4.0, y + 4.0))
+    axes.set_title("touchdown on the true ground; + is the aim", fontsize="medium")
+
+
+def _terrain(axes: Axes, ground: Ground, middle: np.ndarray, half: float) -> Any:
+    terrain = ground.terrain
+    rows = np.abs(terrain.y - middle[1]) <= half
+    columns = np.abs(terrain.x - middle[0]) <= half
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    if rows.sum() < 2 or columns.sum() < 2:
+        return None
+    x, y = terrain.x[columns], terrain.y[rows]
+    z = terrain.elevation[np.ix_(rows, columns)]
+    spacing = float(x[1] - x[0])
+    half = 0.5 * spacing
+    norm = Normalize(*colour_limits(z))
+    colours = matplotlib.colormaps[MAPS["elevation"]]
+    image = shaded(colours(norm(z))[..., :3], z, spacing)
+    extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
+    axes.imshow(image, origin="lower", extent=extent)
+    return ScalarMappable(norm, colours)
+
+
+def _unsafe(axes: Axes, ground: Ground) -> None:
+    x, y, room = ground.safe
+    unsafe = np.where(room > 0.0, 0.0, 1.0)
+    if 0.0 < unsafe.mean() < 1.0:
+        axes.contourf(x, y, unsafe, levels=[0.5, 1.5], colors="none", hatches=["////"])
+        axes.contour(x, y, unsafe, levels=[0.5], colors=UNSAFE, linewidths=0.6)
+
+
+def _told(flown: Flown) -> list[Decision]:
+    return [d for d in flown.flight.pilot.decisions if d.what not in ("too late", "out of reach")]
+
+
+def _episodes(flown: Flown) -> list[tuple[float, str]]:
+    """Decisions with the time of the first of each group that are less than 2 s apart."""
+    groups: list[tuple[float, float, list[str]]] = []
+    for d in _told(flown):
+        if groups and d.time - groups[-1][1] < 2.0:
+            began, _, whats = groups.pop()
+            groups.append((began, d.time, [*whats, d.what]))
+        else:
+            groups.append((d.time, d.time, [d.what]))
+    return [(began, ", ".join(whats)) for began, _, whats in groups]
+
+
+def headline(flown: Flown) -> str:
+    """What became of a flight, in a line."""
+    f = flown.figures
+    if f["outcome"] != "touchdown":
+        return f"seed {f['seed']}: {f['outcome']} after {f['time']:.1f} s"
+    ground = "safe" if f["safe"] else "UNSAFE"
+    return (
+        f"seed {f['seed']}: {ground} touchdown after {f['time']:.1f} s,"
+        f" {f['from_planned']:.1f} m from the planned point, {f['error']:.2f} m from the aim,"
+        f" {f['propellant']:.1f} kg of propellant"
+    )
+
+
+def _page(flown: Flown, picture: bytes) -> str:
+    """One page with the look of all others."""
+    figures = flown.figures
+    title = "A flight that lands by landing/selected"
+    image = base64.b64encode(picture).decode()
+    decisions = [
+        (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
+        for d in flown.flight.pilot.decisions
+    ]
+    values = (
+        (name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else value)
+        for name, value in sorted(figures.items())
+    )
+    good = figures["outcome"] == "touchdown" and figures["safe"]
+    header = ("time, s", "height over the aim, m", "decision", "x, m", "y, m")
+    return document(
+        f"Flight, seed {figures['seed']}",
+        f'<header><h1>{title}</h1></header>\n<p class="verdict{"" if good else " none"}">'
+        f"{html.escape(headline(flown))}.</p>\n"
+        f'<p><img class="picture" alt="path and touchdown" src="data:image/png;base64,{image}"></p>'
+        f"\n<h2>Decisions</h2>\n{table(header, decisions)}\n"
+        f"<h2>Figures</h2>\n{plain_table(values)}",
+    )
+
+
+def _write_csv(path: Path, header: Any, rows: Any) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)

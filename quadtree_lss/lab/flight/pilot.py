@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flies by ``landing/selected``: toward the target, to another, to a hover, away; never down blind.
+
+Knows what a vehicle knows: navigation's state and what the nodes say. Modes:
+
+    approach   to the gate above the aim, which is the planned point until a target is selected
+    hover      at a height over the aim, since there is no target
+    terminal   straight down from the gate
+    abort      no target came in time: the vehicle leaves
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from quadtree_lss.lab.flight.guidance import Limits, Paths, paths, thrust_for, zem_zev
+from quadtree_lss.lab.flight.lander import Vehicle
+from quadtree_lss.onboard.arrays import Array
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How it is flown; m, s.
+
+    Attributes:
+        limits: Of paths that can be flown.
+        ease: Factor on the greatest tilt and thrust of the path that is flown, while there is a
+            choice: the rest is for diverts and errors.
+        gate: Height over the aim from which it is straight down.
+        gate_speed, touchdown_speed: Downwards there, and to the ground.
+        latest_divert: Height over the aim below which no other target is flown to.
+        trim: No more than so far from the aim, another target is followed down to the gate.
+        hover: Height over the aim at which to wait for a target.
+        patience: How long.
+        miss: 1 sigma, along x and along y, that ``landing/dispersion`` tells besides navigation's:
+            more than a touchdown misses by (0.1 m), since a target on the edge of safe ground is
+            soon withdrawn.
+        zone: Radius of the landing zone, which the area of ``landing/area`` holds whole.
+        headings, reach: Of that area: how many vertices, and how far they may be.
+        reserve: Propellant that no divert may touch, kg.
+    """
+
+    limits: Limits = field(default_factory=Limits)
+    ease: float = 0.9
+    gate: float = 8.0
+    gate_speed: float = 1.5
+    touchdown_speed: float = 1.2
+    latest_divert: float = 20.0
+    trim: float = 2.0
+    hover: float = 60.0
+    patience: float = 60.0
+    miss: float = 0.5
+    zone: float = 2.4
+    headings: int = 12
+    reach: float = 45.0
+    reserve: float = 15.0
+
+
+class Target(NamedTuple):
+    """What ``landing/selected`` said: a place, or None where there is none."""
+
+    place: Array | None
+
+
+class Decision(NamedTuple):
+    """Something the pilot did, for the record: time, height over the aim, what, and where to."""
+
+    time: float
+    height: float
+    what: str
+    x: float
+    y: float
+
+
+class Pilot:
+    """Guidance with its decisions.
+
+    Args:
+        vehicle: What it flies.
+        rules: How.
+        planned: (3,) point to be flown to until something is known.
+        avoid: False flies to the planned point whatever is said.
+        surveys: Targets are taken only once ``surveyed`` was set.
+
+    Attributes:
+        aim: (3,) where it is going to land by now.
+        surveyed: All of the candidate area was looked at once.
+        target: The one that holds, None while there is none.
+        mode: See above.
+        decisions: What was done, in order.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, rules: Rules, planned: Array, *, avoid: bool, surveys: bool
+    ) -> None:
+        self.vehicle, self.rules, self.avoid = vehicle, rules, avoid
+        self.aim = np.array(planned, dtype=np.float64)
+        self.surveyed = not surveys
+        self.target: Array | None = None
+        self.mode = "approach"
+        self.decisions: list[Decision] = []
+        self.time_to_go = np.nan
+        self._planned_at = -np.inf
+        self._waits_since = np.inf
+        self._now, self._height = 0.0, np.inf
+        self._state = (np.zeros(3), np.zeros(3), vehicle.mass)
+
+    @property
+    def committed(self) -> bool:
+        """Too low for another target."""
+        return self._height < self.rules.latest_divert
+
+    def hear(self, said: Target) -> None:
+        """Takes what ``landing/selected`` says, as often as it says it."""
+        if not (self.avoid and self.surveyed) or self.mode in ("terminal", "abort"):
+            return
+        if said.place is None:
+            if self.target is not None:
+                self.target = None
+                self._note("lost")
+            return
+        place = np.asarray(said.place, dtype=np.float64)
+        first = self.target is None
+        if np.hypot(*(place - self.aim)[:2]) < 0.3:
+            self.aim[2] = place[2]
+            self.target = place
+            if first:
+                self._resume("target")
+            return
+        if self.committed and np.hypot(*(place - self.aim)[:2]) > self.rules.trim:
+            self._note("too late", place)
+            return
+        if not self._reaches(place):
+            self._note("out of reach", place)
+            return
+        self.aim, self.target = place.copy(), place
+        self._resume("target" if first else "divert")
+
+    def guide(self, now: float, position: Array, velocity: Array, mass: float) -> Array:
+        """Thrust (3,), N, from navigation's position and velocity (3,) and the mass."""
+        self._now, self._state = now, (position, velocity, mass)
+        self._height = float(position[2] - self.aim[2])
+        if self.mode == "approach":
+            self._watch(now)
+        if self.mode == "approach":
+            return self._approach(now)
+        if self.mode == "hover" and now - self._waits_since > self.rules.patience:
+            self.mode = "abort"
+            self._note("abort")
+        if self.mode == "terminal":
+            return self._down()
+        return self._wait()
+
+    def area(self) -> Array | None:
+        """(V, 2) polygon of the zones that can still be reached, None if nothing new is known."""
+        rules = self.rules
+        if self.mode in ("terminal", "abort") or self.committed:
+            return None
+        angles = 2.0 * np.pi * np.arange(rules.headings) / rules.headings
+        radii = np.linspace(0.0, rules.reach, 10)
+        way = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+        ends = self.gate() + radii[None, :, None] * way[:, None]
+        found = self._paths(ends.reshape(-1, 3), self._times(14))
+        short = found.propellant <= self._spare()
+        can = (found.allowed & short).any(axis=1).reshape(rules.headings, -1)
+        if not can[:, 0].any():
+            return None
+        # Only what can be reached all the way out.
+        steps = np.cumprod(can, axis=1).sum(axis=1) - 1
+        far = radii[steps] + rules.zone
+        return self.aim[:2] + far[:, None] * way[:, :2]
+
+    def gate(self, place: Array | None = None) -> Array:
+        """(3,) point above a place, the aim by default, from which it is straight down."""
+        over = self.aim if place is None else place
+        return over + np.array([0.0, 0.0, self.rules.gate])
+
+    def _resume(self, what: str) -> None:
+        self.mode, self._planned_at, self.time_to_go = "approach", -np.inf, np.nan
+        self._note(what)
+
+    def _note(self, what: str, place: Array | None = None) -> None:
+        x, y = (self.aim if place is None else place)[:2]
+        last = self.decisions[-1] if self.decisions else None
+        if last is None or (last.what, last.x, last.y) != (what, float(x), float(y)):
+            self.decisions.append(Decision(self._now, self._height, what, float(x), float(y)))
+
+    def _spare(self) -> float:
+        burnt = self.vehicle.mass - self._state[2]
+        return self.vehicle.propellant - burnt - self.rules.reserve
+
+    def _times(self, number: int) -> Array:
+        position, velocity, _ = self._state
+        distance = float(np.linalg.norm(position - self.gate()))
+        typical = distance / max(0.5 * float(np.linalg.norm(velocity)), 3.0)
+        return np.geomspace(max(0.5 * typical, 3.0), max(2.5 * typical, 20.0), number)
+
+    def _paths(self, ends: Array, times: Array, limits: Limits | None = None) -> Paths:
+        position, velocity, mass = self._state
+        down = np.array([0.0, 0.0, -self.rules.gate_speed])
+        limits = limits or self.rules.limits
+        return paths(self.vehicle, mass, position, velocity, ends, down, times, limits)
+
+    def _reaches(self, place: Array) -> bool:
+        found = self._paths(self.gate(place)[None], self._times(40)).best()
+        return found is not None and found[1] <= self._spare()
+
+    def _watch(self, now: float) -> None:
+        """Without a target it goes no lower than from where it can still stop at hover height."""
+        if not self.avoid or self.target is not None or now < 1.0:
+            return
+        position, velocity, mass = self._state
+        over = self.aim + np.array([0.0, 0.0, self.rules.hover])
+        careful = replace(self.rules.limits, thrust_share=0.85, floor=-1e3, glide_slope_deg=0.0)
+        times = self._times(25)
+        ends = paths(
+            self.vehicle, mass, position, velocity, over[None], np.zeros(3), times, careful
+        )
+        if position[2] < over[2] or ends.best() is None:
+            self.mode, self._waits_since = "hover", now
+            self._planned_at, self.time_to_go = -np.inf, np.nan
+            self._note("hover")
+
+    def _approach(self, now: float) -> Array:
+        position, velocity, mass = self._state
+        down = np.array([0.0, 0.0, -self.rules.gate_speed])
+        if now - self._planned_at >= 1.0 - 1e-6 and not self.time_to_go < 4.0:
+            self._plan(now)
+        self.time_to_go -= 0.1
+        if self.time_to_go < 1.0:
+            self.mode = "terminal"
+            self._note("gate")
+            return self._down()
+        weight = self.vehicle.weight
+        push = zem_zev(position, velocity, self.gate(), down, self.time_to_go, weight)
+        return thrust_for(self.vehicle, mass, push)
+
+    def _plan(self, now: float) -> None:
+        """The cheapest time to go; the old one goes on if none keeps the limits."""
+        self._planned_at = now
+        times = self._times(60)
+        if np.isfinite(self.time_to_go):
+            times = self.time_to_go + np.linspace(-2.0, 4.0, 25)
+            times = times[times > 3.0]
+        limits = self.rules.limits
+        easy = replace(
+            limits,
+            thrust_share=self.rules.ease * limits.thrust_share,
+            tilt_deg=self.rules.ease * limits.tilt_deg,
+        )
+        found = None
+        for kept in (easy, limits):
+            if found is None and len(times):
+                found = self._paths(self.gate()[None], times, kept).best()
+        if found is not None:
+            self.time_to_go = found[0] + 0.1
+        elif not np.isfinite(self.time_to_go):
+            loose = replace(self.rules.limits, thrust_share=1.0, tilt_deg=45.0, floor=-1e3)
+            found = self._paths(self.gate()[None], times, loose).best()
+            self.time_to_go = float(np.median(times)) if found is None else found[0]
+
+    def _down(self) -> Array:
+        """Straight down; it waits where it is while it is not yet over the aim."""
+        position, velocity, mass = self._state
+        off = (self.aim - position)[:2]
+        push = np.array([0.0, 0.0, self.vehicle.gravity])
+        push[:2] = 0.35 * off - 1.1 * velocity[:2]
+        size, most = float(np.hypot(*push[:2])), 0.25 * self.vehicle.gravity
+        push[:2] *= min(1.0, most / max(size, 1e-9))
+        over = float(np.clip((1.5 - np.hypot(*off)) / 0.7, 0.0, 1.0))
+        push[2] += 1.2 * (-over * self.rules.touchdown_speed - velocity[2])
+        return thrust_for(self.vehicle, mass, push)
+
+    def _wait(self) -> Array:
+        """To the hover point over the aim, and to stay there; up and away after an abort."""
+        position, velocity, mass = self._state
+        over = self.aim + np.array([0.0, 0.0, self.rules.hover])
+        gravity = self.vehicle.gravity
+        off = over - position
+        if self.mode == "hover" and np.linalg.norm(velocity) > 3.0:
+            if not np.isfinite(self.time_to_go):
+                careful = replace(self.rules.limits, floor=-1e3, glide_slope_deg=0.0)
+                times = self._times(60)
+                still = np.zeros(3)
+                found = paths(
+                    self.vehicle, mass, position, velocity, over[None], still, times, careful
+                ).best()
+                self.time_to_go = np.nan if found is None else found[0]
+            if self.time_to_go > 1.5:
+                self.time_to_go -= 0.1
+                push = zem_zev(
+                    position, velocity, over, np.zeros(3), self.time_to_go, self.vehicle.weight
+                )
+                return thrust_for(self.vehicle, mass, push)
+        push = np.clip(0.25 * off, -2.0, 2.0) - 0.8 * velocity
+        push[:2] *= min(1.0, 0.5 * gravity / max(float(np.hypot(*push[:2])), 1e-9))
+        push[2] += gravity
+        return thrust_for(self.vehicle, mass, push)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The least propellant that any guidance could need, and what it could reach: convex programs.
+
+Powered descent with free thrust direction is made convex without loss (Açıkmeşe and Ploen 2007;
+Blackmore, Açıkmeşe and Scharf 2010): the thrust's size is bounded by a slack that is bounded from
+both sides, and mass enters by its logarithm, about which the bounds are expanded. Needs the extra
+``guidance`` (``cvxpy`` with Clarabel).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.lab.flight.guidance import Limits
+from quadtree_lss.lab.flight.lander import Vehicle
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+
+class NoReference(QuadtreeLssError):
+    """The convex reference cannot be had; the text is one clear line."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The cheapest descent.
+
+    Attributes:
+        propellant: kg.
+        time: s.
+        position, velocity: (N + 1, 3) m, m/s.
+        thrust: (N + 1,) N.
+    """
+
+    propellant: float
+    time: float
+    position: Array
+    velocity: Array
+    thrust: Array
+
+
+class Descent:
+    """Descents of one vehicle in N steps; only the time is not convex and is searched.
+
+    Args:
+        vehicle: Limits of the engine, mass at the start.
+        limits: Tilt and glide slope.
+        steps: N.
+    """
+
+    def __init__(self, vehicle: Vehicle, limits: Limits, steps: int = 30) -> None:
+        self.vehicle, self.limits, self.steps = vehicle, limits, steps
+        self._cvxpy: Any = _cvxpy()
+
+    def cheapest(
+        self, position: Array, velocity: Array, end: Array, end_velocity: Array
+    ) -> Optimum | None:
+        """The descent that burns least, with the best time to 0.5 s; None if there is none."""
+        found: dict[float, Optimum | None] = {}
+
+        def cost(seconds: float) -> float:
+            if seconds not in found:
+                found[seconds] = self.within(seconds, position, velocity, end, end_velocity)
+            best = found[seconds]
+            return np.inf if best is None else best.propellant
+
+        grid = np.arange(8.0, 96.0, 8.0)
+        costs: list[float] = []
+        for t in grid:  # the cost has one valley
+            costs.append(cost(float(t)))
+            if len(costs) > 1 and costs[-2] < costs[-1] < np.inf:
+                break
+        if not np.isfinite(costs).any():
+            return None
+        middle, step = float(grid[int(np.argmin(costs))]), 4.0
+        while step >= 0.5:
+            middle = min((middle - step, middle, middle + step), key=cost)
+            step /= 2.0
+        return found[middle]
+
+    def within(
+        self,
+        seconds: float,
+        position: Array,
+        velocity: Array,
+        end: Array,
+        end_velocity: Array,
+    ) -> Optimum | None:
+        """The descent that burns least in a given time, None if there is none."""
+        cp = self._cvxpy
+        r, v, cost, rules = self._problem(seconds, position, velocity)
+        n = self.steps
+        rules += [r[n] == end, v[n] == end_velocity]
+        slope = np.tan(np.radians(self.limits.glide_slope_deg))
+        rules += [slope * cp.norm(r[k, :2] - end[:2]) <= r[k, 2] - end[2] for k in range(1, n)]
+        problem = cp.Problem(cp.Minimize(cost), rules)
+        problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
+        if problem.status != cp.OPTIMAL:
+            return None
+        mass = self.vehicle.mass * np.exp(-float(cost.value) / self.vehicle.exhaust_speed)
+        log_mass = np.log(self.vehicle.mass) - self._burn.value / self.vehicle.exhaust_speed
+        return Optimum(
+            self.vehicle.mass - mass,
+            seconds,
+            np.asarray(r.value),
+            np.asarray(v.value),
+            np.asarray(self._size.value) * np.exp(log_mass),
+        )
+
+    def reach(
+        self,
+        seconds: float,
+        position: Array,
+        velocity: Array,
+        height: float,
+        end_velocity: Array,
+        heading: float,
+    ) -> Array | None:
+        """The farthest place (3,) that can be reached in a time along a heading, None if none.
+
+        Args:
+            seconds: Time to go.
+            position, velocity: (3,) where it starts.
+            height: Of the end, m.
+            end_velocity: (3,) there.
+            heading: From +x, rad, seen from the place below ``position``'s straight way on.
+        """
+        cp = self._cvxpy
+        r, v, _, rules = self._problem(seconds, position, velocity)
+        n = self.steps
+        rules += [r[n, 2] == height, v[n] == end_velocity]
+        slope = np.tan(np.radians(self.limits.glide_slope_deg))
+        rules += [slope * cp.norm(r[k, :2] - r[n, :2]) <= r[k, 2] - height for k in range(1, n)]
+        along = np.array([np.cos(heading), np.sin(heading)])
+        problem = cp.Problem(cp.Maximize(r[n, :2] @ along), rules)
+        problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
+        return np.asarray(r.value[n]) if problem.status == cp.OPTIMAL else None
+
+    def _problem(
+        self, seconds: float, position: Array, velocity: Array
+    ) -> tuple[Any, Any, Any, list[Any]]:
+        """Places, velocities (N + 1, 3), speed change and rules of motion and engine."""
+        cp, vehicle, n = self._cvxpy, self.vehicle, self.steps
+        dt = seconds / n
+        r, v, u = cp.Variable((n + 1, 3)), cp.Variable((n + 1, 3)), cp.Variable((n + 1, 3))
+        size = cp.Variable(n + 1)
+        burn = cp.hstack([0.0, cp.cumsum(0.5 * dt * (size[:-1] + size[1:]))])
+        weight = vehicle.weight
+        rules = [r[0] == position, v[0] == velocity]
+        # Acceleration is linear within a step.
+        rules.append(v[1:] == v[:-1] + dt * (0.5 * (u[:-1] + u[1:]) + weight))
+        half = dt * dt * (u[:-1] / 3.0 + u[1:] / 6.0 + 0.5 * weight)
+        rules.append(r[1:] == r[:-1] + dt * v[:-1] + half)
+        rules.append(cp.norm(u, axis=1) <= size)
+        rules.append(u[:, 2] >= np.cos(np.radians(vehicle.tilt_max_deg)) * size)
+        # Thrust over mass between its limits: the logarithm of the mass about that of hovering.
+        times = dt * np.arange(n + 1)
+        guess = np.log(vehicle.mass) - vehicle.gravity * times / vehicle.exhaust_speed
+        off = np.log(vehicle.mass) - burn / vehicle.exhaust_speed - guess
+        low, high = vehicle.thrust_min * np.exp(-guess), vehicle.thrust_max * np.exp(-guess)
+        rules.append(size <= cp.multiply(high, 1.0 - off))
+        rules.append(size >= cp.multiply(low, 1.0 - off))
+        self._burn, self._size = burn, size
+        return r, v, burn[n], rules
+
+
+def _cvxpy() -> Any:
+    try:
+        import cvxpy
+    except ImportError:
+        msg = (
+            "the convex reference needs the extra 'guidance': pip install 'quadtree_lss[guidance]'"
+        )
+        raise NoReference(msg) from None
+    return cvxpy

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated descent through the real nodes, over DDS, and the same bag offline.
+
+``make demo`` runs this: bag → nodes → ranked sites, then the offline replay of the bag, and a
+comparison of the two; then a lander that flies by the nodes' answers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.desk.player.player import play
+from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.lab.flight.page import headline, write_flight
+from quadtree_lss.lab.flight.settings import flight_settings
+from quadtree_lss.lab.live.flight import fly_live
+from quadtree_lss.lab.live.listener import Listener
+from quadtree_lss.lab.live.processes import NodeProcess, local_domain, program
+from quadtree_lss.onboard.config.loading import find_config
+from quadtree_lss.onboard.core.landing.probability import shown
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.errors import QuadtreeLssError
+from quadtree_lss.onboard.messages.maps import SITE_FIELDS
+from quadtree_lss.onboard.nodes.messages import cloud_records, map_from_messages
+
+SITE_TOLERANCE = 1e-6
+"""Relative; ``landing/site_table`` carries float32, ``sites.csv`` float64."""
+
+
+class DemoError(QuadtreeLssError):
+    """A step of the demonstration failed."""
+
+
+@dataclass(frozen=True)
+class LiveResult:
+    """What the nodes published last.
+
+    Attributes:
+        cells: The map.
+        position: (K, 3) ranked sites, map frame, m.
+        table: (K,) records of ``SITE_FIELDS``.
+    """
+
+    cells: CellMap
+    position: NDArray[np.float64]
+    table: NDArray[np.void]
+
+
+def run_live(
+    bag: Path, params: Path, last_stamp_ns: int, folder: Path, *, rate: float = 1.0
+) -> LiveResult:
+    """Starts both nodes, plays the bag to them and waits for the sites on its last map.
+
+    Args:
+        bag: ROS 2 bag with scans and poses.
+        params: ROS parameter file for both nodes.
+        last_stamp_ns: Stamp of the last scan that can be mapped.
+        folder: For the nodes' output.
+        rate: Bag seconds per second.
+
+    Raises:
+        DemoError: the sites did not come.
+        ProcessError: a node ended by itself, or not cleanly when told to.
+    """
+    # No scan may be lost, however busy the computer is: this is compared with a replay.
+    args = ["--params-file", str(params), "-p", "qos.scan_reliability:=reliable"]
+    args += ["-p", "qos.scan_depth:=500", "-p", "pose.max_wait:=10.0", "-p", "qos.overload:=all"]
+    with ExitStack() as stack:
+        domain = stack.enter_context(local_domain(folder))
+        listener = stack.enter_context(Listener(domain.number))
+        nodes = [
+            stack.enter_context(NodeProcess(name, args, domain.env, folder / f"{name}.txt"))
+            for name in ("mapping_node", "lss_node")
+        ]
+        play(bag, rate=rate, domain_id=domain.number, wait=30.0)
+
+        def complete() -> bool:
+            for node in nodes:
+                node.check()
+            topics = ("map/cells", "map/observed", "landing/sites", "landing/site_table")
+            return all(listener.stamp(topic) == last_stamp_ns for topic in topics)
+
+        if not listener.wait_for(complete, timeout=20.0):
+            stamps = {topic: listener.stamp(topic) for topic in listener.newest}
+            msg = f"no landing sites for the scan at {last_stamp_ns} ns; newest stamps: {stamps}"
+            raise DemoError(msg)
+        codes = {node.name: node.stop() for node in nodes}
+        if any(codes.values()):
+            msg = f"nodes did not end cleanly: exit codes {codes}"
+            raise DemoError(msg)
+        newest = listener.newest
+    poses = newest["landing/sites"].poses
+    position = [(p.position.x, p.position.y, p.position.z) for p in poses]
+    return LiveResult(
+        map_from_messages(newest["map/cells"], newest["map/observed"]),
+        np.array(position, dtype=np.float64).reshape(-1, 3),
+        cloud_records(newest["landing/site_table"], SITE_FIELDS),
+    )
+
+
+def cell_differences(one: Path, other: Path) -> dict[str, float]:
+    """Largest absolute difference of each array of two ``cells.npz``; NaN equals NaN.
+
+    Infinite where shapes or places of NaN differ.
+    """
+    result = {}
+    with np.load(one) as a, np.load(other) as b:
+        for name in sorted(set(a.files) | set(b.files)):
+            if name not in a or name not in b or a[name].shape != b[name].shape:
+                result[name] = np.inf
+                continue
+            first, second = a[name].astype(np.float64), b[name].astype(np.float64)
+            if (np.isnan(first) != np.isnan(second)).any():
+                result[name] = np.inf
+            else:
+                result[name] = float(np.nanmax(np.abs(first - second), initial=0.0))
+    return result
+
+
+def site_difference(live: LiveResult, offline: Sequence[dict[str, str]]) -> float:
+    """Largest relative difference between live sites and rows of ``sites.csv``."""
+    if len(live.table) != len(offline):
+        return float("inf")
+    worst = 0.0
+    for position, record, row in zip(live.position, live.table, offline, strict=True):
+        pairs = [(position[axis], float(row[name])) for axis, name in enumerate("xyz")]
+        pairs += [
+            (float(record[name]), float(row[name]))
+            for name in ("score", "roughness", "hazard_distance", "subscale_height")
+        ]
+        pairs.append((float(np.degrees(record["slope"])), float(row["slope_deg"])))
+        worst = max(worst, *(abs(a - b) / max(1.0, abs(b)) for a, b in pairs))
+    return worst
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file by column name."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def print_sites(rows: Sequence[dict[str, str]]) -> None:
+    """The ranked sites as a table."""
+    print("\n rank       x       y       z    safe   slope  roughness  hazard  subscale")
+    print("            m       m       m               deg          m       m         m")
+    for row in rows:
+        v = {name: float(value) for name, value in row.items()}
+        print(
+            f" {v['rank']:4.0f} {v['x']:7.2f} {v['y']:7.2f} {v['z']:7.2f}"
+            f" {shown(v['probability']):>7} {v['slope_deg']:7.2f} {v['roughness']:10.3f}"
+            f" {v['hazard_distance']:7.2f} {v['subscale_height']:9.2f}"
+        )
+    print()
+
+
+def _program(name: str, *args: str) -> None:
+    done = subprocess.run([str(program(name)), *args], check=False)
+    if done.returncode != 0:
+        msg = f"{name} {' '.join(args)} ended with exit code {done.returncode}"
+        raise DemoError(msg)
+
+
+def demonstrate(out: Path, seed: int, duration: float) -> bool:
+    """All steps; True if live and offline agree."""
+    bag, offline, live = out / "flight" / "bag", out / "offline", out / "live"
+    for folder in (bag.parent, offline, live):
+        shutil.rmtree(folder, ignore_errors=True)
+    out.mkdir(parents=True, exist_ok=True)
+    bag.parent.mkdir()
+    params = find_config("morpheus")
+    print(f"1. Simulate {duration:g} s of the Morpheus flight, seed {seed}", flush=True)
+    size = ["--seed", str(seed), "--duration", f"{duration:g}"]
+    _program("simulate", "morpheus", *size, "--out", str(bag))
+    print("2. Replay the bag offline", flush=True)
+    _program("replay_bag", str(bag), "--out", str(offline), "--config", str(params))
+    timing = read_csv(offline / "timing.csv")
+    print("3. Play the bag over DDS to mapping_node and lss_node", flush=True)
+    started = time.monotonic()
+    result = run_live(bag, params, int(timing[-1]["stamp_ns"]), live)
+    write_cells(live / "cells.npz", result.cells)
+    print(
+        f"   {len(timing)} scans, {len(result.cells.level)} leaves,"
+        f" {time.monotonic() - started:.1f} s with start-up"
+    )
+    rows = read_csv(offline / "sites.csv")
+    if len(result.table):
+        print("4. Landing sites as lss_node ranks them", flush=True)
+    else:
+        print("4. lss_node finds no safe site", flush=True)
+    print_sites(_live_rows(result))
+    cells = cell_differences(offline / "cells.npz", live / "cells.npz")
+    sites = site_difference(result, rows)
+    name = max(cells, key=lambda key: cells[key])
+    print(
+        f"5. Nodes against offline replay: largest difference of a cell {cells[name]:g} ({name}),"
+    )
+    print(f"   of a site {sites:.1e} relative (the topic is float32)")
+    agree = cells[name] == 0.0 and sites <= SITE_TOLERANCE
+    print("   The same map and the same sites." if agree else "   THEY DIFFER.")
+    print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
+    print(f"   {_fly(out / 'lander', seed)}")
+    print("7. The same for GIS, 3D programs and navigation", flush=True)
+    exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
+    print(f"\nOpen {offline / 'report.html'}: the answer, the map, the ground in 3D")
+    print(f"Open {out / 'lander' / 'flight.html'}: the landing")
+    if exported.returncode == 0:
+        print(f"GeoTIFFs of every layer: {offline / 'exchange'}/*.tif")
+    return agree
+
+
+def _fly(folder: Path, seed: int) -> str:
+    """A short flight in closed loop, with its page; what became of it in a line."""
+    shutil.rmtree(folder, ignore_errors=True)
+    short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "plan": {"survey": 4.0}}
+    flown = fly_live(seed, flight_settings(short), folder / "nodes").flown
+    write_flight(folder, flown)
+    return headline(flown)
+
+
+def _live_rows(result: LiveResult) -> list[dict[str, str]]:
+    rows = []
+    for rank, (position, record) in enumerate(
+        zip(result.position, result.table, strict=True), start=1
+    ):
+        row = {name: str(record[name]) for name, _ in SITE_FIELDS}
+        row |= {axis: str(value) for axis, value in zip("xyz", position, strict=True)}
+        row |= {"rank": str(rank), "slope_deg": str(np.degrees(record["slope"]))}
+        rows.append(row)
+    return rows
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Command line of the demonstration; exit code 1 if live and offline differ."""
+    parser = argparse.ArgumentParser(prog="demo", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("demo_output"), help="results folder")
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated field and flight")
+    parser.add_argument("--duration", type=float, default=4.0, help="seconds of flight")
+    options = parser.parse_args(args)
+    try:
+        agree = demonstrate(options.out, options.seed, options.duration)
+    except QuadtreeLssError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0 if agree else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flight over DDS: the same flight, the real nodes, ``/clock`` in its time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.desk.player.peers import wait_for_subscribers
+from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
+from quadtree_lss.lab.flight.fly import OUTSIDE, Flown, figures_of, flight_config
+from quadtree_lss.lab.flight.pilot import Target
+from quadtree_lss.lab.flight.settings import FlightSettings
+from quadtree_lss.lab.flight.wire import Wire
+from quadtree_lss.lab.live.processes import NodeProcess, local_domain
+from quadtree_lss.onboard.config.loading import dump_config
+from quadtree_lss.onboard.nodes.messages import TYPES, packed, time_message
+from quadtree_lss.onboard.nodes.qos import latched, stream
+
+KINDS = {
+    "nav/pose": PoseWithCovarianceStamped,
+    "lidar/points": PointCloud2,
+    "landing/dispersion": PoseWithCovarianceStamped,
+    "landing/area": PolygonStamped,
+    "landing/keep_out": PolygonStamped,
+    "landing/target": PointStamped,
+}
+PATIENCE_S = 30.0
+"""For the nodes to start."""
+
+
+class Heard(NamedTuple):
+    """What ``landing/selected`` said, and at which tick of the flight guidance heard it."""
+
+    tick: int
+    said: Target
+
+
+class LiveFlight(NamedTuple):
+    """A flight that has ended.
+
+    Attributes:
+        flown: As in lock-step.
+        heard: Every answer, with which the flight can be flown again without ROS.
+        seconds: Of real time it took.
+    """
+
+    flown: Flown
+    heard: tuple[Heard, ...]
+    seconds: float
+
+
+def fly_live(
+    seed: int,
+    settings: FlightSettings,
+    folder: Path,
+    *,
+    rate: float = 1.0,
+    progress: Callable[[float], None] | None = None,
+) -> LiveFlight:
+    """Starts both nodes, flies with them, and ends them.
+
+    Args:
+        seed, settings: As of ``flight.fly.flown``; the avoidance must be one by the nodes.
+        folder: For parameters, checkpoint and the nodes' output.
+        rate: Seconds of flight per second; where the computer is slower, so is ``/clock``.
+        progress: Told the seconds flown, now and then.
+
+    Raises:
+        PlayError: the nodes did not start in time.
+        ProcessError: a node is not installed, or ended by itself.
+    """
+    flight = Flight(seed, settings)
+    config = flight_config(settings, flight.ground)
+    folder.mkdir(parents=True, exist_ok=True)
+    params, checkpoint = folder / "params.yaml", folder / "checkpoint.npz"
+    params.write_text(dump_config(config), encoding="utf-8")
+    checkpoint.unlink(missing_ok=True)
+    args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
+    args += ["-p", "qos.scan_reliability:=reliable", "-p", f"checkpoint.path:={checkpoint}"]
+    with ExitStack() as stack:
+        domain = stack.enter_context(local_domain(folder))
+
+        def start(name: str) -> NodeProcess:
+            log = folder / f"{name}.txt"
+            return stack.enter_context(NodeProcess(f"{name}_node", args, domain.env, log))
+
+        nodes = {name: start(name) for name in ("mapping", "lss")}
+        link = stack.enter_context(_Link(domain.number, config.frames.map))
+        link.wait(PATIENCE_S)
+        began = time.monotonic()
+        down: set[str] = set()
+        while not flight.outcome:
+            for sent in flight.step():
+                link.send(sent)
+            for said in link.spin(flight.stamp_ns, began + flight.time / rate):
+                link.heard.append(Heard(round(flight.time / TICK), said))
+                flight.hear(said)
+            for kind, name in OUTSIDE.items():
+                if kind in flight.active and kind not in down:
+                    nodes[name].process.kill()
+                    nodes[name].process.wait()
+                    if kind == "forget_mapping":
+                        checkpoint.unlink(missing_ok=True)
+                    down.add(kind)
+                elif kind not in flight.active and kind in down:
+                    down.discard(kind)
+                    nodes[name] = start(name)
+            if not down and round(flight.time / TICK) % 100 == 0:
+                for node in nodes.values():
+                    node.check()
+                if progress is not None:
+                    progress(flight.time)
+        seconds = time.monotonic() - began
+    return LiveFlight(
+        Flown(flight, figures_of(seed, flight, None), None), tuple(link.heard), seconds
+    )
+
+
+class _Link:
+    """Publishes what a flight sends, and hears ``landing/selected``."""
+
+    def __init__(self, domain: int, frame: str) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = Node("flight", context=self._context)
+        self._wire = Wire(TYPES, packed, frame)
+        self._clock = self._node.create_publisher(Clock, "/clock", stream(10, reliable=True))
+        self._publishers = {
+            topic: self._node.create_publisher(
+                kind,
+                topic,
+                latched() if topic.startswith("landing/") else stream(200, reliable=True),
+            )
+            for topic, kind in KINDS.items()
+        }
+        self._said: list[Target] = []
+        self.heard: list[Heard] = []
+        kind = PoseWithCovarianceStamped
+        self._node.create_subscription(kind, "landing/selected", self._hear, latched())
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+
+    def __enter__(self) -> _Link:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+    def wait(self, patience: float) -> None:
+        """Until both nodes listen; says that there is no keep-out, for which lss_node waits."""
+        wait_for_subscribers(self._node, list(self._publishers.values()), patience)
+        self.send(Sent("landing/keep_out", START_NS, np.zeros((0, 2))))
+
+    def send(self, sent: Sent) -> None:
+        """One message."""
+        self._publishers[sent.topic].publish(self._wire.message(sent))
+
+    def spin(self, stamp_ns: int, until: float) -> list[Target]:
+        """Tells the time and hears answers until a moment of the steady clock."""
+        self._clock.publish(Clock(clock=time_message(stamp_ns)))
+        self._executor.spin_once(timeout_sec=0.0)
+        while (left := until - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+        said, self._said = self._said, []
+        return said
+
+    def _hear(self, message: Any) -> None:
+        place = message.pose.pose.position
+        known = not math.isnan(place.x)
+        self._said.append(Target(np.array([place.x, place.y, place.z]) if known else None))

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Collects what the nodes publish, from a thread of its own: for the demo and the tests."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.onboard.messages.clouds import stamp_ns
+from quadtree_lss.onboard.nodes.qos import latched
+
+TOPICS: Mapping[str, Any] = {
+    "map/cells": PointCloud2,
+    "map/observed": OccupancyGrid,
+    "landing/sites": PoseArray,
+    "landing/site_table": PointCloud2,
+    "landing/hazards": OccupancyGrid,
+    "landing/score": OccupancyGrid,
+    "landing/probability": OccupancyGrid,
+    "landing/selected": PoseWithCovarianceStamped,
+    "landing/status": PointCloud2,
+}
+
+
+class Listener:
+    """Context manager that holds the newest message of each topic.
+
+    Args:
+        domain: ROS domain to listen in.
+        topics: Names and types, each latched; all of ours by default.
+
+    Attributes:
+        node: For publishers and clients of the user's own.
+        newest: Last message by topic.
+        diagnostics: Last status by name.
+    """
+
+    def __init__(self, domain: int, topics: Mapping[str, Any] = TOPICS) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node = Node("listener", context=self._context)
+        self._changed = threading.Condition()
+        self.newest: dict[str, Any] = {}
+        self.diagnostics: dict[str, Any] = {}
+        for topic, kind in topics.items():
+            self.node.create_subscription(kind, topic, self._keeper(topic), latched())
+        profile = QoSProfile(depth=10)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep_status, profile)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+
+    def __enter__(self) -> Listener:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stop.set()
+        self._thread.join(5.0)
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+    def stamp(self, topic: str) -> int | None:
+        """Stamp of the newest message in ns, None if there is none."""
+        message = self.newest.get(topic)
+        return None if message is None else stamp_ns(message.header)
+
+    def wait_for(self, condition: Callable[[], object], timeout: float = 20.0) -> bool:
+        """Waits until ``condition()`` is true; looked at after every message. False in time-out."""
+        deadline = time.monotonic() + timeout
+        with self._changed:
+            while not condition():
+                left = deadline - time.monotonic()
+                if left <= 0.0:
+                    return False
+                self._changed.wait(min(left, 0.1))
+            return True
+
+    def _keeper(self, topic: str) -> Callable[[Any], None]:
+        def keep(message: Any) -> None:
+            with self._changed:
+                self.newest[topic] = message
+                self._changed.notify_all()
+
+        return keep
+
+    def _keep_status(self, message: Any) -> None:
+        with self._changed:
+            for status in message.status:
+                self.diagnostics[status.name] = status
+            self._changed.notify_all()
+
+    def _spin(self) -> None:
+        while not self._stop.is_set():
+            self._executor.spin_once(timeout_sec=0.2)

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starting and ending the installed programs as processes of their own."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+PACKAGE = "quadtree_lss"
+
+LOCAL_PROFILE = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <transport_descriptors>
+    <transport_descriptor>
+      <transport_id>udp</transport_id>
+      <type>UDPv4</type>
+      <sendBufferSize>16000000</sendBufferSize>
+      <receiveBufferSize>16000000</receiveBufferSize>
+      <maxInitialPeersRange>32</maxInitialPeersRange>
+    </transport_descriptor>
+  </transport_descriptors>
+  <participant profile_name="local" is_default_profile="true">
+    <rtps>
+      <userTransports>
+        <transport_id>udp</transport_id>
+      </userTransports>
+      <useBuiltinTransports>false</useBuiltinTransports>
+      <builtin>
+        <discovery_config>
+          <leaseAnnouncement>
+            <nanosec>200000000</nanosec>
+          </leaseAnnouncement>
+        </discovery_config>
+        <metatrafficUnicastLocatorList>
+          <locator/>
+        </metatrafficUnicastLocatorList>
+        <initialPeersList>
+          <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
+        </initialPeersList>
+      </builtin>
+    </rtps>
+  </participant>
+</profiles>
+"""
+"""For Fast DDS: what ROS's range LOCALHOST does, which brings in shared memory, without it."""
+
+
+# Ports of a domain (RTPS specification, 9.6.1.1): those of participant k begin at 10 + 2 k.
+FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
+PARTICIPANT_PORTS = range(10, 10 + 2 * 32)
+RESERVATION_PORT = PORTS_PER_DOMAIN - 1
+DOMAINS = range(1, 98)
+
+
+class ProcessError(QuadtreeLssError):
+    """A program is not installed or ended when it should not."""
+
+
+def program(name: str) -> Path:
+    """Path of an installed executable as ``ros2 run quadtree_lss <name>`` finds it.
+
+    Raises:
+        ProcessError: it is not installed.
+    """
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    for prefix in (sys.prefix, *prefixes):
+        path = Path(prefix) / "lib" / PACKAGE / name
+        if path.is_file():
+            return path
+    msg = f"{name} is not installed under {sys.prefix}: run `make setup` (or colcon build) first"
+    raise ProcessError(msg)
+
+
+@dataclass(frozen=True)
+class LocalDomain:
+    """A ROS domain that stays on this computer.
+
+    Attributes:
+        number: ``ROS_DOMAIN_ID``.
+        env: Environment of the processes that take part in it.
+    """
+
+    number: int
+    env: dict[str, str]
+
+
+@contextmanager
+def local_domain(log_dir: Path) -> Iterator[LocalDomain]:
+    """A ROS domain of one's own, for this process and those started with its environment.
+
+    However many ask at once on this computer, each has another one until it leaves the context.
+
+    Args:
+        log_dir: For ROS's logs.
+
+    Raises:
+        ProcessError: all domains are taken.
+    """
+    number, reservation = _reserve_domain()
+    with reservation:
+        env = _local_environment(number, log_dir)
+        before = {name: os.environ.get(name) for name in env if os.environ.get(name) != env[name]}
+        os.environ.update(env)
+        try:
+            yield LocalDomain(number, env)
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
+
+
+def _reserve_domain() -> tuple[int, socket.socket]:
+    """A domain without participants, and what keeps others from it until it is closed.
+
+    Seeing that nobody is there would not do: a process takes a second to join after it was told
+    the number. So each that asks first holds the domain's last port, which no participant reaches.
+    """
+    candidates = list(DOMAINS)
+    random.SystemRandom().shuffle(candidates)
+    for domain in candidates:
+        reservation = _bound(domain, RESERVATION_PORT)
+        if reservation is None:
+            continue
+        if all(_port_is_free(domain, port) for port in PARTICIPANT_PORTS):
+            return domain, reservation
+        reservation.close()
+    msg = f"no free ROS domain between {DOMAINS[0]} and {DOMAINS[-1]}"
+    raise ProcessError(msg)
+
+
+def _bound(domain: int, port: int) -> socket.socket | None:
+    """Socket at a port of the domain, None if it is in use."""
+    result = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        result.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain + port))
+    except OSError:
+        result.close()
+        return None
+    return result
+
+
+def _port_is_free(domain: int, port: int) -> bool:
+    probe = _bound(domain, port)
+    if probe is None:
+        return False
+    probe.close()
+    return True
+
+
+def _local_environment(domain: int, log_dir: Path) -> dict[str, str]:
+    """This process's environment with a ROS domain that stays on this computer."""
+    env = {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(log_dir),
+        "PYTHONUNBUFFERED": "1",
+    }
+    if "fastrtps" in env.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"):
+        log_dir.mkdir(parents=True, exist_ok=True)
+        profile = log_dir / "fastdds.xml"
+        profile.write_text(LOCAL_PROFILE, encoding="utf-8")
+        env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+        env["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+    return env
+
+
+class NodeProcess:
+    """One of our nodes as a process; ends it when the context is left.
+
+    Args:
+        name: Executable, ``mapping_node`` or ``lss_node``.
+        ros_args: What follows ``--ros-args``.
+        env: Its environment.
+        log: File that takes its output.
+    """
+
+    def __init__(self, name: str, ros_args: Sequence[str], env: dict[str, str], log: Path) -> None:
+        self.name = name
+        self.log = log
+        command = [str(program(name)), "--ros-args", *ros_args]
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("wb") as output:
+            self.process = subprocess.Popen(
+                command, env=env, stdout=output, stderr=subprocess.STDOUT
+            )
+
+    def output(self) -> str:
+        """Everything it has written so far."""
+        return self.log.read_text(encoding="utf-8", errors="replace")
+
+    def check(self) -> None:
+        """Raises ProcessError if it has ended."""
+        code = self.process.poll()
+        if code is not None:
+            msg = f"{self.name} ended with exit code {code}: {self.output().strip()[-500:]}"
+            raise ProcessError(msg)
+
+    def stop(self, signal_number: int = signal.SIGINT, timeout: float = 15.0) -> int:
+        """Asks it to end, kills it if it does not; its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal_number)
+        try:
+            return self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+    def __enter__(self) -> NodeProcess:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights over one ground: their messages in the order of arrival, and what was true."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messages
+from quadtree_lss.lab.simulation.safety import Lander, safety_map
+from quadtree_lss.lab.simulation.scenarios import (
+    GRID_SPACING,
+    SCENARIOS,
+    Flight,
+    make_request,
+    quaternions,
+)
+from quadtree_lss.lab.simulation.terrain import SimulationError
+from quadtree_lss.onboard.arrays import Array
+
+_START_NS = 1_700_000_000 * 10**9
+_GAP_S = 10.0
+_SCAN_LATENCY_NS = 12_000_000
+_POSE_LATENCY_NS = 3_000_000
+
+
+class Arrival(NamedTuple):
+    """A message and when it arrives."""
+
+    topic: str
+    received_ns: int
+    message: Any
+
+
+@dataclass
+class Leg:
+    """One flight of several over the same ground: its schedule, and what has been flown of it."""
+
+    plan: Flight
+    start_ns: int
+    outlines: list[Array] = field(default_factory=list)
+    poses: int = 0
+    points: int = 0
+
+    def __post_init__(self) -> None:
+        self.scan_ns = self.start_ns + np.rint(self.plan.scan_times * 1e9).astype(np.int64)
+        self.pose_ns = self.start_ns + np.rint(self.plan.pose_times * 1e9).astype(np.int64)
+        arrivals = [(int(t) + _POSE_LATENCY_NS, 0, k) for k, t in enumerate(self.pose_ns)]
+        arrivals += [(int(t) + _SCAN_LATENCY_NS, 1, k) for k, t in enumerate(self.scan_ns)]
+        self.arrivals = sorted(arrivals)
+        self.positions, self.rotations = self.plan.trajectory.poses(self.plan.scan_times)
+
+    @property
+    def scans(self) -> int:
+        """Flown so far."""
+        return len(self.outlines)
+
+
+class Simulation:
+    """A scenario as a stream of messages; the same arguments give the same messages.
+
+    Args:
+        scenario: ``morpheus``, ``parabola`` or ``descent``.
+        seed: Of terrain, navigation and noise.
+        flights: How many, over the same ground with other navigation errors.
+        conditions: As of `scenarios.make_request`.
+
+    Attributes:
+        legs: The flights, and what has been flown.
+        stopped: Whether `messages` was stopped.
+
+    Raises:
+        SimulationError: options that make no sense.
+    """
+
+    def __init__(self, scenario: str, seed: int, *, flights: int = 1, **conditions: Any) -> None:
+        if flights < 1:
+            msg = f"flights must be at least 1, not {flights}"
+            raise SimulationError(msg)
+        if seed < 0:
+            msg = f"seed must not be negative, not {seed}"
+            raise SimulationError(msg)
+        self.scenario, self.seed, self.stopped = scenario, seed, False
+        terrain, navigation, lidar = map(
+            np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
+        )
+        request = make_request(scenario, terrain, **conditions)
+        self._navigation, self._noise = navigation, lidar
+        self.make = Messages()
+        self.legs: list[Leg] = []
+        start_ns = _START_NS
+        for number in range(flights):
+            plan = SCENARIOS[scenario].plan(request, number)
+            self.legs.append(Leg(plan, start_ns))
+            start_ns += round((plan.pose_times[-1] + _GAP_S) * 1e9)
+
+    @property
+    def scans(self) -> int:
+        """How many there are to be."""
+        return sum(len(leg.scan_ns) for leg in self.legs)
+
+    @property
+    def poses(self) -> int:
+        """How many there are to be."""
+        return sum(len(leg.pose_ns) for leg in self.legs)
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Times of the first and of the last arrival."""
+        return self.legs[0].arrivals[0][0], self.legs[-1].arrivals[-1][0]
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """The scanned area: xmin, xmax, ymin, ymax, m."""
+        return self.legs[0].plan.box
+
+    def messages(self, stop: Callable[[], bool] | None = None) -> Iterator[Arrival]:
+        """All messages, once; ``stop`` is asked before each."""
+        for leg in self.legs:
+            plan = leg.plan
+            poses = plan.trajectory.poses(plan.pose_times)
+            estimate = plan.navigation.estimate(self._navigation, plan.pose_times, *poses)
+            rotations = quaternions(estimate.rotations)
+            for received_ns, kind, k in leg.arrivals:
+                if stop is not None and stop():
+                    self.stopped = True
+                    return
+                if kind == 0:
+                    leg.poses += 1
+                    place, stamp = estimate.positions[k], int(leg.pose_ns[k])
+                    pose = self.make.pose(stamp, place, rotations[k], estimate.covariance)
+                    yield Arrival(POSE_TOPIC, received_ns, pose)
+                    continue
+                at = leg.positions[k], leg.rotations[k]
+                scan = plan.lidar.scan(plan.surface, *at, self._noise)
+                leg.outlines.append(plan.lidar.outline(plan.surface, *at))
+                leg.points += int(np.isfinite(scan[..., 0]).sum())
+                cloud = self.make.scan(int(leg.scan_ns[k]), scan)
+                yield Arrival(SCAN_TOPIC, received_ns, cloud)
+
+    def truth(self, bag_name: str, lander: Lander | None = None) -> dict[str, NDArray[Any]]:
+        """Content of ``truth.npz`` for what has been flown."""
+        lander = lander or Lander()
+        flown = [leg for leg in self.legs if leg.scans]
+        xmin, xmax, ymin, ymax = self.box
+        safe_x = xmin + GRID_SPACING * np.arange(round((xmax - xmin) / GRID_SPACING) + 1)
+        safe_y = ymin + GRID_SPACING * np.arange(round((ymax - ymin) / GRID_SPACING) + 1)
+        dem = self.legs[0].plan.truth
+        return {
+            "x": dem.x,
+            "y": dem.y,
+            "elevation": dem.elevation,
+            "safe_x": safe_x,
+            "safe_y": safe_y,
+            "safe": safety_map(dem.x, dem.y, dem.elevation, safe_x, safe_y, lander),
+            "box": np.array(self.box),
+            "lander": np.array(lander.limits),
+            "scan_stamp_ns": np.concatenate([leg.scan_ns[: leg.scans] for leg in flown]),
+            "scan_position": np.concatenate([leg.positions[: leg.scans] for leg in flown]),
+            "scan_quaternion_xyzw": quaternions(
+                np.concatenate([leg.rotations[: leg.scans] for leg in flown])
+            ),
+            "scan_outline": np.concatenate([np.array(leg.outlines) for leg in flown]),
+            "bag_name": np.array(bag_name),
+            "seed": np.array(self.seed),
+            "scan_flight": np.repeat(np.arange(len(flown)), [leg.scans for leg in flown]),
+        }

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A synthetic lunar hazard field: undulation, degraded craters, rocks and rock piles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from quadtree_lss.lab.simulation.rocks import lay
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
+from quadtree_lss.onboard.arrays import Array
+
+
+@dataclass(frozen=True)
+class HazardField:
+    """What lies on the field; lengths in metres, rates per square metre.
+
+    Rocks follow the size-frequency law of Golombek and Rapp: rocks larger than D cover the
+    fraction F(D) = k exp(−q D) of the ground, q = 1.79 + 0.152/k.
+    """
+
+    size: float = 100.0
+    post: float = 0.1
+    rock_abundance: float = 0.05
+    rock_smallest: float = 0.1
+    rock_largest: float = 1.0
+    rock_height: tuple[float, float] = (0.4, 0.6)  # of the diameter
+    rock_axes: tuple[float, float] = (0.75, 1.0)  # shorter over longer axis in plan
+    piles: float = 3e-3
+    craters: float = 6e-3
+    crater_smallest: float = 1.5
+    crater_largest: float = 5.0
+    crater_depth: float = 0.1  # of the diameter
+    slope_rms_deg: float = 1.5
+    texture: float = 0.01  # standard deviation of the soil's own roughness
+    texture_length: float = 0.25  # its correlation length
+
+
+#: Fields to try things on, by name.
+FIELDS = {
+    "default": HazardField(),
+    "rocky": HazardField(rock_abundance=0.10, piles=6e-3),
+    "sparse": HazardField(rock_abundance=0.02, piles=1e-3),
+    "steep": HazardField(slope_rms_deg=4.0, craters=12e-3),
+    "broken": HazardField(slope_rms_deg=6.0, craters=12e-3),
+    "rough": HazardField(rock_abundance=0.10, slope_rms_deg=3.0, texture=0.02),
+    "smooth": HazardField(rock_abundance=0.0, slope_rms_deg=6.0, craters=12e-3),
+}
+
+
+def rock_decay(abundance: float) -> float:
+    """Exponent q (1/m) of the size-frequency law: 1.79 + 0.152/k."""
+    return 1.79 + 0.152 / abundance
+
+
+def sample_rock_diameters(
+    generator: np.random.Generator, area: float, abundance: float, smallest: float, largest: float
+) -> Array:
+    """Diameters (m) of the rocks on ``area`` (m²): a Poisson number, sizes by the law.
+
+    The cover of a rock is π D²/4, so the number density is n(D) = 4 k q exp(−q D)/(π D²).
+    """
+    if not (0.0 < smallest < largest and abundance > 0.0):
+        msg = "rocks: need 0 < smallest < largest diameter and a positive abundance"
+        raise SimulationError(msg)
+    q = rock_decay(abundance)
+    diameter = np.geomspace(smallest, largest, 4001)
+    density = 4.0 * abundance * q * np.exp(-q * diameter) / (np.pi * diameter**2)
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(diameter)
+    cumulative = np.concatenate([[0.0], np.cumsum(steps)])
+    count = generator.poisson(area * cumulative[-1])
+    drawn = np.interp(generator.uniform(0.0, cumulative[-1], count), cumulative, diameter)
+    return np.asarray(drawn)
+
+
+def hazard_field(generator: np.random.Generator, field: HazardField | None = None) -> Terrain:
+    """Build a field centred on the origin; the same generator state gives the same field."""
+    field = field or HazardField()
+    count = round(field.size / field.post) + 1
+    axis = np.linspace(-0.5 * field.size, 0.5 * field.size, count)
+    ground = _undulation(generator, axis, field.slope_rms_deg)
+    ground += field.texture * _texture(generator, count, field.texture_length / field.post)
+    _add_craters(generator, axis, ground, field)
+    rocks = np.zeros((count, count))
+    if field.rock_abundance > 0.0:
+        _add_rocks(generator, axis, rocks, field)
+        _add_piles(generator, axis, rocks, field)
+    return Terrain(axis, axis, ground + rocks)
+
+
+def strewn(generator: np.random.Generator, terrain: Terrain, abundance: float) -> Terrain:
+    """A given terrain with rocks and rock piles, over 100 m about its centre or all of it."""
+    xmin, xmax, ymin, ymax = terrain.bounds
+    field = HazardField(rock_abundance=abundance)
+    size = field.post * np.floor(min(field.size, xmax - xmin, ymax - ymin) / field.post)
+    field = replace(field, size=float(size))
+    own = np.linspace(-0.5 * field.size, 0.5 * field.size, round(field.size / field.post) + 1)
+    x, y = own + 0.5 * (xmin + xmax), own + 0.5 * (ymin + ymax)
+    rocks = np.zeros((own.size, own.size))
+    _add_rocks(generator, own, rocks, field)
+    _add_piles(generator, own, rocks, field)
+    x, y = np.clip(x, xmin, xmax), np.clip(y, ymin, ymax)
+    return Terrain(x, y, terrain.elevation_at(x[None, :], y[:, None]) + rocks)
+
+
+def _undulation(generator: np.random.Generator, axis: Array, slope_rms_deg: float) -> Array:
+    """Plane waves of 12 to 60 m with the given root mean square slope."""
+    waves = 16
+    wavelength = np.geomspace(12.0, 60.0, waves)
+    heading = generator.uniform(0.0, np.pi, waves)
+    phase = generator.uniform(0.0, 2.0 * np.pi, waves)
+    number = 2.0 * np.pi / wavelength
+    amplitude = np.tan(np.radians(slope_rms_deg)) * np.sqrt(2.0 / waves) / number
+    kx, ky = number * np.cos(heading), number * np.sin(heading)
+    # exp(i(kx x + ky y + phase)) is separable: one matrix product for all waves.
+    along_x = np.exp(1j * kx[:, None] * axis[None, :])
+    along_y = np.exp(1j * (ky[None, :] * axis[:, None] + phase[None, :])) * amplitude[None, :]
+    return np.ascontiguousarray((along_y @ along_x).real)
+
+
+def _texture(generator: np.random.Generator, count: int, length: float) -> Array:
+    """Unit-variance noise with a correlation length in posts."""
+    noise = gaussian_filter(
+        generator.standard_normal((count, count)), length / np.sqrt(2.0), mode="wrap"
+    )
+    return np.asarray(noise / noise.std())
+
+
+def _patch(axis: Array, centre_x: float, centre_y: float, reach: float) -> tuple[slice, slice]:
+    """Rows and columns of the posts within ``reach`` of a centre, along each axis."""
+    x0, x1 = np.searchsorted(axis, (centre_x - reach, centre_x + reach))
+    y0, y1 = np.searchsorted(axis, (centre_y - reach, centre_y + reach))
+    return slice(int(y0), int(y1)), slice(int(x0), int(x1))
+
+
+def _add_craters(
+    generator: np.random.Generator, axis: Array, ground: Array, field: HazardField
+) -> None:
+    """Degraded craters: a smooth bowl and a low rim; sizes by a cumulative power law D⁻²."""
+    count = generator.poisson(field.craters * field.size**2)
+    small, large = field.crater_smallest**-2, field.crater_largest**-2
+    diameters = (small - generator.uniform(0.0, 1.0, count) * (small - large)) ** -0.5
+    centres = generator.uniform(axis[0], axis[-1], (count, 2))
+    freshness = generator.uniform(0.5, 1.0, count)
+    for diameter, (cx, cy), fresh in zip(diameters, centres, freshness, strict=True):
+        rows, columns = _patch(axis, cx, cy, diameter)
+        rho = np.hypot(axis[None, columns] - cx, axis[rows, None] - cy) / (0.5 * diameter)
+        depth = field.crater_depth * diameter * fresh
+        bowl = np.square(np.maximum(1.0 - rho**2, 0.0))
+        rim = np.exp(-np.square((rho - 1.0) / 0.3))
+        ground[rows, columns] += depth * (0.15 * rim - 1.0 * bowl)
+
+
+def _lay(
+    axis: Array,
+    rocks: Array,
+    centres: Array,
+    sizes: tuple[Array, Array, Array, Array],
+    *,
+    heaped: bool,
+) -> None:
+    """Ellipsoids about ``centres`` (K, 2): diameters, heights, axes and headings, (K,) each.
+
+    Their plan area is π D²/4.
+    """
+    diameters, heights, axes, yaws = sizes
+    long, short = 0.5 * diameters / np.sqrt(axes), 0.5 * diameters * np.sqrt(axes)
+    reach = long[:, None]
+    ends = np.hstack([centres[:, 1:] - reach, centres[:, 1:] + reach])
+    ends = np.hstack([ends, centres[:, :1] - reach, centres[:, :1] + reach])
+    posts = np.searchsorted(axis, ends).astype(np.intp)
+    stones = np.column_stack([centres, heights, long, short, np.cos(yaws), np.sin(yaws)])
+    lay(rocks, axis, posts, stones, heaped)
+
+
+def _add_rocks(
+    generator: np.random.Generator, axis: Array, rocks: Array, field: HazardField
+) -> None:
+    """Single rocks, half buried: ellipsoids about half as high as wide."""
+    diameters = sample_rock_diameters(
+        generator, field.size**2, field.rock_abundance, field.rock_smallest, field.rock_largest
+    )
+    count = diameters.size
+    centres = generator.uniform(axis[0], axis[-1], (count, 2))
+    heights = diameters * generator.uniform(*field.rock_height, count)
+    axes = generator.uniform(*field.rock_axes, count)
+    yaws = generator.uniform(0.0, np.pi, count)
+    _lay(axis, rocks, centres, (diameters, heights, axes, yaws), heaped=False)
+
+
+def _add_piles(
+    generator: np.random.Generator, axis: Array, rocks: Array, field: HazardField
+) -> None:
+    """Heaps of 8 to 20 rocks, about a metre wide and up to about a metre high."""
+    stones = []
+    for _ in range(generator.poisson(field.piles * field.size**2)):
+        centre = generator.uniform(axis[0] + 2.0, axis[-1] - 2.0, 2)
+        spread = generator.uniform(0.3, 0.5)
+        for _ in range(int(generator.integers(8, 21))):
+            x, y = centre + np.clip(generator.normal(0.0, spread, 2), -1.0, 1.0)
+            diameter = generator.uniform(0.25, 0.7)
+            stones.append((x, y, diameter, generator.uniform(0.0, np.pi)))
+    x, y, diameters, yaws = np.array(stones).reshape(-1, 4).T
+    axes = np.full(len(stones), 0.85)
+    sizes = diameters, 0.5 * diameters, axes, yaws
+    _lay(axis, rocks, np.column_stack([x, y]), sizes, heaped=True)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flash lidar: all pixels range at one instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from quadtree_lss.lab.simulation.terrain import Surface
+from quadtree_lss.onboard.arrays import Array
+
+OUTLINE = 8
+"""Beams per side of the outline of a field of view."""
+
+
+def _beams(azimuth: Array, elevation: Array) -> Array:
+    """Unit directions (..., 3) in the lidar frame: Eq. 14 with ρ = 1."""
+    azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
+    return np.stack(
+        [
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(-elevation),
+            np.cos(azimuth) * np.cos(elevation),
+        ],
+        axis=-1,
+    )
+
+
+@cache
+def _pixel_beams(field_of_view_deg: float, pixels: int) -> Array:
+    centred = (np.arange(pixels) + 0.5) / pixels - 0.5
+    angle = np.radians(field_of_view_deg) * centred
+    beams = _beams(angle[None, :], -angle[:, None])
+    beams.setflags(write=False)
+    return beams
+
+
+@dataclass(frozen=True)
+class FlashLidar:
+    """Square array of ``pixels``² beams over a square field of view.
+
+    Frame of Eq. 14: z along the boresight, x right, y down. Row 0 is the upper edge (largest
+    elevation angle), column 0 the left one (smallest azimuth).
+    """
+
+    field_of_view_deg: float
+    pixels: int = 128
+    range_noise: float = 0.06
+    outliers: float = 0.0
+    dropouts: float = 0.0
+    outlier_error: float = 10.0
+
+    def directions(self) -> Array:
+        """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
+        return _pixel_beams(self.field_of_view_deg, self.pixels)
+
+    def outline(self, surface: Surface, position_map: Array, rotation_map_lidar: Array) -> Array:
+        """Edge of the field of view on the ground, map frame: (4·OUTLINE, 2) m; NaN = no hit."""
+        half = 0.5 * np.radians(self.field_of_view_deg)
+        along = np.linspace(-half, half, OUTLINE, endpoint=False)
+        azimuth = np.concatenate([along, np.full(OUTLINE, half), -along, np.full(OUTLINE, -half)])
+        elevation = np.roll(azimuth, OUTLINE)
+        directions_map = _beams(azimuth, elevation) @ rotation_map_lidar.T
+        ranges = surface.cast(position_map, directions_map)
+        return np.asarray((position_map + ranges[:, None] * directions_map)[:, :2])
+
+    def true_ranges(
+        self, surface: Surface, position_map: Array, rotation_map_lidar: Array
+    ) -> Array:
+        """Noise-free ranges (pixels, pixels) from a pose; NaN = no return."""
+        directions_map = self.directions().reshape(-1, 3) @ rotation_map_lidar.T
+        return surface.cast(position_map, directions_map).reshape(self.pixels, self.pixels)
+
+    def scan(
+        self,
+        surface: Surface,
+        position_map: Array,
+        rotation_map_lidar: Array,
+        generator: np.random.Generator,
+    ) -> Array:
+        """Measured points (pixels, pixels, 3) in the lidar frame, NaN = no return.
+
+        Ranges have Gaussian noise (Eq. 13); a fraction ``outliers`` is off by up to ±
+        ``outlier_error`` metres, a fraction ``dropouts`` is lost.
+        """
+        ranges = self.true_ranges(surface, position_map, rotation_map_lidar)
+        ranges = ranges + generator.normal(0.0, self.range_noise, ranges.shape)
+        if self.outliers > 0.0:
+            wrong = generator.random(ranges.shape) < self.outliers
+            error = generator.uniform(-self.outlier_error, self.outlier_error, ranges.shape)
+            ranges = np.where(wrong, ranges + error, ranges)
+        if self.dropouts > 0.0:
+            ranges[generator.random(ranges.shape) < self.dropouts] = np.nan
+        ranges[ranges <= 0.0] = np.nan
+        return np.asarray(ranges[..., None] * self.directions())

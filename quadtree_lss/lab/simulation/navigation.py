@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the navigation solution and the covariance it claims for itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.onboard.arrays import Array
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated lidar poses: positions (n, 3), rotations_map_lidar (n, 3, 3) and covariance.
+
+    ``covariance`` (6, 6) is that of PoseWithCovariance: x, y, z and the rotation about the fixed
+    axes X, Y, Z of the map (m², m·rad, rad²).
+    """
+
+    positions: Array
+    rotations: Array
+    covariance: Array
+
+
+class Navigation(Protocol):
+    """Turns true poses at given times into estimated ones."""
+
+    def estimate(
+        self,
+        generator: np.random.Generator,
+        times: Array,
+        positions: Array,
+        rotations: Array,
+    ) -> Estimate:
+        """Estimate of poses (n, 3), (n, 3, 3) at ascending times (n,) s."""
+        ...
+
+
+def _isotropic(position_sigma: float, attitude_sigma: float) -> Array:
+    return np.diag([position_sigma**2] * 3 + [attitude_sigma**2] * 3)
+
+
+@dataclass(frozen=True)
+class WhiteNavigation:
+    """Independent errors at every pose, equal on all axes, and their true covariance.
+
+    The attitude error is the right perturbation of Eq. 16; being isotropic, it has the same
+    covariance about the fixed axes.
+    """
+
+    position_sigma: float = 0.5
+    attitude_sigma_deg: float = 0.01
+
+    def estimate(
+        self,
+        generator: np.random.Generator,
+        times: Array,
+        positions: Array,
+        rotations: Array,
+    ) -> Estimate:
+        """Independent Gaussian errors for every pose."""
+        sigma = np.radians(self.attitude_sigma_deg)
+        offset = generator.normal(0.0, self.position_sigma, positions.shape)
+        tilt = Rotation.from_rotvec(generator.normal(0.0, sigma, positions.shape)).as_matrix()
+        return Estimate(
+            positions + offset, rotations @ tilt, _isotropic(self.position_sigma, sigma)
+        )
+
+
+@dataclass(frozen=True)
+class DriftingNavigation:
+    """A constant bias and a slow first-order Gauss–Markov drift, with a conservative covariance.
+
+    Errors are about the fixed axes of the map. The claimed standard deviation is that of bias and
+    drift together times ``conservatism``.
+    """
+
+    position_bias: float = 0.03
+    position_drift: float = 0.01
+    attitude_bias_deg: float = 0.01
+    attitude_drift_deg: float = 0.0015
+    correlation_time: float = 10.0
+    conservatism: float = 2.0
+
+    def estimate(
+        self,
+        generator: np.random.Generator,
+        times: Array,
+        positions: Array,
+        rotations: Array,
+    ) -> Estimate:
+        """One bias for the flight plus a drift that is continuous in time."""
+        offset = self._error(generator, times, self.position_bias, self.position_drift)
+        bias, drift = np.radians([self.attitude_bias_deg, self.attitude_drift_deg])
+        tilt = Rotation.from_rotvec(self._error(generator, times, bias, drift)).as_matrix()
+        covariance = self.conservatism**2 * _isotropic(
+            float(np.hypot(self.position_bias, self.position_drift)), float(np.hypot(bias, drift))
+        )
+        return Estimate(positions + offset, tilt @ rotations, covariance)
+
+    def _error(
+        self, generator: np.random.Generator, times: Array, bias: float, drift: float
+    ) -> Array:
+        """Bias plus drift (n, 3): exact discretisation of the Gauss–Markov process."""
+        constant = generator.normal(0.0, bias, 3)
+        white = generator.standard_normal((times.size, 3))
+        decay = np.exp(-np.diff(times, prepend=times[:1]) / self.correlation_time)
+        gain = drift * np.sqrt(1.0 - decay**2)
+        shocks = gain[:, None] * white
+        wander, kept = np.empty_like(white), decay.tolist()
+        for axis, state in enumerate((drift * white[0]).tolist()):  # floats: an array is slow
+            for k, (share, new) in enumerate(zip(kept, shocks[:, axis].tolist(), strict=True)):
+                state = share * state + new
+                wander[k, axis] = state
+        return np.asarray(constant + wander)

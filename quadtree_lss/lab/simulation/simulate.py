@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fly a scenario: write the bag and, beside it, the truth."""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.lab.simulation.flight import Leg, Simulation
+from quadtree_lss.lab.simulation.recording import SCAN_TOPIC, BagRecorder
+from quadtree_lss.lab.simulation.safety import Lander
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
+
+TRUTH_NAME = "truth.npz"
+
+
+@dataclass(frozen=True)
+class SimulationResult:
+    """What was written.
+
+    ``starts`` are the seconds after the bag's first message at which each flight is sure to be
+    still to come (the first: 0), as ``replay --start`` takes them. ``interrupted`` says that it was
+    stopped before the end of what was to be flown.
+    """
+
+    scenario: str
+    seed: int
+    bag_path: Path
+    truth_path: Path | None
+    scans: int
+    poses: int
+    points: int
+    duration: float
+    box: tuple[float, float, float, float]
+    safe_fraction: float | None
+    starts: tuple[float, ...] = (0.0,)
+    interrupted: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(self).items()}
+
+    def table(self) -> str:
+        """A few aligned lines for people."""
+        xmin, xmax, ymin, ymax = self.box
+        rows = [
+            ("Bag", str(self.bag_path)),
+            ("Scans / poses / returns", f"{self.scans} / {self.poses} / {self.points}"),
+            ("Seconds of scanning", f"{self.duration:.1f}"),
+            ("Scanned box", f"x {xmin:g} … {xmax:g} m, y {ymin:g} … {ymax:g} m"),
+        ]
+        if self.truth_path is not None:
+            rows.append(("Truth", str(self.truth_path)))
+        if self.safe_fraction is not None:
+            rows.append(("Safe part of the box", f"{100.0 * self.safe_fraction:.1f} %"))
+        ends = (*self.starts[1:], None)
+        for k, (start, end) in enumerate(zip(self.starts, ends, strict=True), start=1):
+            if len(self.starts) > 1:
+                options = [f"--start {start:.1f}"] if start else []
+                options += [f"--duration {end - start:.1f}"] if end is not None else []
+                rows.append((f"Flight {k} alone", f"replay {' '.join(options)}"))
+        width = max(len(label) for label, _ in rows)
+        return "\n".join(f"{label:<{width}}  {value}" for label, value in rows)
+
+
+def simulate(
+    scenario: str,
+    bag_path: str | Path,
+    *,
+    seed: int,
+    duration: float | None = None,
+    terrain: Terrain | str | Path | None = None,
+    range_noise: float | None = None,
+    outliers: float = 0.0,
+    dropouts: float = 0.0,
+    flights: int = 1,
+    truth: bool = True,
+    overwrite: bool = False,
+    lander: Lander | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    **conditions: Any,
+) -> SimulationResult:
+    """Simulate ``scenario`` (morpheus, parabola or descent) into a ROS 2 bag.
+
+    Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
+    lidar's estimated pose in frame ``map``, with covariance). ``truth.npz`` goes into the bag's
+    parent directory; one of another bag that is there is replaced with ``overwrite`` only, as is a
+    bag. Its ``bag_name`` and ``seed`` tell which flight it is of. ``terrain`` is a DEM or the path
+    of one; ``flights`` > 1 flies again over the same ground with new navigation errors, into the
+    same bag. ``progress(done, total)`` is called after every scan. The same arguments give the same
+    messages. ``lander`` is whose safety is in the truth; further ``conditions`` are those of
+    `scenarios.make_request`.
+    ``stop`` is asked before every message; once it answers True, bag and truth are of what was
+    flown so far.
+
+    Raises `SimulationError` for options that make no sense and for what would be overwritten,
+    KeyboardInterrupt if it is stopped before the first scan.
+    """
+    path = Path(bag_path)
+    simulation = Simulation(
+        scenario,
+        seed,
+        flights=flights,
+        duration=duration,
+        terrain=terrain,
+        range_noise=range_noise,
+        outliers=outliers,
+        dropouts=dropouts,
+        **conditions,
+    )
+    safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None
+    if truth_path is not None and not overwrite:
+        _spare_truth(truth_path, path.name)
+    _make_room(path, overwrite)
+    done = 0
+    try:
+        with BagRecorder(path, simulation.make) as recorder:
+            for topic, received_ns, message in simulation.messages(stop):
+                recorder.write(topic, received_ns, message)
+                if progress is not None and topic == SCAN_TOPIC:
+                    done += 1
+                    progress(done, simulation.scans)
+        if not simulation.legs[0].scans:
+            raise KeyboardInterrupt
+        if truth_path is not None:
+            arrays = simulation.truth(path.name, lander)
+            np.savez_compressed(truth_path, **arrays)  # type: ignore[arg-type]
+            safe_fraction = float(arrays["safe"].mean())
+    except BaseException as error:
+        # Half a bag looks like a whole one.
+        shutil.rmtree(path, ignore_errors=True)
+        if isinstance(error, OSError):
+            msg = f"cannot write {path}: {error.strerror or error}"
+            raise SimulationError(msg) from error
+        raise
+    flown = [leg for leg in simulation.legs if leg.poses or leg.scans]
+    return SimulationResult(
+        scenario=scenario,
+        seed=seed,
+        bag_path=path,
+        truth_path=truth_path,
+        scans=sum(leg.scans for leg in flown),
+        poses=sum(leg.poses for leg in flown),
+        points=sum(leg.points for leg in flown),
+        duration=sum(float(leg.plan.scan_times[leg.scans - 1]) for leg in flown if leg.scans),
+        box=simulation.box,
+        safe_fraction=safe_fraction,
+        starts=_starts(flown),
+        interrupted=simulation.stopped,
+    )
+
+
+def _starts(flown: list[Leg]) -> tuple[float, ...]:
+    """Tenths of seconds in the middle of the gaps before the flights."""
+    first = flown[0].arrivals[0][0]
+    middles = [
+        (0.5 * (before.arrivals[-1][0] - first) + 0.5 * (leg.arrivals[0][0] - first)) * 1e-9
+        for before, leg in zip(flown[:-1], flown[1:], strict=True)
+    ]
+    return (0.0, *(round(middle, 1) for middle in middles))
+
+
+def _spare_truth(path: Path, bag_name: str) -> None:
+    """Refuse to replace the truth of another bag: its results would be scored against this one."""
+    if not path.exists():
+        return
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            owner = str(arrays["bag_name"])
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
+        owner = ""
+    if owner != bag_name:
+        whose = f"of the bag '{owner}'" if owner else "of a bag it does not name"
+        msg = f"{path} is {whose}; choose another folder, or --overwrite to replace it"
+        raise SimulationError(msg)
+
+
+def _make_room(path: Path, overwrite: bool) -> None:
+    """Make the parent directory; remove an old bag only when asked to."""
+    if path.exists():
+        if not overwrite:
+            msg = f"{path} exists; choose another path, or --overwrite to replace it"
+            raise SimulationError(msg)
+        if not path.is_dir():
+            msg = f"{path} is a file, and bags are directories; it is not overwritten"
+            raise SimulationError(msg)
+        if not (path / "metadata.yaml").is_file() and any(path.iterdir()):
+            msg = f"{path} is a directory but no bag; it is not overwritten"
+            raise SimulationError(msg)
+        shutil.rmtree(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"cannot create {path.parent}: {error.strerror}"
+        raise SimulationError(msg) from error

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terrain as a digital elevation model: posts, bilinear in between."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.lab.simulation.raycast import WindowMaxima, cast_heightfield
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+
+class SimulationError(QuadtreeLssError):
+    """A simulation that cannot be run as asked; the text is one clear line."""
+
+
+class Surface(Protocol):
+    """What a lidar can look at."""
+
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Elevation (m) at map coordinates (m); NaN where the surface is not defined."""
+        ...
+
+    def cast(self, origin_map: Array, directions_map: Array) -> Array:
+        """Ranges (N,) from one origin (3,) along unit directions (N, 3); NaN = no hit."""
+        ...
+
+
+def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: ArrayLike) -> Array:
+    """Elevation (m) at map coordinates of any equal shape; NaN outside the posts.
+
+    Posts (nx,), (ny,) ascend in equal steps; ``elevation`` is (ny, nx).
+    """
+    x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+    nx, ny = posts_x.size, posts_y.size
+    u = (x_map - posts_x[0]) / (float(posts_x[-1] - posts_x[0]) / (nx - 1))
+    v = (y_map - posts_y[0]) / (float(posts_y[-1] - posts_y[0]) / (ny - 1))
+    slack = 1e-9
+    inside = (u >= -slack) & (u <= nx - 1 + slack) & (v >= -slack) & (v <= ny - 1 + slack)
+    u, v = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
+    i = np.clip(u.astype(np.int64), 0, nx - 2)
+    j = np.clip(v.astype(np.int64), 0, ny - 2)
+    fu, fv = u - i, v - j
+    low = elevation[j, i] * (1.0 - fu) + elevation[j, i + 1] * fu
+    high = elevation[j + 1, i] * (1.0 - fu) + elevation[j + 1, i + 1] * fu
+    return np.where(inside, low * (1.0 - fv) + high * fv, np.nan)
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """A heightfield: posts ``x`` (nx,), ``y`` (ny,) and ``elevation`` (ny, nx), metres, z up.
+
+    Axes ascend in equal steps; between posts the surface is bilinear. Raises `SimulationError`
+    when the arrays do not fit together or hold values that are not finite.
+    """
+
+    x: Array
+    y: Array
+    elevation: Array
+
+    def __post_init__(self) -> None:
+        """Convert to float64 and validate."""
+        for name in ("x", "y", "elevation"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.float64))
+        if self.x.ndim != 1 or self.y.ndim != 1 or min(self.x.size, self.y.size) < 2:
+            msg = "terrain: x and y must be vectors of at least two posts"
+            raise SimulationError(msg)
+        if self.elevation.shape != (self.y.size, self.x.size):
+            msg = (
+                f"terrain: elevation has shape {self.elevation.shape}, "
+                f"expected (ny, nx) = ({self.y.size}, {self.x.size})"
+            )
+            raise SimulationError(msg)
+        for name, axis in (("x", self.x), ("y", self.y)):
+            steps = np.diff(axis)
+            if not np.all(steps > 0.0) or np.ptp(steps) > 1e-3 * steps.mean():
+                msg = f"terrain: {name} must ascend in equal steps"
+                raise SimulationError(msg)
+        if not np.all(np.isfinite(self.elevation)):
+            msg = "terrain: elevation holds values that are not finite"
+            raise SimulationError(msg)
+
+    @property
+    def post(self) -> tuple[float, float]:
+        """Distance between posts (m) along x and y."""
+        return (
+            float(self.x[-1] - self.x[0]) / (self.x.size - 1),
+            float(self.y[-1] - self.y[0]) / (self.y.size - 1),
+        )
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Extent (xmin, xmax, ymin, ymax), m."""
+        return float(self.x[0]), float(self.x[-1]), float(self.y[0]), float(self.y[-1])
+
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Bilinear elevation (m) at map coordinates of any equal shape; NaN outside."""
+        return bilinear(self.x, self.y, self.elevation, x, y)
+
+    @cached_property
+    def window_maxima(self) -> WindowMaxima:
+        """Maxima over windows of posts, with which rays skip empty space."""
+        return WindowMaxima.of(self.elevation)
+
+    def cast(self, origin_map: Array, directions_map: Array) -> Array:
+        """Range (N,) to the first hit of each ray, with occlusion; NaN where a ray misses."""
+        return cast_heightfield(
+            self.x, self.y, self.elevation, self.window_maxima, origin_map, directions_map
+        )
+
+
+def load_terrain(path: str | Path) -> Terrain:
+    """Read a DEM from ``.npz`` with arrays x (nx,), y (ny,), elevation (ny, nx)."""
+    file = Path(path)
+    if not file.is_file():
+        msg = f"terrain file {file} does not exist"
+        raise SimulationError(msg)
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return Terrain(arrays["x"], arrays["y"], arrays["elevation"])
+    except KeyError as error:
+        msg = f"terrain file {file}: no array {error.args[0]!r}; needed are x, y, elevation"
+        raise SimulationError(msg) from error
+    except SimulationError as error:
+        msg = f"terrain file {file}: {str(error).removeprefix('terrain: ')}"
+        raise SimulationError(msg) from error
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        msg = (
+            f"terrain file {file} is not a DEM in .npz form with arrays of numbers x, y, elevation"
+        )
+        raise SimulationError(msg) from error

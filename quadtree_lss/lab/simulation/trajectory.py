@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the lidar is and where it looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from quadtree_lss.onboard.arrays import Array
+
+NORTH = (0.0, 1.0, 0.0)
+UP = (0.0, 0.0, 1.0)
+
+
+def look_at(
+    position_map: ArrayLike, target_map: ArrayLike, up_map: tuple[float, float, float] = UP
+) -> Array:
+    """Rotations (..., 3, 3) that take the lidar frame (z boresight, x right, y down) to map.
+
+    ``position_map`` and ``target_map`` are (..., 3), m. The image's upper edge points toward
+    ``up_map``; where the boresight is parallel to that (looking straight down with the default),
+    it points to the map's north (+y).
+    """
+    sight = np.asarray(target_map, float) - np.asarray(position_map, float)
+    boresight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+    right = np.cross(boresight, up_map)
+    degenerate = np.linalg.norm(right, axis=-1, keepdims=True) < 1e-9
+    fallback = NORTH if up_map != NORTH else UP
+    right = np.where(degenerate, np.cross(boresight, fallback), right)
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    return np.stack([right, np.cross(boresight, right), boresight], axis=-1)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Position and aim as functions of time (s since the start of the flight)."""
+
+    position: CubicSpline | CubicHermiteSpline
+    target: CubicSpline | CubicHermiteSpline
+    up_map: tuple[float, float, float] = UP
+
+    def poses(self, times: ArrayLike) -> tuple[Array, Array]:
+        """True lidar positions (n, 3) and rotations_map_lidar (n, 3, 3) at times (n,)."""
+        t = np.asarray(times, float)
+        positions = np.asarray(self.position(t))
+        return positions, look_at(positions, np.asarray(self.target(t)), self.up_map)
+
+
+def _constant(duration: float, point: ArrayLike) -> CubicHermiteSpline:
+    value = np.asarray(point, float)
+    return CubicHermiteSpline([0.0, duration], [value, value], np.zeros((2, 3)))
+
+
+def section_vi_trajectory(target_z: float = 0.0) -> Trajectory:
+    """Section VI: the cubic through both end positions and velocities, 60 s.
+
+    From (100, −100, 500) m at (−5, −5, −5) m/s to rest 20 m above the origin; the boresight
+    always points at (10, 0) m on the ground.
+    """
+    position = CubicHermiteSpline(
+        [0.0, 60.0], [[100.0, -100.0, 500.0], [0.0, 0.0, 20.0]], [[-5.0, -5.0, -5.0], [0.0] * 3]
+    )
+    return Trajectory(position, _constant(60.0, (10.0, 0.0, target_z)))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A gimballed sweep of a box seen from a straight approach on a glide slope.
+
+    The vehicle flies along +x toward the centre of the box. Strips run along y, from the near edge
+    to the far one and back and forth; they overlap by at least ``overlap`` of the footprint.
+    ``margin`` is swept beyond the box, so that a vehicle standing at its edge stands on seen
+    ground.
+    """
+
+    centre_map: tuple[float, float, float]
+    half_x: float
+    half_y: float
+    duration: float
+    field_of_view_deg: float
+    slant_range: float = 450.0
+    glide_slope_deg: float = 30.0
+    approach_speed: float = 3.0
+    overlap: float = 0.2
+    margin: float = 2.0
+    reverse: bool = False
+
+    def trajectory(self) -> Trajectory:
+        """Straight approach and boustrophedon aim."""
+        slope = np.radians(self.glide_slope_deg)
+        back = np.array([-np.cos(slope), 0.0, np.sin(slope)])
+        centre = np.asarray(self.centre_map, float)
+        ends = [self.slant_range, self.slant_range - self.approach_speed * self.duration]
+        start, stop = (centre + back * length for length in ends)
+        velocity = (stop - start) / self.duration
+        position = CubicHermiteSpline([0.0, self.duration], [start, stop], [velocity, velocity])
+        return Trajectory(position, self._aim(centre, stop))
+
+    def _aim(self, centre: Array, closest: Array) -> CubicSpline:
+        """Ground point under the boresight against time, from a polyline with rounded turns."""
+        half_angle = np.radians(0.5 * self.field_of_view_deg)
+        height, distance = closest[2] - centre[2], centre[0] - closest[0]
+
+        def reach(x: float) -> tuple[float, float]:
+            """Half length along x and half width along y of the footprint aimed at x."""
+            depression = np.arctan2(height, distance + x)
+            near = height / np.tan(depression + half_angle)
+            far_length = distance + x - near
+            return float(far_length), float(np.hypot(height, distance + x) * np.tan(half_angle))
+
+        # Edges to cover, seen from the closest point, where footprints are smallest. The turn of
+        # the footprint by the azimuth of the line of sight and rounded turns cost a little.
+        edge_x, edge_y = self.half_x + self.margin, self.half_y + self.margin
+        length, width = reach(-edge_x)
+        turn = edge_y / np.hypot(height, distance)
+        first, last = -edge_x + 0.9 * length, edge_x - 0.9 * length
+        strips = 1
+        if last > first:
+            spacing = 2.0 * length * (1.0 - self.overlap)
+            strips = 1 + max(1, int(np.ceil((last - first) / spacing)))
+        else:
+            first = last = 0.0
+        end_y = max(edge_y - width + turn * length, 0.0)
+        # Beyond the end by what the aim moves in a tenth of a second: edges are not seen only once.
+        end_y += 0.1 * (strips * 2.0 * end_y + last - first) / self.duration
+        strip_x = np.linspace(first, last, strips)
+        corners = []
+        for k, x in enumerate(strip_x):
+            side = -1.0 if (k % 2 == 0) != self.reverse else 1.0
+            corners += [(x, side * end_y), (x, -side * end_y)]
+        return self._along(np.array(corners), centre)
+
+    def _along(self, corners: Array, centre: Array) -> CubicSpline:
+        lengths = np.hypot(*np.diff(corners, axis=0).T)
+        arc = np.concatenate([[0.0], np.cumsum(lengths)])
+        step, rounding = 0.005, 0.25
+        pad = round(0.5 * rounding / step)
+        times = np.arange(-pad, round(self.duration / step) + pad + 1) * step
+        travelled = np.clip(times / self.duration, 0.0, 1.0) * arc[-1]
+        keep = np.concatenate([[True], lengths > 0.0])
+        path = np.column_stack(
+            [np.interp(travelled, arc[keep], corners[keep, axis]) for axis in (0, 1)]
+        )
+        window = np.hanning(2 * pad + 3)[1:-1]
+        window /= window.sum()
+        smooth = np.column_stack([np.convolve(path[:, a], window, "valid") for a in (0, 1)])
+        aim = np.column_stack([smooth + centre[:2], np.full(len(smooth), centre[2])])
+        return CubicSpline(times[pad : pad + len(smooth)], aim)
+
+
+def descent_trajectory(
+    centre_map: ArrayLike, duration: float, high: float = 200.0, low: float = 50.0
+) -> Trajectory:
+    """Descent above a ground point, braking, with a sideways drift that dies away; looks down."""
+    ground = np.asarray(centre_map, float)
+    start = ground + np.array([0.1 * high, -0.06 * high, high])
+    stop = ground + np.array([0.0, 0.0, low])
+    speed = (stop - start) / duration
+    position = CubicHermiteSpline([0.0, duration], [start, stop], [1.5 * speed, 0.3 * speed])
+    return Trajectory(position, _constant(duration, ground), NORTH)

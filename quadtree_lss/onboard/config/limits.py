@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be computed: parameters whose pass over a map takes too long or too much are refused.
+
+The figures are of two shared x86-64 cores, measured by ground on which little can be decided early
+(``docs/onboard.md``); most maps take a tenth of them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from quadtree_lss.onboard.config.sections import LssConfig
+
+LONGEST = 60.0
+"""A landing site pass may take this at the worst, s."""
+MOST_MEMORY = 2.0e9
+"""And this, bytes."""
+MOST_LEVELS = 11
+"""Level of the finest cells that a map may have."""
+MOST_LEAVES = 1_000_000
+"""That a map may have; each takes up to 1.5 kB while it is updated, copied and sent."""
+MOST_GRID_POINTS = 4096
+"""Along a side of the domain."""
+
+
+def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
+    """Why landing sites cannot be computed on a map; None if they can.
+
+    Args:
+        size: Side of its domain, m.
+        finest: Finest cells along it.
+        lss: How landing is judged.
+    """
+    points = size / lss.grid_spacing
+    if points > MOST_GRID_POINTS:
+        return (
+            f"lss.grid_spacing = {lss.grid_spacing:g} m makes {points:.0f} grid points a side over"
+            f" {size:g} m; {MOST_GRID_POINTS} is the most"
+        )
+    memory = 300.0 * finest**2 + 60.0 * points**2
+    if finest > 1 << MOST_LEVELS or memory > MOST_MEMORY:
+        return (
+            f"{finest} finest cells and {points:.0f} grid points a side take"
+            f" {1e-9 * memory:.1f} GB for a landing site pass; {1e-9 * MOST_MEMORY:.1f} is the most"
+        )
+    seconds = pass_seconds(size, finest, lss)
+    if seconds > LONGEST:
+        return (
+            f"lss.vehicle_diameter = {lss.vehicle_diameter:g} m, lss.touchdown_yaws ="
+            f" {lss.touchdown_yaws}, lss.margin = {lss.margin:g} m and lss.sites = {lss.sites} on"
+            f" {finest} finest cells of {size / finest:.3g} m a side may take {seconds:.0f} s for a"
+            f" landing site pass; {LONGEST:g} is the most"
+        )
+    return None
+
+
+def pass_seconds(size: float, finest: int, lss: LssConfig) -> float:
+    """What a landing site pass takes at the worst, s; arguments as for `why_too_much`.
+
+    A zone that is larger than the domain costs as much as one that just fills it, and a lander that
+    does not fit into it is not set down.
+    """
+    side, radius = size / finest, 0.5 * lss.vehicle_diameter
+    lander = min(radius / side, 0.5 * finest)
+    zone = min((radius + lss.margin) / side, 0.5 * finest)
+    each = 600.0 + 6.0 * lander + 3.0 * zone + 10.0 * lss.sites
+    if lss.assessment != "paper" and lss.vehicle_diameter <= size:
+        each += lss.touchdown_yaws * (25.0 + 5.0 * lander**2)
+    ranking = 5.0 * lss.sites * (size / lss.grid_spacing) ** 2
+    return 1e-9 * (each * finest**2 + ranking)

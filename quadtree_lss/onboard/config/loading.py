@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Configuration files, in the form of ROS 2 parameter files, to `config.settings.Config` and back.
+
+    /**:
+      ros__parameters:
+        domain:
+          size: 64.0
+        lss.grid_spacing: 0.25
+
+The same file serves ``--params-file`` of the nodes and the replay. Several files overlay each
+other, the later wins.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import os
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import yaml
+
+from quadtree_lss.onboard.config.settings import (
+    Config,
+    ConfigError,
+    Parameter,
+    checked_value,
+    config_from_values,
+    contradictions,
+    flatten,
+    nearest_key,
+    parameters,
+    values_from_config,
+)
+from quadtree_lss.onboard.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
+
+NODES = ("mapping_node", "lss_node")
+ROS_OWN = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
+"""Parameters that ROS itself declares; they mean nothing offline."""
+
+
+def load_config(
+    paths: Iterable[str | os.PathLike[str]] = (),
+    overrides: Mapping[str, object] | None = None,
+    *,
+    origin: str = "overrides",
+) -> Config:
+    """The defaults with each file and then ``overrides`` laid over them.
+
+    Args:
+        paths: Files, or names of shipped ones (see `find_config`).
+        overrides: Dotted or nested values that win over every file.
+        origin: Where the overrides come from, for messages.
+
+    Raises:
+        ConfigError: names the file, and for an unknown key the nearest known one.
+    """
+    values: dict[str, object] = {}
+    files = []
+    for path in paths:
+        found = find_config(path)
+        read = read_values(found)
+        _check_keys(read, str(found))
+        values |= read
+        files.append(str(found))
+    wanted = flatten(overrides or {})
+    _check_keys(wanted, origin)
+    try:
+        return config_from_values(values | wanted)
+    except ConfigError as error:  # values that contradict one another
+        where = ", ".join(files + [origin] * bool(wanted))
+        msg = f"{where}: {error}" if where else str(error)
+        raise ConfigError(msg) from None
+
+
+def _check_keys(values: Mapping[str, object], where: str) -> None:
+    """Each key by itself, so that the message can name the file."""
+    table = {row.name: row for row in parameters()}
+    for key, value in values.items():
+        try:
+            _check_key(table, key, value)
+        except ConfigError as error:
+            msg = f"{where}: {error}"
+            raise ConfigError(msg) from None
+
+
+def _check_key(table: Mapping[str, Parameter], key: str, value: object) -> None:
+    if key not in table:
+        msg = f"unknown parameter '{key}'{_suggestion(key)}"
+        raise ConfigError(msg)
+    checked_value(table[key], value)
+
+
+def _suggestion(key: str) -> str:
+    return f"; did you mean '{nearest_key(key)}'?" if key.strip(" .") else ""
+
+
+def find_config(path: str | os.PathLike[str]) -> Path:
+    """The file itself, else the shipped configuration of that name.
+
+    ``morpheus``, ``morpheus.yaml`` and ``config/morpheus.yaml`` all name the shipped one.
+
+    Raises:
+        ConfigError: no such file; lists the shipped ones.
+    """
+    given = Path(path)
+    if given.is_file():
+        return given
+    name = given.name if given.suffix else f"{given.name}.yaml"
+    shipped = list(_shipped())
+    if given.parent in (Path("."), Path("config")):
+        for candidate in shipped:
+            if candidate.name == name:
+                return candidate
+    names = shipped_names()
+    msg = f"no configuration file {str(path)!r} (shipped: {', '.join(names) or 'none'})"
+    beside = [p.stem for p in given.parent.glob("*.yaml")] if given.parent.is_dir() else []
+    close = difflib.get_close_matches(given.stem, [*names, *beside], n=1)
+    if close:
+        near = close[0] if close[0] in names else given.with_name(f"{close[0]}.yaml")
+        msg += f"; did you mean '{near}'?"
+    raise ConfigError(msg)
+
+
+def shipped_names() -> list[str]:
+    """Names of the shipped configurations."""
+    return sorted({path.stem for path in _shipped()})
+
+
+def _shipped() -> Iterator[Path]:
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    places = [Path(p) / "share" / "quadtree_lss" / "config" for p in (sys.prefix, *prefixes)]
+    for place in places:
+        yield from sorted(place.glob("*.yaml"))
+
+
+def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -> dict[str, object]:
+    """Dotted values of the sections ``/**`` and of this package's nodes, in the file's order.
+
+    Sections of other nodes are left alone, unless their name looks like a misspelt one of ours.
+
+    Args:
+        path: The file.
+        faults: Gets what is wrong with single sections, instead of an error.
+
+    Raises:
+        ConfigError: not readable, no YAML, not in the form of a parameter file.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            content = parse_yaml(file.read(MOST_BYTES + 1))
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise ConfigError(msg) from None
+    except YamlError as error:
+        msg = f"{path}: {error}"
+        raise ConfigError(msg) from None
+    values: dict[str, object] = {}
+    sections = 0
+    for name, section in _sections(content if isinstance(content, Mapping) else {}):
+        try:
+            if not _is_ours(name):
+                continue
+            sections += 1
+            values |= flatten(_keys_of(name, section))
+        except ConfigError as error:
+            if faults is None:
+                msg = f"{path}: {error}"
+                raise ConfigError(msg) from None
+            faults.append(str(error))
+    if not sections and not faults:
+        msg = f"{path}: no section '/**:' with 'ros__parameters:' (or one of {', '.join(NODES)})"
+        raise ConfigError(msg)
+    return {key: value for key, value in values.items() if not ROS_OWN.fullmatch(key)}
+
+
+def _sections(content: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Names of nodes, with namespaces, and what stands in their ``ros__parameters``."""
+    for key, value in content.items():
+        name = f"{prefix}/{str(key).strip('/')}"
+        if not isinstance(value, Mapping):
+            continue
+        if "ros__parameters" in value:
+            yield name, value["ros__parameters"]
+        rest = {k: v for k, v in value.items() if k != "ros__parameters"}
+        yield from _sections(rest, name)
+
+
+def _is_ours(name: str) -> bool:
+    node = name.rsplit("/", 1)[-1]
+    if node in (*NODES, "**", "*"):
+        return True
+    close = difflib.get_close_matches(node, NODES, n=1, cutoff=0.75)
+    if close:
+        msg = f"unknown section '{node}'; did you mean '{close[0]}'?"
+        raise ConfigError(msg)
+    return False
+
+
+def _keys_of(name: str, section: object) -> dict[str, object]:
+    if section is not None and not isinstance(section, Mapping):
+        msg = f"ros__parameters of '{name}' holds no keys"
+        raise ConfigError(msg)
+    return _with_text_keys(section or {})
+
+
+def _with_text_keys(values: Mapping[Any, Any]) -> dict[str, object]:
+    return {
+        str(key): _with_text_keys(value) if isinstance(value, Mapping) else value
+        for key, value in values.items()
+    }
+
+
+def dump_config(config: Config, *, comments: bool = False) -> str:
+    """A parameter file that loads to ``config`` again; with ``comments`` each key is explained."""
+    told = {row.name: _explanation(row) for row in parameters()} if comments else {}
+    return dump_values(values_from_config(config), told)
+
+
+def dump_values(values: Mapping[str, object], comments: Mapping[str, str]) -> str:
+    """A parameter file of dotted values in the order of the table, with comments by key."""
+    lines = ["/**:", "  ros__parameters:"]
+    section = ""
+    for row in parameters():
+        if row.name not in values:
+            continue
+        start, _, name = row.name.partition(".")
+        if start != section:
+            section = start
+            lines.append(f"    {section}:")
+        if row.name in comments:
+            lines.append(f"      # {comments[row.name]}")
+        lines.append(f"      {name}: {_scalar(values[row.name])}")
+    return "\n".join(lines) + "\n"
+
+
+def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, list[str]]:
+    """Each file by itself over the defaults: all that is wrong with it, a line each."""
+    return {str(path): _errors_of(path) for path in paths}
+
+
+def _errors_of(path: str | os.PathLike[str]) -> list[str]:
+    errors: list[str] = []
+    try:
+        found = find_config(path)
+        values = read_values(found, errors)
+    except ConfigError as error:
+        return [str(error).removeprefix(f"{path}: ")]
+    sound: dict[str, dict[str, object]] = {}
+    table = {row.name: row for row in parameters()}
+    for key, value in values.items():
+        try:
+            _check_key(table, key, value)
+        except ConfigError as error:
+            errors.append(str(error))
+        else:
+            section, _, name = key.partition(".")
+            sound.setdefault(section, {})[name] = checked_value(table[key], value)
+    sections = {
+        item.name: dataclasses.replace(getattr(Config(), item.name), **sound.get(item.name, {}))
+        for item in dataclasses.fields(Config)
+    }
+    return errors + list(contradictions(SimpleNamespace(**sections)))
+
+
+def explain(name: str) -> list[Parameter]:
+    """The parameter of that name, or all of the section of that name.
+
+    Raises:
+        ConfigError: there is none; names the nearest.
+    """
+    table = parameters()
+    rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
+    if not rows:
+        sections = sorted({row.name.partition(".")[0] for row in table})
+        msg = f"unknown parameter '{name}'{_suggestion(name)} (sections: {', '.join(sections)})"
+        raise ConfigError(msg)
+    return rows
+
+
+def explain_text(row: Parameter) -> str:
+    """One parameter for people."""
+    unit = f" {row.unit}" if row.unit else ""
+    lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
+    lines.append(f"  default  {_scalar(row.default)}{unit}")
+    if row.choices:
+        lines.append(f"  choices  {', '.join(row.choices)}")
+    elif row.type in (int, float):
+        lines.append(f"  range    {row.low:g} .. {row.high:g}{unit}")
+    lines.append(f"  running  {'may be set on a running node' if row.live else 'read at start'}")
+    return "\n".join(lines)
+
+
+def parameter_as_dict(row: Parameter) -> dict[str, object]:
+    """One parameter in JSON's types; limits that are infinite are None."""
+    numeric = row.type in (int, float)
+    return {
+        "type": row.type.__name__,
+        "default": row.default,
+        "unit": row.unit,
+        "low": row.low if numeric and math.isfinite(row.low) else None,
+        "high": row.high if numeric and math.isfinite(row.high) else None,
+        "choices": list(row.choices),
+        "live": row.live,
+        "doc": row.doc,
+    }
+
+
+def _scalar(value: object) -> str:
+    text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _explanation(row: Parameter) -> str:
+    parts = [row.doc]
+    if row.unit:
+        parts.append(row.unit)
+    if row.choices:
+        parts.append(" | ".join(row.choices))
+    elif row.type in (int, float):
+        parts.append(f"{row.low:g} .. {row.high:g}")
+    return "; ".join(parts)

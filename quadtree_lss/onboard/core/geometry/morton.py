@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cells along the Morton curve: every cell of every level is one run of what lies in it."""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Index, Keys
+
+if not cython.compiled:
+    PLACE_BITS, DIGIT_BITS = 32, 11
+
+
+def encode(ix: cython.longlong, iy: cython.longlong) -> cython.longlong:
+    """Morton code of the cell (ix, iy), each below 2^16: x in the even bits, y in the odd."""
+    return spread(ix) | (spread(iy) << 1)
+
+
+def decode(code: int) -> tuple[int, int]:
+    """ix and iy of a Morton code."""
+    return squeeze(code), squeeze(code >> 1)
+
+
+def spread(value: cython.longlong) -> cython.longlong:
+    """Bits of a number below 2^16 moved to the even places."""
+    value = (value | (value << 8)) & 0x00FF00FF
+    value = (value | (value << 4)) & 0x0F0F0F0F
+    value = (value | (value << 2)) & 0x33333333
+    return (value | (value << 1)) & 0x55555555
+
+
+def squeeze(code: cython.longlong) -> cython.longlong:
+    """Bits at the even places of a code below 2^32, side by side: the inverse of `spread`."""
+    code = code & 0x55555555
+    code = (code | (code >> 1)) & 0x33333333
+    code = (code | (code >> 2)) & 0x0F0F0F0F
+    code = (code | (code >> 4)) & 0x00FF00FF
+    return (code | (code >> 8)) & 0x0000FFFF
+
+
+def squeezed(codes: Keys) -> tuple[Index, Index]:
+    """ix and iy, each (N,), of Morton codes (N,)."""
+    found = []
+    for value in (codes, codes >> 1):
+        value = value & 0x55555555
+        for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
+            value = (value | (value >> shift)) & mask
+        found.append(value.astype(np.intp))
+    return found[0], found[1]
+
+
+#: `spread` of 0 … 4095, for loops over points.
+SPREAD = np.array([spread(value) for value in range(4096)], dtype=np.int64)
+
+
+def order(keys: ArrayLike) -> Index:
+    """Permutation (N,) that sorts keys (N,), 0 … 2^31 - 1; equal keys keep their order."""
+    values = np.asarray(keys, dtype=np.int64)
+    packed = (values << PLACE_BITS) | np.arange(len(values))
+    spare = np.empty_like(packed)
+    return (spare if sort_packed(packed, spare) else packed) & 0xFFFFFFFF
+
+
+@cython.boundscheck(False)
+def sort_packed(packed: Keys, spare: Keys) -> cython.bint:
+    """Sort numbers (N,) by their key, the bits from ``PLACE_BITS`` on, stable, digit by digit.
+
+    Digits are cut from the bits that differ between the keys.
+
+    Returns:
+        True if the sorted numbers are in ``spare`` (N,), False if they are in ``packed``.
+    """
+    i: cython.Py_ssize_t
+    low: cython.longlong = PLACE_BITS
+    width: cython.longlong = 0
+    ones: cython.longlong = 0
+    zeros: cython.longlong = 0
+    cython.declare(differing=cython.longlong, digit=cython.longlong, passes=cython.longlong)
+    cython.declare(k=cython.longlong)
+    if packed.shape[0] == 0:
+        return False
+    with cython.nogil:
+        for i in range(packed.shape[0]):
+            ones |= packed[i]
+            zeros |= ~packed[i]
+        differing = (ones & zeros) >> PLACE_BITS
+        while differing > 0 and differing & 1 == 0:
+            differing >>= 1
+            low += 1
+        while differing > 0:
+            differing >>= 1
+            width += 1
+        passes = (width + DIGIT_BITS - 1) // DIGIT_BITS
+        digit = (width + passes - 1) // passes if passes > 0 else 0
+        for k in range(passes):
+            if k & 1 == 0:
+                by_digit(packed, spare, low + k * digit, 1 << digit)
+            else:
+                by_digit(spare, packed, low + k * digit, 1 << digit)
+    return passes & 1 == 1
+
+
+@cython.boundscheck(False)
+def by_digit(
+    source: Keys, target: Keys, low: cython.longlong, count: cython.longlong
+) -> cython.void:
+    """Copy in the order of the digit at bit ``low``, which has ``count`` values."""
+    cython.declare(i=cython.Py_ssize_t, digit=cython.longlong)
+    before: cython.longlong = 0
+    here: cython.longlong
+    first = cython.declare(cython.int[2048])
+    for digit in range(count):
+        first[digit] = 0
+    for i in range(source.shape[0]):
+        first[(source[i] >> low) & (count - 1)] += 1
+    for digit in range(count):
+        here = first[digit]
+        first[digit] = before
+        before += here
+    for i in range(source.shape[0]):
+        digit = (source[i] >> low) & (count - 1)
+        target[first[digit]] = source[i]
+        first[digit] += 1

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+
+from libc.math cimport sqrt
+from quadtree_lss.onboard.core.geometry.portable cimport length
+from quadtree_lss.onboard.core.geometry.sphere cimport basis_at, minus_at, plus_at
+
+cdef void multiply(double* a, double* b, double* out) noexcept nogil
+cdef void congruent(double* a, double* c, double* d, double* out) noexcept nogil
+cdef void inverse_symmetric(double* c, double* out) noexcept nogil
+cdef void turn_tangent(double* c, double* change) noexcept nogil
+cdef double offset_variance(double* c, double first, double second) noexcept nogil
+cdef void shift_origin(double* c, double first, double second) noexcept nogil
+cdef void moments(double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* mean, double* scatter) noexcept nogil
+cdef void height_normal(double* scatter, double slope_x, double slope_y, double spread, double* normal) noexcept nogil
+cdef void orthogonal_normal(double* scatter, double* normal) noexcept nogil
+cdef void keep_up(double* normal) noexcept nogil
+cdef void slope_covariance(double* scatter, double* normal, double variance, double tilt, double* out) noexcept nogil
+cdef void covariance_about(double* slope, double offset_variance, double first, double second, double* out) noexcept nogil
+cdef void pose_part(double* normal, double* arm, double[:, ::1] sigma, double* out) noexcept nogil
+cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, bint sloped, double* out_rise) noexcept nogil
+cdef double _quadratic(double* scatter, double* a, double* b) noexcept nogil

@@ -1,0 +1,558 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One plane: its fit to points, its error, and two estimates of it made one (paper IV.A to IV.C).
+
+A plane is n.(r - c) = d about an origin c near the ground (Eq. 18) with its normal up. Its error is
+e = (dphi_1, dphi_2, dd): dphi in the tangent at n, axes of Eq. 2, rad; dd in m. Here d is zero: c
+is the cell's centre at the plane's height. Small matrices are flat and row by row: covariances
+nine numbers, bases of the tangent six (the first axis, then the second), scatters the six numbers
+xx, xy, xz, yy, yz, zz.
+"""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.geometry.sphere import Vector, tangent_basis
+
+if not cython.compiled:
+    from math import sqrt
+
+    from quadtree_lss.onboard.core.geometry.portable import length
+    from quadtree_lss.onboard.core.geometry.sphere import basis_at, minus_at, plus_at
+
+#: A map of elevations has no walls: steeper planes are tilted back to this n_z (75.5 deg).
+MIN_UP = cython.declare(cython.double, 0.25)
+#: Variance that round-off leaves at least, rad^2 and m^2.
+SURE = cython.declare(cython.double, 1e-12)
+#: Information on a slope that a fit has at least, rad^-2.
+LEAST = cython.declare(cython.double, 1e-2)
+
+
+def multiply(a: Vector, b: Vector, out: Vector) -> None:
+    """Product of two 3x3 matrices."""
+    cython.declare(i=cython.int, j=cython.int)
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
+
+
+def congruent(a: Vector, c: Vector, d: Vector, out: Vector) -> None:
+    """A C A^T and A D A^T of symmetric C and D, symmetric to the last bit; side by side in (18).
+
+    Two numbers at a time are what a processor computes as fast as one.
+    """
+    pair = cython.declare(cython.double[18])
+    half = cython.declare(cython.double[18])
+    cython.declare(i=cython.int, j=cython.int, k=cython.int)
+    for k in range(9):
+        pair[2 * k] = c[k]
+        pair[2 * k + 1] = d[k]
+    for i in range(3):
+        x, y, z = a[3 * i], a[3 * i + 1], a[3 * i + 2]
+        for j in range(3):
+            for k in range(2 * j, 2 * j + 2):
+                # The transpose of A C: its columns lie side by side.
+                half[4 * j + 2 * i + k] = x * pair[k] + y * pair[6 + k] + z * pair[12 + k]
+    for i in range(3):
+        x, y, z = a[3 * i], a[3 * i + 1], a[3 * i + 2]
+        for k in range(6):
+            out[6 * i + k] = half[k] * x + half[6 + k] * y + half[12 + k] * z
+    for k in range(2):
+        out[2 + k] = out[6 + k]
+        out[4 + k] = out[12 + k]
+        out[10 + k] = out[14 + k]
+
+
+def inverse_symmetric(c: Vector, out: Vector) -> None:
+    """Inverse of a symmetric positive definite matrix by cofactors of the scaled matrix.
+
+    Scaled to a unit diagonal, a determinant below 1e-14 is round-off and taken as that: metres and
+    radians of very different size do not spoil the inverse, and a singular matrix gives a large
+    finite one.
+    """
+    x = 1.0 / sqrt(max(c[0], 1e-24))
+    y = 1.0 / sqrt(max(c[4], 1e-24))
+    z = 1.0 / sqrt(max(c[8], 1e-24))
+    xy = min(max(c[1] * x * y, -1.0), 1.0)
+    xz = min(max(c[2] * x * z, -1.0), 1.0)
+    yz = min(max(c[5] * y * z, -1.0), 1.0)
+    first = 1.0 - yz * yz
+    second = xz * yz - xy
+    third = xy * yz - xz
+    share = 1.0 / max(first + xy * second + xz * third, 1e-14)
+    out[0] = share * x * x * first
+    out[1] = out[3] = share * x * y * second
+    out[2] = out[6] = share * x * z * third
+    out[4] = share * y * y * (1.0 - xz * xz)
+    out[5] = out[7] = share * y * z * (xy * xz - yz)
+    out[8] = share * z * z * (1.0 - xy * xy)
+
+
+def turn_tangent(c: Vector, change: Vector) -> None:
+    """Covariance (9) in place, its dphi mapped by the ``change`` (4) of `minus_at`."""
+    x = change[0] * c[0] + change[1] * c[3]
+    y = change[0] * c[1] + change[1] * c[4]
+    z = change[2] * c[1] + change[3] * c[4]
+    w = change[2] * c[0] + change[3] * c[3]
+    c[0] = x * change[0] + y * change[1]
+    c[1] = c[3] = x * change[2] + y * change[3]
+    c[4] = w * change[2] + z * change[3]
+    x = change[0] * c[2] + change[1] * c[5]
+    y = change[2] * c[2] + change[3] * c[5]
+    c[2] = c[6] = x
+    c[5] = c[7] = y
+
+
+def shift_origin(c: Vector, first: float, second: float) -> None:
+    """Covariance (9) in place after the origin moved by delta, B^T delta = (first, second), m.
+
+    d' = d - n.delta, and as dn = B dphi, dd' = dd - (B^T delta).dphi. For a move straight up by h,
+    B^T delta = -h (n_x, n_y).
+    """
+    x = first * c[0] + second * c[1]
+    y = first * c[3] + second * c[4]
+    c[8] += first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
+    c[2] = c[6] = c[2] - x
+    c[5] = c[7] = c[5] - y
+
+
+def offset_variance(c: Vector, first: float, second: float) -> cython.double:
+    """Variance of dd after `shift_origin`, m^2: that of the plane's height at another place."""
+    x = first * c[0] + second * c[1]
+    y = first * c[3] + second * c[4]
+    return c[8] + first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
+
+
+@cython.boundscheck(False)
+def moments(
+    points: Array, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, mean: Vector, scatter: Vector
+) -> None:
+    """Centroid (3), m, and scatter (6), m^2, of the points ``begin`` to ``end`` of (N, 3).
+
+    Sums are about the first point, so that squares stay small.
+    """
+    i: cython.Py_ssize_t
+    x0, y0, z0 = points[begin, 0], points[begin, 1], points[begin, 2]
+    sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
+    for i in range(begin, end):
+        x = points[i, 0] - x0
+        y = points[i, 1] - y0
+        z = points[i, 2] - z0
+        sx += x
+        sy += y
+        sz += z
+        sxx += x * x
+        sxy += x * y
+        sxz += x * z
+        syy += y * y
+        syz += y * z
+        szz += z * z
+    share = 1.0 / (end - begin)
+    mean[0], mean[1], mean[2] = x0 + share * sx, y0 + share * sy, z0 + share * sz
+    scatter[0] = max(sxx - share * sx * sx, 0.0)
+    scatter[1] = sxy - share * sx * sy
+    scatter[2] = sxz - share * sx * sz
+    scatter[3] = max(syy - share * sy * sy, 0.0)
+    scatter[4] = syz - share * sy * sz
+    scatter[5] = max(szz - share * sz * sz, 0.0)
+
+
+def height_normal(
+    scatter: Vector, slope_x: float, slope_y: float, spread: float, normal: Vector
+) -> None:
+    """Normal (3) of the regression of height on (x, y) with a weak prior on the slope.
+
+    z = z0 + a x + b y minimises sum (z - z0 - a x - b y)^2 + s |(a, b) - (a, b)_prior|^2, which is
+    (S_xy + s I)(a, b) = S_xz + s (a, b)_prior with S the within-scan scatter.
+    """
+    xx = scatter[0] + spread
+    yy = scatter[3] + spread
+    xz = scatter[2] + spread * slope_x
+    yz = scatter[4] + spread * slope_y
+    share = 1.0 / (xx * yy - scatter[1] * scatter[1])
+    a = share * (yy * xz - scatter[1] * yz)
+    b = share * (xx * yz - scatter[1] * xz)
+    up = 1.0 / sqrt(a * a + b * b + 1.0)
+    normal[0], normal[1], normal[2] = -a * up, -b * up, up
+    keep_up(normal)
+
+
+def keep_up(normal: Vector) -> None:
+    """A unit normal (3) in place, turned up (Eq. 9: (n, d) and (-n, -d) are one plane) and off the
+    horizon to n_z of ``MIN_UP`` at least."""
+    if normal[2] < 0.0:
+        normal[0], normal[1], normal[2] = -normal[0], -normal[1], -normal[2]
+    if normal[2] < MIN_UP:
+        level = sqrt(1.0 - MIN_UP * MIN_UP) / max(length(normal[0], normal[1]), 1e-300)
+        normal[0] *= level
+        normal[1] *= level
+        normal[2] = MIN_UP
+
+
+def _quadratic(scatter: Vector, a: Vector, b: Vector) -> float:
+    """a^T S b of a scatter (6)."""
+    return (
+        a[0] * (scatter[0] * b[0] + scatter[1] * b[1] + scatter[2] * b[2])
+        + a[1] * (scatter[1] * b[0] + scatter[3] * b[1] + scatter[4] * b[2])
+        + a[2] * (scatter[2] * b[0] + scatter[4] * b[1] + scatter[5] * b[2])
+    )
+
+
+def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
+    """The paper's ML fit by Newton's method on the sphere, from a first normal (3), in place.
+
+    Eq. 23, Eq. 24 and Eq. 25 are the cost, Eq. 26, Eq. 27, Eq. 28, Eq. 29, Eq. 30 and Eq. 31 its
+    linearisation, Eq. 32, Eq. 33, Eq. 34 and Eq. 35 the normal equations, Eq. 36 the step. With
+    one free offset gamma_j per scan (Eq. 20, Eq. 21; of one scan, d is its gamma: Eq. 22) and
+    weights constant in a (cell, scan), the cost of Eq. 25 is n^T S n / 2 with S the within-scan
+    scatter times 1 / (n^T Sigma n). With B the tangent basis at n: gradient B^T S n, Hessian
+    B^T S B - (n^T S n) I. Where that is not positive definite the Gauss-Newton Hessian B^T S B of
+    Eq. 33 serves. Convergence is cubic.
+    """
+    basis = cython.declare(cython.double[6])
+    first = cython.declare(cython.double[3])
+    second = cython.declare(cython.double[3])
+    step = cython.declare(cython.double[2])
+    turned = cython.declare(cython.double[3])
+    cython.declare(i=cython.int, k=cython.int)
+    for _ in range(4):
+        basis_at(normal, basis)
+        for k in range(3):
+            first[k] = basis[k]
+            second[k] = basis[3 + k]
+        cost = _quadratic(scatter, normal, normal)
+        g0 = _quadratic(scatter, first, normal)
+        g1 = _quadratic(scatter, second, normal)
+        h00 = _quadratic(scatter, first, first) - cost
+        h11 = _quadratic(scatter, second, second) - cost
+        h01 = _quadratic(scatter, first, second)
+        if h00 <= 0.0 or h00 * h11 - h01 * h01 <= 0.0:
+            h00 += cost
+            h11 += cost
+        determinant = max(h00 * h11 - h01 * h01, 1e-300)
+        step[0] = -(h11 * g0 - h01 * g1) / determinant
+        step[1] = -(h00 * g1 - h01 * g0) / determinant
+        short = min(1.0, 0.5 / max(length(step[0], step[1]), 1e-300))
+        step[0] *= short
+        step[1] *= short
+        plus_at(normal, step, turned)
+        for i in range(3):
+            normal[i] = turned[i]
+        keep_up(normal)
+
+
+def slope_covariance(
+    scatter: Vector, normal: Vector, variance: float, tilt: float, out: Vector
+) -> None:
+    """Covariance (4) of dphi: the phi block of H^-1 (Eq. 35), and ``tilt`` rad^2 on either axis.
+
+    H = M S_xy M^T / variance with M = I + kappa kappa^T / (lambda (1 + lambda)), which takes steps
+    in x and y to steps along the plane in its tangent basis. To a direction that the points do not
+    tell belongs `LEAST`, so little that many scans of one line do not add up to a slope.
+    """
+    share = 1.0 / (normal[2] * (1.0 + normal[2]))
+    m00 = 1.0 + share * normal[0] * normal[0]
+    m11 = 1.0 + share * normal[1] * normal[1]
+    m01 = share * normal[0] * normal[1]
+    x0 = m00 * scatter[0] + m01 * scatter[1]
+    x1 = m00 * scatter[1] + m01 * scatter[3]
+    y0 = m01 * scatter[0] + m11 * scatter[1]
+    y1 = m01 * scatter[1] + m11 * scatter[3]
+    h00 = (x0 * m00 + x1 * m01) / variance + LEAST
+    h01 = (x0 * m01 + x1 * m11) / variance
+    h11 = (y0 * m01 + y1 * m11) / variance + LEAST
+    share = 1.0 / (h00 * h11 - h01 * h01)
+    out[0] = share * h11 + tilt
+    out[1] = out[2] = -share * h01
+    out[3] = share * h00 + tilt
+
+
+def covariance_about(
+    slope: Vector, offset_variance: float, first: float, second: float, out: Vector
+) -> None:
+    """Covariance (9) of (dphi, dd) about an origin away from the points' centroid.
+
+    The plane passes through the centroid: d = n.(centroid - origin), so with dphi of covariance
+    ``slope`` (4) and the centroid's offset dd_0 independent, dd = dd_0 + lever.dphi, with the lever
+    B^T (centroid - origin) = (first, second), m.
+    """
+    x = slope[0] * first + slope[1] * second
+    y = slope[2] * first + slope[3] * second
+    out[0], out[1], out[2] = slope[0], slope[1], x
+    out[3], out[4], out[5] = slope[2], slope[3], y
+    out[6], out[7], out[8] = x, y, offset_variance + first * x + second * y
+
+
+@cython.boundscheck(False)
+def pose_part(normal: Vector, arm: Vector, sigma: Array, out: Vector) -> None:
+    """J Sigma_pose J^T (9): how a scan's pose error moves one of its planes.
+
+    A rigid motion (dm, dw) about map axes turns n by dw x n and carries the plane's point at the
+    origin along by dm + dw x arm, so dphi = B^T (dw x n) and dd = n.dm + (arm x n).dw.
+
+    Args:
+        normal: (3) of the plane.
+        arm: (3) plane's origin minus the lidar's position, m.
+        sigma: (6, 6) covariance of (dm, dw), m and rad.
+        out: Written.
+    """
+    basis = cython.declare(cython.double[6])
+    turn = cython.declare(cython.double[3])
+    cython.declare(j=cython.int, k=cython.int)
+    basis_at(normal, basis)
+    turn[0] = arm[1] * normal[2] - arm[2] * normal[1]
+    turn[1] = arm[2] * normal[0] - arm[0] * normal[2]
+    turn[2] = arm[0] * normal[1] - arm[1] * normal[0]
+    for k in range(9):
+        out[k] = 0.0
+    for k in range(3):
+        moved = turned = first = second = 0.0
+        for j in range(3):
+            moved += sigma[k, j] * normal[j] + sigma[k, 3 + j] * turn[j]
+            turned += sigma[3 + k, j] * normal[j] + sigma[3 + k, 3 + j] * turn[j]
+            # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
+            first += sigma[3 + k, 3 + j] * basis[3 + j]
+            second -= sigma[3 + k, 3 + j] * basis[j]
+        out[0] += basis[3 + k] * first
+        out[1] += basis[3 + k] * second
+        out[2] += basis[3 + k] * turned
+        out[4] -= basis[k] * second
+        out[5] -= basis[k] * turned
+        out[8] += normal[k] * moved + turn[k] * turned
+    out[3], out[6], out[7] = out[1], out[2], out[5]
+
+
+def fuse(
+    prior_normal: Vector,
+    prior_rise: float,
+    prior_range: Vector,
+    prior_pose: Vector,
+    normal: Vector,
+    range_part: Vector,
+    pose_part: Vector,
+    common: float,
+    sloped: cython.bint,
+    out_rise: Vector,
+) -> None:
+    """Two estimates of a plane made one (Eq. 37 to Eq. 45), which Eq. 22 does of scans' offsets.
+
+    Eq. 39 is the error of the prior about the measured plane, e = (n_prior [-] n, d_prior), its
+    covariances (Eq. 38) carried to the measured plane's tangent and origin. With A and R the
+    covariances of prior and measurement (Eq. 40): K = A (A + R)^-1 (Eq. 41), fused = measured [+]
+    (I - K) e (Eq. 43, Eq. 44), and each part of the covariance becomes
+    (I - K) P (I - K)^T + K R K^T (Eq. 42, Eq. 45).
+
+    All is about the prior's pivot, the place where errors of its slope and of its height are
+    independent: what is known at a place and not of the slope there stays so whatever the slope
+    turns out to be, which a linear error about another place does not say.
+
+    Pose error that both have in common decides nothing between them and does not average out: of
+    either pose part only the share 1 - common counts in A and R, and the pose part becomes
+    common ((1 - k) P + k Q) + (1 - common) ((I - K) P (I - K)^T + K Q K^T), k = K_dd.
+
+    Args:
+        prior_normal: (3).
+        prior_rise: Height of the prior's origin above the measured plane's, m.
+        prior_range, prior_pose: (9) parts of its covariance; replaced by the fused plane's, about
+            its own height.
+        normal: (3) measured; replaced by the fused one.
+        range_part, pose_part: (9) parts of its covariance; spoilt.
+        common: Correlation of the two pose errors, 0 .. 1.
+        sloped: Whether the measured slope counts; if not, the prior's stays, and its error is
+            considered: the covariances above hold for any K.
+        out_rise: (1) height of the fused plane above the measured one, m.
+    """
+    basis = cython.declare(cython.double[6])
+    pivot = cython.declare(cython.double[3])
+    change = cython.declare(cython.double[4])
+    error = cython.declare(cython.double[3])
+    spread = cython.declare(cython.double[9])
+    inverse = cython.declare(cython.double[9])
+    gain = cython.declare(cython.double[9])
+    rest = cython.declare(cython.double[9])
+    one = cython.declare(cython.double[9])
+    two = cython.declare(cython.double[9])
+    kept = cython.declare(cython.double[18])
+    taken = cython.declare(cython.double[18])
+    fused = cython.declare(cython.double[3])
+    cython.declare(i=cython.int, k=cython.int)
+    square = prior_range[0] * prior_range[4]
+    share = square - prior_range[1] * prior_range[1]
+    share = 1.0 / share if share > 1e-9 * square else 0.0
+    first = share * (prior_range[4] * prior_range[2] - prior_range[1] * prior_range[5])
+    second = share * (prior_range[0] * prior_range[5] - prior_range[1] * prior_range[2])
+    basis_at(prior_normal, basis)
+    for i in range(3):
+        pivot[i] = first * basis[i] + second * basis[3 + i]
+    pivot[2] += prior_rise
+    shift_origin(prior_range, first, second)
+    shift_origin(prior_pose, first, second)
+    basis_at(normal, basis)
+    first = basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2]
+    second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
+    shift_origin(range_part, first, second)
+    shift_origin(pose_part, first, second)
+    error[0] = error[1] = 0.0
+    if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
+        minus_at(prior_normal, normal, error, change)
+        turn_tangent(prior_range, change)
+        turn_tangent(prior_pose, change)
+    error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
+    for i in range(9):
+        one[i] = prior_range[i] + (1.0 - common) * prior_pose[i]
+        two[i] = range_part[i] + (1.0 - common) * pose_part[i]
+        spread[i] = one[i] + two[i]
+    inverse_symmetric(spread, inverse)
+    multiply(one, inverse, gain)
+    if not sloped:
+        for i in range(6):
+            gain[i] = 0.0
+    for i in range(9):
+        rest[i] = (1.0 if i % 4 == 0 else 0.0) - gain[i]
+    congruent(rest, prior_range, prior_pose, kept)
+    congruent(gain, range_part, pose_part, taken)
+    share = min(max(gain[8], 0.0), 1.0)
+    for i in range(9):
+        prior_range[i] = kept[2 * i] + taken[2 * i]
+        prior_pose[i] = (1.0 - common) * (kept[2 * i + 1] + taken[2 * i + 1]) + common * (
+            (1.0 - share) * prior_pose[i] + share * pose_part[i]
+        )
+    for i in range(3):
+        spread[i] = rest[3 * i] * error[0] + rest[3 * i + 1] * error[1] + rest[3 * i + 2] * error[2]
+    plus_at(normal, spread, fused)
+    keep_up(fused)
+    rise = spread[2] - error[2]
+    for i in range(3):
+        rise += fused[i] * pivot[i]
+        normal[i] = fused[i]
+    rise /= fused[2]
+    pivot[2] -= rise
+    basis_at(fused, basis)
+    first = -(basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2])
+    second = -(basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2])
+    shift_origin(prior_range, first, second)
+    shift_origin(prior_pose, first, second)
+    for i in range(3):
+        if prior_range[4 * i] < SURE:
+            # Lost to round-off, and with it what it has in common with the others.
+            for k in range(3):
+                prior_range[3 * i + k] = prior_range[3 * k + i] = 0.0
+            prior_range[4 * i] = SURE
+    out_rise[0] = rise
+
+
+def moments_of(points: Array) -> tuple[Array, Array]:
+    """Centroid (3,), m, and scatter (3, 3), m^2, of points (N, 3)."""
+    mean = cython.declare(cython.double[3])
+    scatter = cython.declare(cython.double[6])
+    moments(points, 0, len(points), mean, scatter)
+    return np.array(mean), _square(scatter)
+
+
+def height_fit(scatter: Array, prior: ArrayLike, spread: float) -> Array:
+    """`height_normal` of a scatter (3, 3) with the slope of a prior normal (3,): (3,)."""
+    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
+    n: cython.double[3] = prior  # type: ignore[valid-type]
+    height_normal(six, -n[0] / n[2], -n[1] / n[2], spread, n)
+    return np.array(n)
+
+
+def orthogonal_fit(scatter: Array, start: ArrayLike) -> Array:
+    """`orthogonal_normal` of a scatter (3, 3) from a first normal (3,): (3,)."""
+    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
+    n: cython.double[3] = start  # type: ignore[valid-type]
+    orthogonal_normal(six, n)
+    return np.array(n)
+
+
+def upward(normal: ArrayLike) -> Array:
+    """`keep_up` of a normal (3,)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    keep_up(n)
+    return np.array(n)
+
+
+def slope_part(scatter: Array, normal: ArrayLike, variance: float, tilt: float = 0.0) -> Array:
+    """`slope_covariance` of a fit to a scatter (3, 3): (2, 2), rad^2."""
+    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    out = cython.declare(cython.double[4])
+    slope_covariance(six, n, variance, tilt, out)
+    return np.array(out).reshape(2, 2)
+
+
+def range_part_about(slope: Array, offset_variance: float, lever: ArrayLike) -> Array:
+    """`covariance_about` of a slope's covariance (2, 2) with the lever (2,), m: (3, 3)."""
+    four: cython.double[4] = slope.ravel()  # type: ignore[valid-type]
+    arm: cython.double[2] = lever  # type: ignore[valid-type]
+    out = cython.declare(cython.double[9])
+    covariance_about(four, offset_variance, arm[0], arm[1], out)
+    return np.array(out).reshape(3, 3)
+
+
+def pose_part_of(normal: ArrayLike, arm: ArrayLike, sigma: Array) -> Array:
+    """`pose_part` of a plane (3,), its origin ``arm`` (3,) from the lidar: (3, 3)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    r: cython.double[3] = arm  # type: ignore[valid-type]
+    out = cython.declare(cython.double[9])
+    pose_part(n, r, sigma, out)
+    return np.array(out).reshape(3, 3)
+
+
+def inverse(matrix: Array) -> Array:
+    """`inverse_symmetric` of a matrix (3, 3)."""
+    c: cython.double[9] = matrix.ravel()  # type: ignore[valid-type]
+    out = cython.declare(cython.double[9])
+    inverse_symmetric(c, out)
+    return np.array(out).reshape(3, 3)
+
+
+def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
+    """`shift_origin` of a plane's covariance (3, 3) after its origin moved by delta (3,), m."""
+    c: cython.double[9] = covariance.ravel()  # type: ignore[valid-type]
+    first, second = np.asarray(delta) @ tangent_basis(normal)
+    shift_origin(c, first, second)
+    return np.array(c).reshape(3, 3)
+
+
+def fused(
+    prior: tuple[Array, float, Array, Array],
+    other: tuple[Array, float, Array, Array],
+    common: float,
+) -> tuple[Array, float, Array, Array]:
+    """`fuse` of two planes over one place: normal (3,), height, m, range and pose part (3, 3)."""
+    prior_normal: cython.double[3] = prior[0]  # type: ignore[valid-type]
+    range_0: cython.double[9] = prior[2].ravel()  # type: ignore[valid-type]
+    pose_0: cython.double[9] = prior[3].ravel()  # type: ignore[valid-type]
+    normal: cython.double[3] = other[0]  # type: ignore[valid-type]
+    range_1: cython.double[9] = other[2].ravel()  # type: ignore[valid-type]
+    pose_1: cython.double[9] = other[3].ravel()  # type: ignore[valid-type]
+    rise = cython.declare(cython.double[1])
+    fuse(
+        prior_normal,
+        prior[1] - other[1],
+        range_0,
+        pose_0,
+        normal,
+        range_1,
+        pose_1,
+        common,
+        True,
+        rise,
+    )
+    parts = (np.array(range_0).reshape(3, 3), np.array(pose_0).reshape(3, 3))
+    return np.array(normal), other[1] + rise[0], *parts
+
+
+#: The six numbers of a scatter in the matrix.
+UPPER = np.triu_indices(3)
+
+
+def _square(six: Vector) -> Array:
+    """(3, 3) of the six numbers of a scatter."""
+    out = np.empty((3, 3))
+    out[UPPER] = out.T[UPPER] = six
+    return out

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points and polygons in the plane: landing areas and keep-out zones."""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Array
+
+if not cython.compiled:  # otherwise from the .pxd
+    from math import inf as INFINITY
+    from math import sqrt
+
+#: Coordinates over this are no place to land at, and their squares would overflow, m.
+FARTHEST = 1e12
+
+
+def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
+    """Distance in m of points from a polygon's edge, positive inside.
+
+    Args:
+        polygon: (V, 2) or (V, 3) vertices in order, V >= 3; the third column is not used.
+        x, y: Coordinates of any one shape.
+
+    Raises:
+        ValueError: fewer than three vertices, or one not finite or farther out than ``FARTHEST``.
+    """
+    corners = np.asarray(polygon, dtype=np.float64)
+    if corners.ndim != 2 or len(corners) < 3 or corners.shape[1] < 2:
+        msg = f"a polygon needs three or more (x, y) vertices, got shape {corners.shape}"
+        raise ValueError(msg)
+    corners = corners[:, :2]
+    if not (np.abs(corners) <= FARTHEST).all():
+        msg = "a polygon has a vertex that is not finite or is off this world"
+        raise ValueError(msg)
+    edges = np.hstack([corners, np.roll(corners, -1, axis=0)])
+    out = np.empty(x.shape)
+    set_distances(
+        edges, *(np.ascontiguousarray(c, dtype=np.float64).ravel() for c in (x, y)), out.ravel()
+    )
+    return out
+
+
+@cython.boundscheck(False)
+def set_distances(edges: Array, x: Array, y: Array, out: Array) -> None:
+    """`signed_distance` of points (N,) from a polygon's edges (V, 4): x, y of both ends, m."""
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, inside=cython.bint)
+    with cython.nogil:
+        for i in range(out.shape[0]):
+            inside, square = False, INFINITY
+            for k in range(edges.shape[0]):
+                x0, y0, y1 = edges[k, 0], edges[k, 1], edges[k, 3]
+                ex, ey = edges[k, 2] - x0, y1 - y0
+                dx, dy = x[i] - x0, y[i] - y0
+                share = (dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-300)
+                share = min(max(share, 0.0), 1.0)
+                across, along = dx - share * ex, dy - share * ey
+                square = min(square, across * across + along * along)
+                if (y0 > y[i]) != (y1 > y[i]) and x[i] < x0 + dy * ex / ey:
+                    inside = not inside
+            out[i] = sqrt(square) if inside else -sqrt(square)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotations of space, SO(3): matrices, rotation vectors, unit quaternions (x, y, z, w)."""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, sin
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.geometry.portable import product
+
+
+def skew(vectors: ArrayLike) -> Array:
+    """Matrices of the cross product, ``skew(a) @ b == cross(a, b)``: (..., 3) to (..., 3, 3)."""
+    v = np.asarray(vectors, dtype=np.float64)
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def exp(rotation_vectors: ArrayLike) -> Array:
+    """Rotation matrices of rotation vectors in rad (Rodrigues): (..., 3) to (..., 3, 3)."""
+    v = np.asarray(rotation_vectors, dtype=np.float64)
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
+    k = skew(v)
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    out: Array = np.eye(3) + first * k + second * product(k, k)
+    return out
+
+
+def log(rotations: ArrayLike) -> Array:
+    """Rotation vectors in rad, of length at most pi: (..., 3, 3) to (..., 3)."""
+    quaternion = quaternion_from_rotation(rotations)
+    vector, scalar = quaternion[..., :3], quaternion[..., 3:]
+    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
+    # NumPy's own arctan2 is another one where there is AVX-512.
+    half = np.frompyfunc(atan2, 2, 1)(sine, scalar).astype(np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.where(sine > 1e-12, 2.0 * half / sine, 2.0)
+    return vector * factor
+
+
+def rotation_from_quaternion(quaternions_xyzw: ArrayLike) -> Array:
+    """Rotation matrices of unit quaternions: (..., 4) to (..., 3, 3)."""
+    q = np.asarray(quaternions_xyzw, dtype=np.float64)
+    # Poses come one by one, at hundreds a second: plain numbers take a tenth of the time.
+    x, y, z, w = q.tolist() if q.ndim == 1 else np.moveaxis(q, -1, 0)
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    xx, yy, zz = scale * x * x, scale * y * y, scale * z * z
+    xy, xz, yz = scale * x * y, scale * x * z, scale * y * z
+    wx, wy, wz = scale * w * x, scale * w * y, scale * w * z
+    rows = np.array(
+        (
+            (1.0 - yy - zz, xy - wz, xz + wy),
+            (xy + wz, 1.0 - xx - zz, yz - wx),
+            (xz - wy, yz + wx, 1.0 - xx - yy),
+        )
+    )
+    return rows if q.ndim == 1 else np.moveaxis(rows, (0, 1), (-2, -1))
+
+
+def quaternion_from_rotation(rotations: ArrayLike) -> Array:
+    """Unit quaternions with w >= 0: (..., 3, 3) to (..., 4).
+
+    The largest of the four components is found first, so that no division is ill-conditioned.
+    """
+    r = np.asarray(rotations, dtype=np.float64)
+    # One by one, as for poses, plain numbers take a third of the time.
+    (xx, x_y, x_z), (y_x, yy, y_z), (z_x, z_y, zz) = (
+        r.tolist() if r.ndim == 2 else np.moveaxis(r, (-2, -1), (0, 1))
+    )
+    trace = xx + yy + zz
+    squares = [1.0 + 2.0 * xx - trace, 1.0 + 2.0 * yy - trace, 1.0 + 2.0 * zz - trace, 1.0 + trace]
+    rows = (
+        (squares[0], x_y + y_x, x_z + z_x, z_y - y_z),
+        (x_y + y_x, squares[1], y_z + z_y, x_z - z_x),
+        (x_z + z_x, y_z + z_y, squares[2], y_x - x_y),
+        (z_y - y_z, x_z - z_x, y_x - x_y, squares[3]),
+    )
+    q: Array
+    if r.ndim == 2:
+        q = np.array(rows[squares.index(max(squares))])
+    else:
+        best = np.argmax(squares, axis=0)
+        stacked = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+        q = np.take_along_axis(stacked, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., 3:] < 0.0, -q, q)
+
+
+def slerp(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
+    """Rotation at ``fraction`` of the way between two matrices (3, 3), at constant rate."""
+    r0, r1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    x, y, z, w = quaternion_from_rotation(product(r0.T, r1)).tolist()
+    sine = hypot(x, y, z)
+    half = fraction * atan2(sine, w)
+    turn = sin(half) / sine if sine > 1e-12 else fraction
+    return product(r0, rotation_from_quaternion((turn * x, turn * y, turn * z, cos(half))))

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Unit vectors without redundant parameters: the sphere S^2 (paper III.B, after Hertzberg).
+
+A unit vector is n = (kappa, lambda) with kappa in the x-y plane (Eq. 1); its tangent space has two
+dimensions. Kernels work on flat numbers: a basis of the tangent is six, the first axis, then the
+second; matrices lie row by row. The functions on arrays are their doors, one vector each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence
+from typing import TypeAlias
+
+import cython
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Array
+
+if not cython.compiled:
+    from math import atan2, cos, sin, sqrt
+
+#: A C array of doubles that a kernel reads or writes in place.
+Vector: TypeAlias = MutableSequence[float]
+
+
+def basis_at(normal: Vector, out: Vector) -> None:
+    """First two columns of Eq. 2, the axes of dphi in space: n (3) to (6). Not for n = -z."""
+    share = 1.0 / (1.0 + normal[2])
+    out[0] = 1.0 - share * normal[0] * normal[0]
+    out[1] = -share * normal[0] * normal[1]
+    out[2] = -normal[0]
+    out[3] = out[1]
+    out[4] = 1.0 - share * normal[1] * normal[1]
+    out[5] = -normal[1]
+
+
+def exp_at(tangent: Vector, out: Vector) -> None:
+    """Eq. 3: (sinc(phi) phi, cos(phi)), phi (2) to (3)."""
+    angle = sqrt(tangent[0] * tangent[0] + tangent[1] * tangent[1])
+    along = sin(angle) / angle if angle > 1e-9 else 1.0
+    out[0] = along * tangent[0]
+    out[1] = along * tangent[1]
+    out[2] = cos(angle)
+
+
+def exp_jacobian_at(tangent: Vector, out: Vector) -> None:
+    """Eq. 5, Eq. 6, Eq. 7 (bottom row -sinc(phi) phi^T): d exp / d phi, phi (2) to (3, 2)."""
+    x, y = tangent[0], tangent[1]
+    angle = sqrt(x * x + y * y)
+    sinc = sin(angle) / angle if angle > 1e-9 else 1.0
+    chi = (cos(angle) - sinc) / (angle * angle) if angle > 1e-4 else -1.0 / 3.0
+    out[0] = sinc + chi * x * x
+    out[1] = out[2] = chi * x * y
+    out[3] = sinc + chi * y * y
+    out[4] = -sinc * x
+    out[5] = -sinc * y
+
+
+def log_at(normal: Vector, out: Vector, jacobian: Vector) -> None:
+    """Eq. 4: angle from the z axis along kappa, n (3) to (2), and d log / d n (2, 3).
+
+    The latter for changes of n along the sphere: with unit direction k = kappa / |kappa| and angle
+    phi, a change dn turns the angle by lambda k.dkappa - |kappa| dlambda and moves across k by
+    (phi / sin phi) of dkappa.
+    """
+    sine = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
+    x = normal[0] / sine if sine > 1e-9 else 1.0
+    y = normal[1] / sine if sine > 1e-9 else 0.0
+    across = atan2(sine, normal[2]) / sine if sine > 1e-9 else 1.0
+    out[0] = across * normal[0]
+    out[1] = across * normal[1]
+    jacobian[0] = normal[2] * x * x + across * y * y
+    jacobian[1] = jacobian[3] = (normal[2] - across) * x * y
+    jacobian[2] = -sine * x
+    jacobian[4] = normal[2] * y * y + across * x * x
+    jacobian[5] = -sine * y
+
+
+def seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
+    """R_m^T n: n (3) in the axes in which m (3) is the pole."""
+    basis = cython.declare(cython.double[6])
+    basis_at(reference, basis)
+    out[0] = basis[0] * normal[0] + basis[1] * normal[1] + basis[2] * normal[2]
+    out[1] = basis[3] * normal[0] + basis[4] * normal[1] + basis[5] * normal[2]
+    out[2] = reference[0] * normal[0] + reference[1] * normal[1] + reference[2] * normal[2]
+
+
+def plus_at(normal: Vector, tangent: Vector, out: Vector) -> None:
+    """Eq. 8, n [+] phi = R_n exp(phi): n (3), phi (2) to (3).
+
+    An uncertain unit vector is its mean [+] a Gaussian tangent (Eq. 10, Eq. 11).
+    """
+    basis = cython.declare(cython.double[6])
+    step = cython.declare(cython.double[3])
+    i: cython.int
+    basis_at(normal, basis)
+    exp_at(tangent, step)
+    for i in range(3):
+        out[i] = step[0] * basis[i] + step[1] * basis[3 + i] + step[2] * normal[i]
+
+
+def minus_at(normal: Vector, reference: Vector, out: Vector, change: Vector) -> None:
+    """Eq. 9 and Eq. 12, n [-] m in the tangent at m, both up: n (3), m (3) to (2).
+
+    And the linear map (4) of errors in the tangent at n to the tangent at m: with w = R_m^T n, the
+    error of (n [-] m) is dlog(w) R_m^T B_n dphi.
+    """
+    seen = cython.declare(cython.double[3])
+    basis = cython.declare(cython.double[6])
+    axis = cython.declare(cython.double[3])
+    slope = cython.declare(cython.double[6])
+    cython.declare(i=cython.int, k=cython.int)
+    seen_from(normal, reference, seen)
+    log_at(seen, out, slope)
+    basis_at(normal, basis)
+    for i in range(2):
+        for k in range(3):
+            axis[k] = basis[3 * i + k]
+        seen_from(axis, reference, seen)
+        for k in range(2):
+            change[2 * k + i] = (
+                slope[3 * k] * seen[0] + slope[3 * k + 1] * seen[1] + slope[3 * k + 2] * seen[2]
+            )
+
+
+def tangent_basis(normal: ArrayLike) -> Array:
+    """First two columns of Eq. 2: (3,) to (3, 2)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    out = cython.declare(cython.double[6])
+    basis_at(n, out)
+    return np.array(out).reshape(2, 3).T
+
+
+def rotation_to(normal: ArrayLike) -> Array:
+    """Eq. 2: R_n with n = R_n (0, 0, 1), (3,) to (3, 3)."""
+    return np.column_stack([tangent_basis(normal), normal])
+
+
+def exp(tangent: ArrayLike) -> Array:
+    """Eq. 3: (2,) to (3,)."""
+    phi: cython.double[2] = tangent  # type: ignore[valid-type]
+    out = cython.declare(cython.double[3])
+    exp_at(phi, out)
+    return np.array(out)
+
+
+def log(normal: ArrayLike) -> Array:
+    """Eq. 4: (3,) to (2,)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    out = cython.declare(cython.double[2])
+    jacobian = cython.declare(cython.double[6])
+    log_at(n, out, jacobian)
+    return np.array(out)
+
+
+def exp_jacobian(tangent: ArrayLike) -> Array:
+    """Eq. 5 to Eq. 7: (2,) to (3, 2)."""
+    phi: cython.double[2] = tangent  # type: ignore[valid-type]
+    out = cython.declare(cython.double[6])
+    exp_jacobian_at(phi, out)
+    return np.array(out).reshape(3, 2)
+
+
+def log_jacobian(normal: ArrayLike) -> Array:
+    """d log / d n: (3,) to (2, 3)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    tangent = cython.declare(cython.double[2])
+    out = cython.declare(cython.double[6])
+    log_at(n, tangent, out)
+    return np.array(out).reshape(2, 3)
+
+
+def plus(normal: ArrayLike, tangent: ArrayLike) -> Array:
+    """Eq. 8: (3,), (2,) to (3,)."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    phi: cython.double[2] = tangent  # type: ignore[valid-type]
+    out = cython.declare(cython.double[3])
+    plus_at(n, phi, out)
+    return np.array(out)
+
+
+def minus(normal: ArrayLike, reference: ArrayLike) -> Array:
+    """Eq. 9 (cases corrected) and Eq. 12: n [-] m, the tangent at m to n, or to -n if nearer.
+
+    (n, d) and (-n, -d) are one plane, so both vectors (3,) are first turned to the upper half
+    space and then towards one another; R_m is never formed near lambda = -1.
+    """
+    one, other = np.asarray(normal, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+    other = -other if other[2] < 0.0 else other
+    one = -one if one @ other < 0.0 else one
+    n: cython.double[3] = one  # type: ignore[valid-type]
+    m: cython.double[3] = other  # type: ignore[valid-type]
+    out = cython.declare(cython.double[2])
+    change = cython.declare(cython.double[4])
+    minus_at(n, m, out, change)
+    return np.array(out)
+
+
+def tangent_change(of: ArrayLike, to: ArrayLike) -> Array:
+    """Linear map of errors in the tangent at n to the tangent at m: (3,), (3,) to (2, 2)."""
+    n: cython.double[3] = of  # type: ignore[valid-type]
+    m: cython.double[3] = to  # type: ignore[valid-type]
+    apart = cython.declare(cython.double[2])
+    out = cython.declare(cython.double[4])
+    minus_at(n, m, apart, out)
+    return np.array(out).reshape(2, 2)

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an assessment of a map says: sites, the target, and the grid they were found on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Numbers
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.grid import GridSampler
+from quadtree_lss.onboard.core.landing.probability import Remainder
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster
+from quadtree_lss.onboard.core.landing.score import PointAssessment
+from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+
+
+@dataclass(frozen=True, repr=False)
+class Sites:
+    """Ranked sites, best first; K rows, map frame.
+
+    Attributes:
+        position: (K, 3) on the plane of the ground at the lander's scale, where its pads rest, m.
+        normal: (K, 3) of that plane.
+        score: (K,) mean score density over the zone (Eq. 59), lower is better.
+        probability: (K,) of a safe touchdown if the lander aims there; NaN if it is not asked for.
+        slope_deg: (K,) at the lander's scale.
+        roughness: (K,) greatest mean deviation from the plane beyond noise in the zone: Eq. 55's
+            volume over the leaf's area, m.
+        hazard_distance: (K,) how far the zone may move in any direction until it touches a hazard
+            or unseen ground, m; see ``score.room_about``.
+        subscale_height: (K,) greatest height of a subscale feature in the zone, m.
+        id: (K,) number of its place, which lasts as long as landing there is permitted (see
+            ``target.Places``).
+        reasons: A sentence for each.
+    """
+
+    position: Array
+    normal: Array
+    score: Array
+    probability: Array
+    slope_deg: Array
+    roughness: Array
+    hazard_distance: Array
+    subscale_height: Array
+    id: Numbers
+    reasons: tuple[str, ...]
+
+    def of(self, rows: slice) -> Sites:
+        """Some of them."""
+        return Sites(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "<Sites: none>"
+        x, y, z = self.position[0]
+        return f"<Sites: {len(self)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m>"
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The target to fly to, or why there is none.
+
+    Attributes:
+        reason: Why it is this one, or why there is none.
+        site: One row, none if there is no target.
+        covariance: (6, 6) of x, y, z and rotations about fixed axes, map frame; see
+            ``covariance.ground_covariance``. NaN if there is no target.
+    """
+
+    reason: Reason
+    site: Sites
+    covariance: Array
+
+    @property
+    def id(self) -> int:
+        """Number of its place, 0 if there is no target."""
+        return int(self.site.id[0]) if len(self.site.id) else 0
+
+    @property
+    def position(self) -> Array:
+        """(3,) m, NaN if there is no target."""
+        return self.site.position[0] if self.id else np.full(3, np.nan)
+
+
+@dataclass(frozen=True, repr=False)
+class LandingAssessment:
+    """Where the map allows landing.
+
+    Attributes:
+        stamp_ns: The map's stamp.
+        answer: Number of the assessment, from 1: no two of a selector have the same.
+        selected: The target that holds from assessment to assessment.
+        pending: There is no target, but another assessment, be it of the same map, would give one.
+        sites: Ranked sites, none if no ground is safe.
+        x, y: (nx,), (ny,) of the grid points, m.
+        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain (there
+            the lander stands on the map, yet is too likely not to), 64 seen but not yet mapped (128
+            too), 128 unseen.
+        safe: (ny, nx) landing centred here is allowed by the ground itself.
+        score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
+        probability: (ny, nx) of a safe touchdown if the lander aims there, with the dispersion.
+        risk: (ny, nx) that landing right there fails, with the ground as it is known; both NaN if
+            nobody asked for them.
+        explanation: Why there are no sites, or how many grid points are safe.
+        offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
+        ground: What the layers below are made of when they are asked for.
+    """
+
+    stamp_ns: int
+    answer: int
+    selected: Selected
+    pending: bool
+    sites: Sites
+    x: Array
+    y: Array
+    hazard: Bytes
+    safe: Mask
+    score: Array
+    probability: Array
+    risk: Array
+    explanation: str
+    offset_z: float
+    offset_variance: float
+    ground: tuple[GridSampler, TerrainRaster, PointAssessment] | None = None
+
+    @property
+    def undecided(self) -> bool:
+        """Only a second look at safe ground makes a target of it: this was the first."""
+        return self.selected.reason == Reason.UNCONFIRMED
+
+    def __repr__(self) -> str:
+        ny, nx = self.score.shape
+        return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
+
+    def _layer(self, values: Callable[..., Array]) -> Array:
+        out = np.full(self.score.shape, np.nan)
+        if self.ground is not None:
+            np.copyto(out, values(*self.ground), where=self.hazard & hazards.UNSEEN == 0)
+        return out
+
+    @cached_property
+    def elevation(self) -> Array:
+        """(ny, nx) height of the map's own planes at the grid point, m, NaN if unseen."""
+        return self._layer(lambda at, raster, _: at.ground(raster))
+
+    @cached_property
+    def plane_elevation(self) -> Array:
+        """(ny, nx) height of the plane at the lander's scale there, m, NaN if unseen."""
+        return self._layer(lambda at, _, points: at.linear(points.planes.elevation))
+
+    @cached_property
+    def slope_deg(self) -> Array:
+        """(ny, nx) slope at the lander's scale, NaN if unseen."""
+        return self._layer(lambda at, _, points: np.degrees(at.nearest(points.planes.slope)))
+
+
+def with_reasons(sites: Sites, lss: LssConfig, remainders: Sequence[Remainder]) -> Sites:
+    """A sentence for each site: how safe it is and what is left, then its figures."""
+    lines = []
+    limit = lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
+    for k in range(len(sites.score)):
+        clear = sites.hazard_distance[k]
+        nearest = f"{clear:.1f} m clear of hazards and unseen ground"
+        feature = sites.subscale_height[k]
+        lines.append(
+            (f"{remainders[k].words()}; " if remainders else "")
+            + f"slope {sites.slope_deg[k]:.1f} deg of {limit:g}, {nearest}, "
+            f"roughness {sites.roughness[k]:.3f} m, "
+            + (f"features up to {feature:.2f} m" if feature >= 0.005 else "no subscale feature")
+        )
+    return replace(sites, reasons=tuple(lines))
+
+
+def no_target(reason: Reason) -> Selected:
+    """There is none."""
+    return Selected(reason, no_sites(), np.full((6, 6), np.nan))
+
+
+def no_sites() -> Sites:
+    """Not one."""
+    none = np.zeros(0)
+    number = np.zeros(0, dtype=np.uint32)
+    return Sites(np.zeros((0, 3)), np.zeros((0, 3)), *(none,) * 6, number, ())
+
+
+def nothing_mapped(
+    cells: CellMap, answer: int, reason: Reason, x: Array, y: Array, hazard: Bytes
+) -> LandingAssessment:
+    """The assessment of a map of which nothing is known."""
+    shape = (len(y), len(x))
+    return LandingAssessment(
+        stamp_ns=cells.stamp_ns,
+        answer=answer,
+        selected=no_target(reason),
+        pending=False,
+        sites=no_sites(),
+        x=x,
+        y=y,
+        hazard=hazard,
+        safe=np.zeros(shape, dtype=np.bool_),
+        score=np.full(shape, np.nan),
+        probability=np.zeros(shape),
+        risk=np.ones(shape),
+        explanation="nothing is mapped yet",
+        offset_z=cells.offset_z,
+        offset_variance=cells.offset_variance,
+    )

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The user's grid of candidate sites: values on it, and the best of its points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster
+from quadtree_lss.onboard.core.tree.domain import Domain
+
+Kind = TypeVar("Kind", bound=np.generic)
+
+
+def grid_axis(low: float, size: float, spacing: float) -> Array:
+    """Grid points from ``low`` in steps of ``spacing`` up to the far edge, inclusive."""
+    count = int(np.floor(size / spacing + 1e-9)) + 1
+    return np.asarray(low + spacing * np.arange(count), dtype=np.float64)
+
+
+def best_points(
+    score: Array,
+    x: Array,
+    y: Array,
+    count: int,
+    separation: float,
+    last: Sequence[tuple[int, int]] = (),
+    hysteresis: float = 0.0,
+) -> tuple[Index, Index]:
+    """Rows and columns of the ``count`` lowest scores, each ``separation`` from those before.
+
+    Args:
+        score: (ny, nx), NaN where excluded; of equal ones the south-western comes first.
+        x, y: (nx,), (ny,) of the grid points, evenly spaced, alike in x and y, m.
+        count: Most points wanted.
+        separation: Least distance of any two, m.
+        last: The last ranking: each keeps its rank ...
+        hysteresis: ... unless another scores better by more than this.
+    """
+    left = np.fmin(score, np.inf)
+    reach = int(separation / (x[1] - x[0])) + 1 if len(x) > 1 else 0
+    rows: list[int] = []
+    columns: list[int] = []
+    while len(rows) < count:
+        row, column = divmod(int(np.argmin(left)), left.shape[1])
+        if not np.isfinite(left[row, column]):
+            break
+        if len(rows) < len(last) and left[last[len(rows)]] <= left[row, column] + hysteresis:
+            row, column = last[len(rows)]
+        rows.append(row)
+        columns.append(column)
+        in_y = slice(max(row - reach, 0), row + reach + 1)
+        in_x = slice(max(column - reach, 0), column + reach + 1)
+        square = (y[in_y] - y[row])[:, None] ** 2 + (x[in_x] - x[column]) ** 2
+        left[in_y, in_x][square < separation**2] = np.inf
+        left[row, column] = np.inf
+    return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
+
+
+class GridSampler:
+    """Values on the finest lattice seen from the user's grid.
+
+    A grid point that coincides with one of the lattice takes its value; one between them is judged
+    by all (up to four) around it.
+
+    Attributes:
+        x, y: (nx,), (ny,) of the grid points, m.
+    """
+
+    def __init__(self, domain: Domain, x: Array, y: Array) -> None:
+        n, side = domain.finest_count, domain.finest_size
+        self.x, self.y = x, y
+        self.column = np.clip((x - domain.xmin) / side, 0.0, n)
+        self.row = np.clip((y - domain.ymin) / side, 0.0, n)
+        low = [np.floor(place + 1e-6).astype(np.intp) for place in (self.row, self.column)]
+        high = [np.ceil(place - 1e-6).astype(np.intp) for place in (self.row, self.column)]
+        self.u = np.clip(self.column - low[1], 0.0, 1.0)
+        self.v = np.clip(self.row - low[0], 0.0, 1.0)[:, None]
+        self.on_lattice = all((a == b).all() for a, b in zip(low, high, strict=True))
+        self.low = tuple(_steps(index) for index in low)
+        self.high = tuple(_steps(index) for index in high)
+        self.near = (
+            np.where(self.v[:, 0] < 0.5, low[0], high[0]),
+            np.where(self.u < 0.5, low[1], high[1]),
+        )
+        self.cell = tuple(_steps(np.minimum(index, n - 1)) for index in low)
+
+    def _corners(self, values: NDArray[Kind]) -> tuple[NDArray[Kind], ...]:
+        """Values of the four lattice points around, or of the one that coincides."""
+        low, high = self.low, self.high
+        if self.on_lattice:
+            return (values[low[0]][:, low[1]],)
+        south, north = values[low[0]], values[high[0]]
+        return south[:, low[1]], south[:, high[1]], north[:, low[1]], north[:, high[1]]
+
+    def everywhere(self, values: Mask) -> Mask:
+        """True where all surrounding lattice points are."""
+        return np.asarray(np.logical_and.reduce(self._corners(values)), dtype=np.bool_)
+
+    def any(self, values: Bytes) -> Bytes:
+        """Bits set in any surrounding lattice point."""
+        return np.asarray(np.bitwise_or.reduce(self._corners(values)), dtype=np.uint8)
+
+    def nearest(self, values: Array) -> Array:
+        """Value of the nearest lattice point."""
+        return values[_steps(self.near[0])][:, _steps(self.near[1])]
+
+    def lattice(self, rows: Index, columns: Index) -> tuple[Index, Index]:
+        """Row and column of the lattice points nearest to grid points (K,)."""
+        return self.near[0][rows], self.near[1][columns]
+
+    def linear(self, values: Array) -> Array:
+        """Bilinear interpolation."""
+        corners = self._corners(values)
+        if self.on_lattice:
+            return corners[0]
+        a, b, c, d = corners
+        u, v = self.u, self.v
+        out: Array = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+        return out
+
+    def ground(self, raster: TerrainRaster) -> Array:
+        """Height of the map, m: of the plane over the finest cell that a grid point lies in.
+
+        A point on a border belongs to the cell north and east of it, as measurements do.
+        """
+        cell, domain, cells = self.cell, raster.domain, raster.cells
+        leaf = raster.leaf[cell[0]][:, cell[1]]
+        x = domain.xmin + self.column * domain.finest_size
+        y = domain.ymin + self.row * domain.finest_size
+        heights = cells.heights(leaf, x, y[:, None])
+        bridged, borrowed = (of[cell[0]][:, cell[1]] for of in (raster.bridged, raster.elevation))
+        return np.where(bridged, borrowed, heights)
+
+
+@lru_cache(maxsize=4)
+def users_grid(domain: Domain, spacing: float) -> GridSampler:
+    """Grid points from the domain's south-western corner on in steps of ``spacing``, m.
+
+    Assessments share them: they cannot be written to.
+    """
+    x, y = (grid_axis(low, domain.size, spacing) for low in (domain.xmin, domain.ymin))
+    x.flags.writeable = y.flags.writeable = False
+    return GridSampler(domain, x, y)
+
+
+def _steps(index: Index) -> Index | slice:
+    """The same index as a slice, if its steps are even."""
+    if len(index) < 2 or (step := int(index[1] - index[0])) < 1:
+        return index
+    return (
+        slice(int(index[0]), int(index[-1]) + 1, step) if (np.diff(index) == step).all() else index
+    )

@@ -1,0 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
+from quadtree_lss.onboard.core.tree.leaves cimport HINTS, Leaf, LeafTable
+
+cpdef lift(LeafTable table, double height, double since)

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a scan lies from the map, as a rigid motion, and how far it may by what either claims.
+
+Pose error moves all of a scan at once: what M cells say of it in common is known far better than
+any of them, and is to be judged by what the pose claims in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cython
+
+from quadtree_lss.onboard.arrays import Array
+
+if not cython.compiled:
+    from math import exp, fabs, sqrt
+
+    from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+
+#: A cell that departs from the others by more than this many of its deviations counts less: of
+#: Gaussian cells one in 22 does.
+HUBER = cython.declare(cython.double, 2.0)
+#: Rounds of reweighting; a cell's weight then changes by less than a hundredth.
+ROUNDS = cython.declare(cython.int, 5)
+#: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2:
+#: without it one sound scan in 1,000 over cliffs is refused.
+SMOOTHED = cython.declare(cython.double, 0.01**2)
+#: Share of a scan's cells in which errors that no rigid motion explains may be the same: a quarter
+#: of its width, squared. With a 32nd a sound scan over cliffs is refused.
+TOGETHER = cython.declare(cython.double, 1.0 / 16.0)
+#: Cells seen within this of each other are of the same scans, s: shorter than scans are apart.
+INSTANT = cython.declare(cython.double, 1e-3)
+#: Variance of a scan's height that no covariance tells and more cells do not make smaller, m^2:
+#: by so much ranges of a lidar are off in common.
+FLOOR = 0.04**2
+#: A pose that is off by more than it claims may be off by so many times of it; by more, mostly,
+#: the scan is refused.
+BEYOND = 5.0
+#: Cells of which a motion of three degrees of freedom can be told.
+MIN_CELLS = 3
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A scan's rigid motion from the map.
+
+    Attributes:
+        share: Of the cells that stand where both poses may have put them, each by itself.
+        height: Of the scan over the map in the middle of these cells, m.
+        tilt: (2,) rise along x and along y that the scan's attitude error explains, were its pose
+            `BEYOND` times worse than claimed.
+        centre: (2,) x and y of that middle about the lidar, m.
+        claimed, mapped: Variance of ``height`` from the scan's pose error and from the map's, as
+            either claims, m^2.
+        noise: The same from the cells' own noise, m^2.
+        since: When the ground that was compared was first seen, on average, s.
+        deviations: Height and tilt over what they may be, sqrt(chi^2); 0 if too few cells tell it.
+    """
+
+    share: float
+    height: float
+    tilt: tuple[float, float]
+    centre: tuple[float, float]
+    claimed: float
+    mapped: float
+    noise: float
+    since: float
+    deviations: float
+
+
+def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
+    """J_i (6): by how much a scan's pose error lifts its ground in a cell."""
+    x, y, z = cells[6, i], cells[7, i], cells[8, i]
+    out[0] = -cells[9, i]
+    out[1] = -cells[10, i]
+    out[2] = 1.0
+    out[3] = y - z * out[1]
+    out[4] = z * out[0] - x
+    out[5] = x * out[1] - y * out[0]
+
+
+def _weight(cells: Array, i: cython.Py_ssize_t, limit: float, floor: float, off: float) -> float:
+    """w_i / v_i of a cell that is off by so much, m; 0 where neither pose explains its b_i."""
+    may = cells[1, i] + cells[2, i] + cells[3, i] + floor
+    variance = cells[1, i] + SMOOTHED
+    weight = min(1.0, HUBER / max(fabs(off) / sqrt(variance), HUBER)) / variance
+    return weight if cells[0, i] * cells[0, i] <= limit * limit * may else 0.0
+
+
+@cython.boundscheck(False)
+def departure(
+    cells: Array, sigma: Array, now: float, correlation_time: float, limit: float
+) -> Departure | None:
+    """The rigid motion that M cells have in common, and how likely it is; None of fewer than 3.
+
+    The offsets b_i = h + t.(r_i - r_0) + noise_i give theta = (h, t), height and tilt, by least
+    squares: with rows (1, r_i - r_0) of X and W of Huber's weights over v_i, the cell's own
+    variance and `SMOOTHED`, theta = A^-1 X^T W b, A = X^T W X. Left out are cells that neither pose
+    explains, b_i^2 > limit^2 (v_i + S_i + M_i + `FLOOR`): rocks and wrong ground in the map.
+
+    A pose error e = (dm, dw) lifts the ground of cell i by J_i e, J_i = (m_i, a_i x m_i) of its
+    slope g_i, m_i = (-g_i, 1), and its place about the lidar a_i: what is off sideways does it on
+    slopes. By the hypothesis that both poses are what they claim, theta is of covariance V, the
+    sum of
+
+    - P = T Sigma T^T, T = A^-1 X^T W J: of the scan's pose;
+    - the map's, from what its cells claim of height, M, and of slope, Q. Of either height
+      variance P_hh + M - 2 rho sqrt(P_hh M) is left of what they have in common, rho =
+      exp(-dt / correlation_time), but no less than the larger one: errors may be whiter than is
+      said. Tilts likewise; if cells were not seen by the same scans, M across the scan also is
+      one: Q + M / (mean square of r - r_0);
+    - `FLOOR` of the height;
+    - s^2 A^-1 of the cells' own noise, s^2 = (sum of squares over v_i + 3) / max(N, 3) of the
+      N = (sum w)^2 / sum w^2 cells that tell it: with three cells more that are as v_i says, less
+      the three unknowns. What is in excess of v_i may be the same in `TOGETHER` of them:
+      max(s^2 - 1, 0) `TOGETHER` N A^-1 more, so that no rough or partly seen ground is a
+      contradiction.
+
+    theta^T V^-1 theta is chi^2 of three degrees of freedom. Were the pose k = `BEYOND` times worse
+    than claimed, its error would be k^2 Sigma T^T (k^2 P + V)^-1 theta.
+
+    Args:
+        cells: (12, M) of `ScanUpdate.compare`.
+        sigma: (6, 6) pose covariance of the scan.
+        now: Time of the scan, s.
+        correlation_time: s; 0 if the error is another one in each scan.
+        limit: Deviations.
+    """
+    row = cython.declare(cython.double[3])
+    right = cython.declare(cython.double[3])
+    theta = cython.declare(cython.double[3])
+    normal = cython.declare(cython.double[9])
+    inverse = cython.declare(cython.double[9])
+    lift = cython.declare(cython.double[6])
+    moved = cython.declare(cython.double[18])
+    takes = cython.declare(cython.double[18])
+    scan = cython.declare(cython.double[9])
+    total = cython.declare(cython.double[9])
+    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, m=cython.int, step=cython.int)
+    count: cython.Py_ssize_t = cells.shape[1]
+    agreeing: cython.Py_ssize_t = 0
+    floor: cython.double = FLOOR
+    beyond: cython.double = BEYOND * BEYOND
+    weight = x0 = y0 = 0.0
+    square = weights = mapped = tilted = began = last = 0.0
+    if count < MIN_CELLS:
+        return None
+    early = late = 0.5 * (cells[4, 0] + cells[5, 0])
+    for i in range(count):
+        w = _weight(cells, i, limit, floor, 0.0)
+        agreeing += w > 0.0
+        weight += w
+        x0 += w * cells[6, i]
+        y0 += w * cells[7, i]
+    share: cython.double = agreeing
+    share /= count
+    if agreeing < MIN_CELLS:
+        return Departure(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, now, 0.0)
+    x0 /= weight
+    y0 /= weight
+    row[0] = 1.0
+    for j in range(3):
+        theta[j] = 0.0
+    # The last round only sums up.
+    for step in range(ROUNDS + 1):
+        for j in range(9):
+            normal[j] = 0.0
+        for j in range(18):
+            moved[j] = 0.0
+        for j in range(3):
+            right[j] = 0.0
+        weight = 0.0
+        for i in range(count):
+            row[1] = cells[6, i] - x0
+            row[2] = cells[7, i] - y0
+            off = cells[0, i] - theta[0] - theta[1] * row[1] - theta[2] * row[2]
+            w = _weight(cells, i, limit, floor, off)
+            if w == 0.0:
+                continue
+            for j in range(3):
+                right[j] += w * row[j] * cells[0, i]
+                for k in range(3):
+                    normal[3 * j + k] += w * row[j] * row[k]
+            if step == ROUNDS:
+                _motion(cells, i, lift)
+                for j in range(3):
+                    for k in range(6):
+                        moved[6 * j + k] += w * row[j] * lift[k]
+                square += w * off * off
+                weight += w
+                weights += w * w
+                mapped += w * cells[3, i]
+                tilted += w * cells[11, i]
+                began += w * cells[4, i]
+                last += w * (cells[5, i] - now)
+                early = min(early, 0.5 * (cells[4, i] + cells[5, i]))
+                late = max(late, 0.5 * (cells[4, i] + cells[5, i]))
+        inverse_symmetric(normal, inverse)
+        if step < ROUNDS:
+            for j in range(3):
+                theta[j] = 0.0
+                for k in range(3):
+                    theta[j] += inverse[3 * j + k] * right[k]
+    mapped /= weight
+    tilted /= weight
+    other = mapped if late - early > INSTANT else 0.0
+    common = 0.0
+    if correlation_time > 0.0:
+        common = exp(-fabs(last / weight) / correlation_time)
+    # As many cells as tell something: one that is hardly known confirms nothing.
+    telling = weight * weight / weights
+    square = (square + 3.0) / max(telling, 3.0)
+    noise = square + max(square - 1.0, 0.0) * TOGETHER * telling
+    for j in range(3):
+        for k in range(6):
+            takes[6 * j + k] = 0.0
+            for m in range(3):
+                takes[6 * j + k] += inverse[3 * j + m] * moved[6 * m + k]
+    for j in range(3):
+        for k in range(3):
+            scan[3 * j + k] = 0.0
+            for m in range(6):
+                for step in range(6):
+                    scan[3 * j + k] += takes[6 * j + m] * sigma[m, step] * takes[6 * k + step]
+    for j in range(9):
+        total[j] = scan[j] + noise * inverse[j]
+    for j in range(3):
+        of_map = mapped if j == 0 else tilted + other * weight * inverse[4 * j]
+        apart = scan[4 * j] + of_map - 2.0 * common * sqrt(max(scan[4 * j] * of_map, 0.0))
+        total[4 * j] += max(scan[4 * j], max(of_map, apart)) - scan[4 * j]
+    total[0] += floor
+    unsure = noise * inverse[0]
+    inverse_symmetric(total, inverse)
+    square = 0.0
+    for j in range(3):
+        for k in range(3):
+            square += theta[j] * inverse[3 * j + k] * theta[k]
+    for j in range(9):
+        total[j] += beyond * scan[j]
+    inverse_symmetric(total, inverse)
+    along_x = along_y = 0.0
+    for j in range(3):
+        off = beyond * (
+            inverse[3 * j] * theta[0]
+            + inverse[3 * j + 1] * theta[1]
+            + inverse[3 * j + 2] * theta[2]
+        )
+        for m in range(6):
+            along_x -= sigma[4, m] * takes[6 * j + m] * off
+            along_y += sigma[3, m] * takes[6 * j + m] * off
+    return Departure(
+        share=share,
+        height=theta[0],
+        tilt=(along_x, along_y),
+        centre=(x0, y0),
+        claimed=scan[0],
+        mapped=mapped,
+        noise=unsure,
+        since=began / weight,
+        deviations=sqrt(max(square, 0.0)),
+    )

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a cell's plane does not describe its ground (paper IV.D): two criteria, and rocks."""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.geometry.sphere import Vector
+from quadtree_lss.onboard.core.mapping.measure import Rules
+from quadtree_lss.onboard.core.tree.leaves import Record
+
+if not cython.compiled:
+    from math import fabs, sqrt
+
+    from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+    from quadtree_lss.onboard.core.geometry.sphere import basis_at
+    from quadtree_lss.onboard.core.mapping.bell import feature_height
+    from quadtree_lss.onboard.core.mapping.measure import pose_variance, record
+    from quadtree_lss.onboard.core.tree.leaves import leaf_at
+
+    MEASURED = 3
+
+
+#: Mean and standard deviation of chi_1, E = sqrt(2 / pi), and of chi_3, E = 2 sqrt(2 / pi)
+#: = sqrt(2) Gamma(2) / Gamma(3/2) of Eq. 47.
+MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
+SPREAD_CHI_1 = cython.declare(cython.double, 0.6028102749890869)
+MEAN_CHI_3 = cython.declare(cython.double, 1.5957691216057308)
+SPREAD_CHI_3 = cython.declare(cython.double, 0.6734368740430634)
+#: Share of measurements that stray returns, let through by the outlier gate, make exceptions.
+STRAY = cython.declare(cython.double, 2e-4)
+
+
+@cython.boundscheck(False)
+def mean_distance(
+    points: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    normal: Vector,
+    through: Vector,
+) -> cython.double:
+    """Mean |n.(r - p)| (Eq. 19) of a run of points (N, 3) to the plane n (3) through p (3), m."""
+    i: cython.Py_ssize_t
+    d = normal[0] * through[0] + normal[1] * through[1] + normal[2] * through[2]
+    total = 0.0
+    for i in range(begin, end):
+        total += fabs(
+            normal[0] * points[i, 0] + normal[1] * points[i, 1] + normal[2] * points[i, 2] - d
+        )
+    return total / (end - begin)
+
+
+def mahalanobis_factor(
+    mean: Vector, cosine: float, sigma: Array, along: float, plane: float
+) -> cython.double:
+    """d_M / |epsilon| of Eq. 46 for residuals along the ray, 1/m.
+
+    The predicted point lies on the measured point's ray, so r_hat - r_bar = epsilon u / (n.u) and
+    d_M = |epsilon| sqrt(u^T Sigma^-1 u) / |n.u| with Eq. 61's Sigma = Sigma_r + s u u^T,
+    s = (a^T Sigma_P a) / (n.u)^2. What is added along the ray adds to the variance there,
+    1 / (u^T Sigma^-1 u) = 1 / (u^T Sigma_r^-1 u) + s, and so does range noise: only the pose's part
+    of Eq. 17, J Sigma_pose J^T with J = (I, -[r - m]_x), is inverted, kept regular by a millionth
+    of its trace.
+
+    Args:
+        mean: (3) of the points about the lidar, m.
+        cosine: |n.u|.
+        sigma: (6, 6) pose covariance.
+        along: Variance of the range, m^2.
+        plane: a^T Sigma_P a, m^2; zero for a fit's own points.
+    """
+    axis = cython.declare(cython.double[3])
+    total = cython.declare(cython.double[9])
+    inverse = cython.declare(cython.double[9])
+    ray = cython.declare(cython.double[3])
+    cython.declare(i=cython.int, j=cython.int)
+    distance = sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2])
+    for i in range(3):
+        ray[i] = mean[i] / distance
+    # Entries of a quadratic form from its values at e_i and e_i + e_j.
+    for i in range(3):
+        for j in range(3):
+            axis[j] = 1.0 if i == j else 0.0
+        total[4 * i] = pose_variance(axis, mean, sigma)
+    for i in range(3):
+        for j in range(i):
+            axis[0] = axis[1] = axis[2] = 0.0
+            axis[i] = axis[j] = 1.0
+            both = pose_variance(axis, mean, sigma)
+            total[3 * i + j] = total[3 * j + i] = 0.5 * (both - total[4 * i] - total[4 * j])
+    regular = 1e-6 * (total[0] + total[4] + total[8]) + 1e-12
+    for i in range(3):
+        total[4 * i] += regular
+    inverse_symmetric(total, inverse)
+    weight = 0.0
+    for i in range(3):
+        for j in range(3):
+            weight += ray[i] * inverse[3 * i + j] * ray[j]
+    total_along = 1.0 / max(weight, 1e-300) + along + plane / (cosine * cosine)
+    return 1.0 / (cosine * sqrt(total_along))
+
+
+def judge(
+    rules: Rules,
+    leaf: Record,
+    run: Record,
+    points: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    origin: Vector,
+    sigma: Array,
+) -> None:
+    """The division statistic of a run, before its fit is fused.
+
+    ``lack_of_fit``: mean residual about the run's own fit over range noise, with
+    sqrt(N / (N - 3)), of expectation E[chi_1] on planar ground. ``mahalanobis``: the paper's
+    mean d_M of prefit residuals; a measured leaf is judged by the plane it had, a new one by
+    its fit ("the fit quality between measurements and the initial estimate").
+
+    Args:
+        rules: Which of the two.
+        leaf, run: Records of types `LEAF` and `RUN`; ``run.statistic`` is written.
+        points: (N, 3) about the lidar, m; the run is ``begin`` to ``end``.
+        origin: (3) lidar in the map, m.
+        sigma: (6, 6) pose covariance.
+    """
+    basis = cython.declare(cython.double[6])
+    through = cython.declare(cython.double[3])
+    row = cython.declare(cython.double[3])
+    cython.declare(i=cython.int, j=cython.int)
+    count = run.points
+    if count <= 3.0:
+        return
+    if not rules.mahalanobis:
+        distance = mean_distance(points, begin, end, run.normal, run.centroid)
+        run.statistic = distance * sqrt(count / ((count - 3.0) * run.variance))
+        return
+    along = run.variance / (run.cosine * run.cosine)
+    if leaf.known != MEASURED:
+        distance = mean_distance(points, begin, end, run.normal, run.centroid)
+        run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, 0.0)
+        return
+    through[0], through[1] = leaf.x - origin[0], leaf.y - origin[1]
+    through[2] = leaf.z - origin[2]
+    distance = mean_distance(points, begin, end, leaf.normal, through)
+    basis_at(leaf.normal, basis)
+    for i in range(3):
+        through[i] = run.centroid[i] - through[i]
+    row[0] = -(basis[0] * through[0] + basis[1] * through[1] + basis[2] * through[2])
+    row[1] = -(basis[3] * through[0] + basis[4] * through[1] + basis[5] * through[2])
+    row[2] = 1.0
+    plane = 0.0
+    for i in range(3):
+        for j in range(3):
+            total = leaf.range_part[3 * i + j] + leaf.pose_part[3 * i + j]
+            plane += row[i] * total * row[j]
+    run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, plane)
+
+
+def asks(rules: Rules, leaf: Record, run: Record) -> cython.bint:
+    """Update the running mean of a leaf's division statistic; whether it asks to be divided.
+
+    The mean is over all processed measurements (Eq. 47). A scan counts by the residuals that its
+    fit left free, N - 3: near the edge of a scan cells get four or five points at a time, and the
+    single free residual of many such scans would outvote one full view. A mean of n residuals
+    scatters by its chi distribution's deviation over sqrt(n); it must exceed the threshold by
+    ``division_confidence`` of these, or cells with few points would divide by chance. A view of
+    less than half of the cell does not judge it: no corner outvotes the whole.
+    """
+    if run.unseen >= 0.5:
+        return False
+    weight = max(run.points - 3.0, 0.0)
+    leaf.division_sum += weight * run.statistic
+    leaf.square_sum += weight * run.square
+    leaf.division_weight += weight
+    total = leaf.division_weight
+    if total < rules.min_residuals:
+        return False
+    expected = MEAN_CHI_3 if rules.mahalanobis else MEAN_CHI_1
+    spread = SPREAD_CHI_3 if rules.mahalanobis else SPREAD_CHI_1
+    doubt = rules.division_confidence * spread / sqrt(total)
+    return leaf.division_sum > total * (rules.division_factor * expected + doubt)
+
+
+def hides_rock(rules: Rules, leaf: Record, run: Record, side: float) -> cython.bint:
+    """Whether a leaf holds a rock, which the mean over a large leaf hides.
+
+    A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows in one of
+    three ways: by its exceptions (Eq. 48), if beyond what noise makes of them they amount to
+    ``mapping.divide_exceptions`` measurements and to more than stray returns leave; by raised
+    measurements, lower than these, over ``mapping.divide_area`` of the leaf; or as a feature of
+    ``features.divide_height`` and narrow as a rock is. A leaf has one feature, so a rock beside
+    another, or one that lies across the border of leaves, shows by its raised measurements alone.
+    """
+    counted = leaf.residuals
+    if rules.divide_exceptions > 0.0:
+        noise = leaf.exception_noise
+        least = max(rules.divide_exceptions, STRAY * counted)
+        if leaf.exception_sum >= noise + max(least, 3.0 * sqrt(noise)):
+            return True
+    if rules.divide_area > 0.0:
+        noise = leaf.raised_noise
+        least = max(1.0, max(rules.divide_area / (side * side), STRAY) * counted)
+        if leaf.raised_sum >= noise + max(least, 3.0 * sqrt(noise)):
+            return True
+        # A look at ground that no other saw.
+        noise *= run.points / max(counted, 1.0)
+        least = max(2.0, max(rules.divide_area / (side * side), STRAY) * run.points)
+        if run.raised >= noise + max(least, 3.0 * sqrt(noise)):
+            return True
+    return leaf.feature[4] <= rules.rock_sigma and feature_height(leaf.feature) >= rules.rock_height
+
+
+def asks_in(
+    rules: Rules,
+    rows: NDArray[np.void],
+    row: cython.Py_ssize_t,
+    runs: NDArray[np.void],
+    at: cython.Py_ssize_t,
+) -> cython.bint:
+    """`asks` of records (M,) of type `LEAF` and (R,) of type `RUN`."""
+    return asks(rules, leaf_at(rows, row), record(runs, at))
+
+
+def hides_rock_in(
+    rules: Rules,
+    rows: NDArray[np.void],
+    row: cython.Py_ssize_t,
+    runs: NDArray[np.void],
+    at: cython.Py_ssize_t,
+    side: float,
+) -> cython.bint:
+    """`hides_rock` of records (M,) of type `LEAF` and (R,) of type `RUN`."""
+    return hides_rock(rules, leaf_at(rows, row), record(runs, at), side)
+
+
+def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> cython.double:
+    """`mean_distance` of points (N, 3) to the plane of a normal (3,) through a point (3,), m."""
+    n: cython.double[3] = normal  # type: ignore[valid-type]
+    p: cython.double[3] = through  # type: ignore[valid-type]
+    return mean_distance(points, 0, len(points), n, p)
+
+
+def factor_of(
+    normal: ArrayLike, mean: ArrayLike, sigma: Array, along: float, plane: float
+) -> cython.double:
+    """`mahalanobis_factor` of a plane (3,) seen at ``mean`` (3,) from the lidar, 1/m."""
+    r: cython.double[3] = mean  # type: ignore[valid-type]
+    cosine = fabs(np.dot(normal, mean)) / sqrt(np.dot(mean, mean))
+    return mahalanobis_factor(r, cosine, sigma, along, plane)

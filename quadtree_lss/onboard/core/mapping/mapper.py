@@ -1,0 +1,330 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map: what one scan does to it (paper IV)."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Points
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.mapping.alignment import JUMP, LEAST_LIFT, lift, lower, offset_of
+from quadtree_lss.onboard.core.mapping.contradiction import (
+    DEVIATIONS,
+    SHARE,
+    Contradiction,
+    Verdict,
+    departs,
+)
+from quadtree_lss.onboard.core.mapping.departure import Departure, departure
+from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
+from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors, Steps
+from quadtree_lss.onboard.core.mapping.update import ScanUpdate
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS
+from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
+from quadtree_lss.onboard.core.sensing.sweep import Sweep
+from quadtree_lss.onboard.core.tree import checkpoint
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.checkpoint import State
+from quadtree_lss.onboard.core.tree.columns import fill_columns
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.leaves import LeafTable, unfold
+
+#: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
+JUMP_NS = SECOND_NS
+#: Cells that a scan must have to tell the range noise.
+NOISE_CELLS = 3
+#: Share of a new scan in the running mean of the observed range noise.
+NOISE_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class ScanReport:
+    """What became of one scan.
+
+    Attributes:
+        stamp_ns: The scan's stamp.
+        points: Points in the message.
+        points_used: Points that entered the map; with ``dropped`` they are all points.
+        dropped: Points that were unsound or outside, by reason (``sensing.register``), or all the
+            others as ``contradiction``: the scan was refused.
+        leaves: Leaves after the scan.
+        divisions: Cells divided by it.
+        refused_divisions: Cells that ``mapping.max_cells`` left whole.
+        noise_ratio: Observed over configured range noise (running mean of the scans' medians), NaN
+            if unknown.
+        centre: x and y of the middle of the sound returns, map frame, m, if all were outside the
+            domain; else None.
+        offset: By how much the scan's ground lay over the map's by its pose, m; 0 where that was
+            not compared.
+        overruled: Whether the map was lifted to the scan, or forgotten, because the last scans
+            contradicted it and agreed with each other.
+    """
+
+    stamp_ns: int
+    points: int
+    points_used: int
+    dropped: dict[str, int]
+    leaves: int
+    divisions: int
+    refused_divisions: int
+    noise_ratio: float
+    centre: tuple[float, float] | None
+    offset: float
+    overruled: bool = False
+
+
+class Mapper:
+    """Keeps the quadtree; ``update`` takes a scan and its pose, ``snapshot`` gives the map.
+
+    Not thread-safe. A scan either enters whole or, if none of its points is sound or it contradicts
+    the map, changes nothing.
+
+    Attributes:
+        leaves: The table of leaves.
+        stamp_ns: Stamp of the newest scan since time last jumped back (a looping bag, a clock set
+            right); leaves may be of scans with later stamps then. 0 if nothing is mapped.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.domain = Domain.of(config.domain)
+        self.leaves = LeafTable(self.domain, config.mapping.max_cells)
+        self._rules = Rules(config)
+        self.reset()
+
+    def __repr__(self) -> str:
+        d = self.domain
+        return (
+            f"<Mapper: {self.leaves.count} leaves on {d.size:g} x {d.size:g} m;"
+            f" newest scan at {self.stamp_ns} ns>"
+        )
+
+    def reset(self) -> None:
+        """Forget everything that was mapped."""
+        self.leaves.plant()
+        self.stamp_ns = 0
+        self._start_ns = 0
+        self._noise_ratio = float("nan")
+        self._offset = (float("nan"), float("nan"))
+        self._against = Contradiction()
+        # By how much the map ought to be lifted, m: too little to be done.
+        self._owed = 0.0
+        # By how much it was, or ought to be.
+        self._lifted = 0.0
+        self._steps = Steps()
+
+    def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
+        """Map one scan.
+
+        Args:
+            points_lidar: (H, W, 3) organised or (N, 3), lidar axes (z boresight), m; rows that
+                are not finite are no returns.
+            pose: Lidar pose at the scan's stamp.
+            sweep: How the lidar moved while it took the scan; None if at once.
+        """
+        scan, dropped = register(points_lidar, pose, self.config.lidar, self.config.domain, sweep)
+        used = len(scan.key)
+        divisions = refused = 0
+        offset, verdict = 0.0, Verdict.SOUND
+        if used:
+            now = 1e-9 * (pose.stamp_ns - (self._start_ns or pose.stamp_ns))
+            change, cells, verdict = self._confront(scan, now)
+            if verdict is Verdict.REFUSED:
+                dropped["contradiction"], used = used, 0
+                offset = self._against.height
+            else:
+                if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
+                    self.stamp_ns = pose.stamp_ns
+                self._start_ns = self._start_ns or pose.stamp_ns
+                if self.config.mapping.align:
+                    offset = self._align(change, cells, now)
+                change.settle()
+                self._check_noise(change.ratio)
+                divisions, refused = change.divisions, change.refused
+        return ScanReport(
+            stamp_ns=pose.stamp_ns,
+            points=points_lidar.size // 3,
+            points_used=used,
+            dropped=dropped,
+            leaves=self.leaves.count,
+            divisions=divisions,
+            refused_divisions=refused,
+            noise_ratio=self._noise_ratio,
+            centre=scan.centre,
+            offset=offset,
+            overruled=verdict is Verdict.OVERRULES,
+        )
+
+    def _confront(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Array, Verdict]:
+        """A scan fitted to the leaves, how it compares with them, and what is to become of it.
+
+        Where it overrules the map, that is put right.
+        """
+        change, cells, found = self._compare(scan, now)
+        if found is not None:
+            self._note_step(cells, found, now)
+        verdict = self._against.judge(cells, found)
+        if verdict is Verdict.OVERRULES:
+            height = float(np.median(cells[0]))
+            self._owed = 0.0
+            cells[0] -= height
+            if departs(self._departure(scan, cells, now)):
+                self.leaves.plant()
+            else:
+                lift(self.leaves, height, -np.inf)
+            change, cells, found = self._compare(scan, now)
+            self._steps = Steps()
+        elif found is not None and found.deviations > JUMP and verdict is Verdict.SOUND:
+            lower(scan.points, found)
+            change, cells, found = self._compare(scan, now)
+        return change, cells, verdict
+
+    def _compare(
+        self, scan: RegisteredScan, now: float
+    ) -> tuple[ScanUpdate, Array, Departure | None]:
+        """A scan fitted to the leaves, its cells beside the map's, and what they have in common."""
+        change = ScanUpdate(self.leaves, self._rules, scan, now)
+        change.fit()
+        cells = change.compare()
+        return change, cells, self._departure(scan, cells, now)
+
+    def _note_step(self, cells: Array, found: Departure, now: float) -> None:
+        """Remember where a scan lay, refused or not, by the ground as it was before any lift."""
+        height, known = found.height, (found.claimed, found.mapped, found.noise, found.since)
+        if found.share < SHARE:
+            rise, noise, of_scan, of_map, since = np.median(cells[:5], axis=1).tolist()
+            height, known = rise, (of_scan, of_map, noise, since)
+        time = self.config.pose.correlation_time
+        self._steps.add(now, height + self._lifted, *known, time)
+
+    def _departure(self, scan: RegisteredScan, cells: Array, now: float) -> Departure | None:
+        time = self.config.pose.correlation_time
+        found: Departure | None = departure(cells, scan.pose.covariance, now, time, DEVIATIONS)
+        return found
+
+    def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
+        """Let the scan and the map meet at one height; by how much it lay over the map, m.
+
+        Args:
+            change: The scan.
+            cells: (6, M) of `ScanUpdate.compare`.
+            now: Time of the scan, s.
+        """
+        cells[0] -= self._owed
+        offset = offset_of(cells, now, self.config.pose.correlation_time)
+        if offset is None:
+            return 0.0
+        self._owed += offset.map
+        self._lifted += offset.map
+        if abs(self._owed) >= LEAST_LIFT:
+            lift(self.leaves, self._owed, offset.since)
+            self._owed = 0.0
+        self._offset = (offset.height - offset.map + self._owed, offset.variance)
+        change.align(offset.scan + self._owed)
+        return offset.height
+
+    def pose_errors(self) -> PoseErrors | None:
+        """Whether the last scans' poses err as they claim; None if that is not known yet."""
+        return self._steps.judge()
+
+    def _check_noise(self, ratio: Array) -> None:
+        """Running mean of observed over configured range noise.
+
+        Each scan gives the median over its points of the residual's standard deviation about the
+        own fit of the cell they came to rest in, over what the configured range noise makes of it.
+        On planar ground that is one; rough ground raises some cells, not the median while most of
+        the ground is smooth at the size of a leaf.
+        """
+        if ratio.shape[1] < NOISE_CELLS:
+            return
+        order = np.argsort(ratio[0])
+        total = np.cumsum(ratio[1][order])
+        median = float(ratio[0][order[np.searchsorted(total, 0.5 * total[-1])]])
+        share = 1.0 if np.isnan(self._noise_ratio) else NOISE_SHARE
+        last = 0.0 if np.isnan(self._noise_ratio) else self._noise_ratio
+        self._noise_ratio = last + share * (median - last)
+
+    def snapshot(self) -> CellMap:
+        """The map as it stands; copies, so that later scans do not change it."""
+        rows = self.leaves.in_order()
+        m, n = len(rows), self.domain.finest_count
+        observed = np.empty((n, n), dtype=np.uint8)
+        unfold(self.leaves.observed, observed)
+        ix, iy, count = np.empty((3, m), dtype=np.uint32)
+        level, measured = np.empty((2, m), dtype=np.uint8)
+        elevation, roughness, exceptions, low, high = single = np.empty((5, m))
+        normal, range_part, pose_part = np.empty((m, 3)), np.empty((m, 9)), np.empty((m, 9))
+        feature = np.empty((m, 5))
+        unseen_parts(self.leaves, rows, range_part)
+        fill_columns(
+            self.leaves,
+            rows,
+            (ix, iy, count),
+            level,
+            measured,
+            single,
+            normal,
+            range_part,
+            pose_part,
+            feature,
+        )
+        return CellMap(
+            stamp_ns=self.stamp_ns,
+            domain=self.domain,
+            level=level,
+            ix=ix,
+            iy=iy,
+            z=elevation,
+            normal=normal,
+            covariance_range=range_part.reshape(-1, 3, 3),
+            covariance_pose=pose_part.reshape(-1, 3, 3),
+            count=count,
+            measured=measured.view(np.bool_),
+            roughness=roughness,
+            exception_fraction=exceptions,
+            feature=feature,
+            low=low,
+            high=high,
+            observed=observed > 0,
+            known=observed > 1,
+            offset_z=self._offset[0],
+            offset_variance=self._offset[1],
+        )
+
+    def export_state(self) -> State:
+        """All that a mapper must know to go on, by name; copies (see ``tree.checkpoint``)."""
+        state = {
+            "leaves": np.array(self.leaves.rows[: self.leaves.count]),
+            "observed": self.leaves.observed.copy(),
+            "stamp_ns": np.array(self.stamp_ns),
+            "start_ns": np.array(self._start_ns),
+            "noise_ratio": np.array(self._noise_ratio),
+            "offset": np.array(self._offset),
+            "against": np.array(astuple(self._against), dtype=np.float64),
+            "owed": np.array(self._owed),
+        }
+        return checkpoint.identified(state, self.domain)
+
+    def import_state(self, state: State) -> None:
+        """Go on from `export_state` of a mapper of the same domain.
+
+        Raises:
+            CheckpointError: it is none; the mapper is then unchanged.
+        """
+        like = self.export_state()
+        checkpoint.check(state, like, self.domain, self.config.mapping.max_cells)
+        leaves = state["leaves"]
+        self.leaves.take_up({name: leaves[name] for name in leaves.dtype.names or ()})
+        self.leaves.observed[:] = state["observed"]
+        self.stamp_ns = int(state["stamp_ns"])
+        self._start_ns = int(state["start_ns"])
+        self._noise_ratio = float(state["noise_ratio"])
+        height, variance = state["offset"].tolist()
+        self._offset = (height, variance)
+        self._owed = float(state["owed"])
+        self._lifted, self._steps = 0.0, Steps()
+        count, height, variance = state["against"].tolist()
+        self._against = Contradiction(int(count), height, variance)

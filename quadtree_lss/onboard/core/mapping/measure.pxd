@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+from libc.math cimport NAN as nan, fabs, sqrt
+from quadtree_lss.onboard.core.geometry.plane cimport (
+    covariance_about, height_normal, moments, orthogonal_normal, pose_part, slope_covariance
+)
+from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
+
+from quadtree_lss.onboard.core.tree.leaves cimport Leaf, LeafTable
+from quadtree_lss.onboard.core.geometry.morton cimport encode, squeeze
+
+cdef struct Run:
+    double points
+    double centroid[3]
+    double scatter[6]
+    double normal[3]
+    double z
+    double cosine
+    double variance
+    double square
+    double statistic
+    double unseen
+    double sloped
+    double raised
+    double raised_by
+    double doubt
+    double greatest
+    double range_part[9]
+    double pose_part[9]
+    double bias[3]
+
+cdef class Rules:
+    cdef readonly double range_noise, noise_per_metre, divergence
+    cdef readonly bint ml, independent, mahalanobis
+    cdef readonly double division_factor, division_confidence, min_residuals
+    cdef readonly double divide_exceptions, divide_area
+    cdef readonly double min_points, slope_points
+    cdef readonly double correlation_time
+    cdef readonly double clip, tolerance
+    cdef readonly bint features
+    cdef readonly double feature_height, feature_volume, feature_width, feature_points
+    cdef readonly double rock_height, rock_sigma
+
+cdef Run* record(Run[::1] runs, Py_ssize_t at) noexcept nogil
+cpdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
+cdef double pose_variance(double* normal, double* arm, double[:, ::1] sigma) noexcept nogil
+cdef double _unseen(double square, double correlation, double side, double points) noexcept nogil
+cdef void _bias(Run* run, double ray_x, double ray_y, double deviation, double lean, bint sloped) noexcept nogil
+cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double z, double side, double* prior, double[:, ::1] sigma, Run* run) noexcept nogil
+cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

@@ -1,0 +1,415 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the points of one scan in one cell say of its plane (paper IV.A).
+
+Each scan has its own offset there (Eq. 20, Eq. 21): only how its points lie to one another tells
+the slope, and pose error, which is theirs in common, is a part of the covariance by itself.
+"""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadtree_lss.onboard.arrays import Array, Index
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.geometry.sphere import Vector
+from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
+
+if not cython.compiled:
+    from math import fabs, nan, sqrt
+
+    from quadtree_lss.onboard.core.geometry.morton import encode, squeeze
+    from quadtree_lss.onboard.core.geometry.plane import (
+        covariance_about,
+        height_normal,
+        moments,
+        orthogonal_normal,
+        pose_part,
+        slope_covariance,
+    )
+    from quadtree_lss.onboard.core.geometry.sphere import basis_at
+
+#: |n.u| is taken to be at least this (grazing incidence).
+MIN_COSINE = cython.declare(cython.double, 0.05)
+#: Pose variances above this (m^2) say no more than this: nothing is known.
+MAX_VARIANCE = cython.declare(cython.double, 1e6)
+#: Variance that a view of 70 % of a cell's width adds to the height of the cell, m^2; one of half
+#: of it adds three times as much: ground is no plane.
+UNEVEN = cython.declare(cython.double, 2.25e-4)
+#: An orthogonal fit that stands so much steeper than the regression of height (n_z over n_z) is of
+#: points that are as far apart in height as in place: no plane.
+OVERTURNED = cython.declare(cython.double, 0.5)
+#: A view that leaves out more than this share of a cell's width does not stand for the cell.
+PARTIAL = cython.declare(cython.double, 0.5)
+#: How a strip as thin as noise may be lifted: see `_bias`.
+TAIL = cython.declare(cython.double, 12.0)
+#: What is not known of a slope, rad.
+UNKNOWN_TILT = cython.declare(cython.double, 10.0)
+#: By how much a cell's slope may differ from that of the part of it which was seen, rad.
+UNSEEN_TILT = cython.declare(cython.double, 0.1)
+
+#: The points of a scan in a cell, about the lidar:
+#:
+#: - points: how many; centroid, m, and scatter, m^2: `geometry.plane.moments`;
+#: - normal, z: the fitted plane's upward unit normal and height at the cell's centre, m;
+#: - cosine: |n.u|, u the ray to the centroid; variance: of a residual from range noise, m^2;
+#: - square: mean square residual about the fit, m^2; statistic: of division;
+#: - sloped: 0 of a strip too thin to tell a slope, else 1;
+#: - unseen: share of the cell's width that the points leave out, 0 .. 1;
+#: - raised: points that stand out above the leaf's plane, by raised_by and more, m; greatest:
+#:   |orthogonal distance|, m; doubt: how far its mean may lie off that plane and both be right, m;
+#: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
+#: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m, and how much the
+#:   slope of the fit counts, m^2 (`_bias`).
+RUN = np.dtype(
+    [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
+    + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
+    + [("sloped", "f8"), ("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
+    + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
+)
+
+
+class Rules:
+    """The numbers of a configuration that the kernels of mapping go by."""
+
+    def __init__(self, config: Config) -> None:
+        lidar, mapping, features = config.lidar, config.mapping, config.features
+        self.range_noise = lidar.range_noise
+        self.noise_per_metre = lidar.range_noise_per_metre
+        self.divergence = lidar.beam_divergence
+        self.ml = mapping.fit == "ml"
+        self.independent = mapping.covariance == "independent"
+        self.mahalanobis = mapping.division == "mahalanobis"
+        self.division_factor = mapping.division_factor
+        self.division_confidence = mapping.division_confidence
+        self.min_residuals = mapping.division_min_residuals
+        self.divide_exceptions = mapping.divide_exceptions
+        self.divide_area = mapping.divide_area
+        self.min_points = mapping.min_points
+        self.slope_points = max(mapping.slope_prior_points, 1e-3)
+        self.correlation_time = config.pose.correlation_time
+        self.clip = mapping.residual_clip
+        self.tolerance = mapping.roughness_tolerance
+        self.features = features.enabled
+        self.feature_height = features.min_height
+        self.feature_volume = features.min_volume
+        self.feature_width = features.max_sigma_fraction
+        self.feature_points = features.min_points
+        self.rock_height = max(features.divide_height, 3.0 * lidar.range_noise)
+        self.rock_sigma = features.divide_sigma
+
+
+def record(runs: NDArray[np.void], at: cython.Py_ssize_t) -> Record:
+    """One record of type `RUN`, to read and to write."""
+    if cython.compiled:
+        return cython.address(runs[at])
+    else:
+        return runs[at]
+
+
+def range_variance(
+    noise: float, per_metre: float, divergence: float, distance: float, cosine: float
+) -> cython.double:
+    """Variance of a range, m^2 (Eq. 13): (sigma_0 + sigma_1 r)^2 + (beta r tan i)^2.
+
+    The last is the depth of the beam's footprint on ground inclined by i, cos i = |n.u|.
+    """
+    along = noise + per_metre * distance
+    depth = divergence * distance
+    return along * along + depth * depth * (1.0 / (cosine * cosine) - 1.0)
+
+
+def pose_variance(normal: Vector, arm: Vector, sigma: Array) -> cython.double:
+    """Variance that pose error gives n.r at a point ``arm`` (3) from the lidar, m^2 (Eq. 17)."""
+    row = cython.declare(cython.double[6])
+    cython.declare(i=cython.int, j=cython.int)
+    for i in range(3):
+        row[i] = normal[i]
+    row[3] = arm[1] * normal[2] - arm[2] * normal[1]
+    row[4] = arm[2] * normal[0] - arm[0] * normal[2]
+    row[5] = arm[0] * normal[1] - arm[1] * normal[0]
+    total = 0.0
+    for i in range(6):
+        for j in range(6):
+            total += row[i] * sigma[i, j] * row[j]
+    return min(max(total, 0.0), MAX_VARIANCE)
+
+
+def _unseen(square: float, correlation: float, side: float, points: float) -> cython.double:
+    """Width of a cell, along one of its axes, that points leave out, m.
+
+    Points of variance ``square`` fill sqrt(3 square) to either side of their mean; correlated with
+    the other axis, they fill a diagonal band only. What a full cell leaves out by chance,
+    side / sqrt(points), does not count.
+    """
+    half = sqrt(max(3.0 * square * (1.0 - correlation), 0.0))
+    return side - 2.0 * half - side / sqrt(points)
+
+
+def _bias(
+    run: Record, ray_x: float, ray_y: float, deviation: float, lean: float, sloped: cython.bint
+) -> None:
+    """What range noise may turn a fit by, and lift it, that scans from one side do not average out.
+
+    Noise e moves a point along the ray u, in height over the plane by e (n.u) / n_z and in place by
+    e (u_x, u_y). Regression of height on place then errs by A^-1 q, A the covariance of the points'
+    x and y, q = var(e) (n.u) / n_z (u_x, u_y), where all edges of what was seen are edges of the
+    scan. Where the ground goes on they are the cell's, and points that noise moves over them, one
+    way and the other, take that away; where they are both, half is left. How much of the edges is
+    which, a leaf does not know: all is taken where half of its width is unseen, half where none is.
+
+    An edge on one side alone lifts the mean by r = sqrt(var(e)) |(u_x, u_y)| / w of a deviation
+    in height, w the width of what was seen along the ray; a strip of less than four deviations may
+    be nothing but what noise moved there: `TAIL` r^2 stands for that, two deviations at most.
+
+    Args:
+        run: Record of type `RUN`: points, scatter and unseen are read, the bias is written.
+        ray_x, ray_y: Of u. deviation: sqrt(var(e)), m. lean: |n.u| / n_z.
+        sloped: Whether the slope was fitted.
+    """
+    share = 0.5 + min(run.unseen, 0.5)
+    per = 1.0 / run.points
+    xx = run.scatter[0] * per
+    xy = run.scatter[1] * per
+    yy = run.scatter[3] * per
+    # A strip has no width beyond what noise gives it, and is not taken for thinner.
+    least = 0.01 * deviation * deviation
+    flat = ray_x * ray_x + ray_y * ray_y
+    along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
+    thin = deviation * flat / sqrt(12.0 * along + least * flat)
+    xx += least
+    yy += least
+    inverse = share * deviation * deviation * lean / max(xx * yy - xy * xy, least * least)
+    turn_x = inverse * (yy * ray_x - xy * ray_y)
+    turn_y = inverse * (xx * ray_y - xy * ray_x)
+    run.bias[0] = sqrt(turn_x * turn_x + turn_y * turn_y) if sloped else 0.0
+    # A fit counts by the lesser spread of its points: lambda_1 lambda_2 / (lambda_1 + lambda_2).
+    run.bias[2] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy) if sloped else 0.0
+    run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
+
+
+def measure(
+    rules: Rules,
+    points: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    x: float,
+    y: float,
+    z: float,
+    side: float,
+    prior: Vector,
+    sigma: Array,
+    run: Record,
+) -> None:
+    """Fit a plane to a run of points; it is written to ``run``, without the statistic.
+
+    A view of less than half of the cell, so thin that its slope is known no better than to
+    `UNSEEN_TILT`, or of fewer than ``mapping.min_points`` points, tells its height alone, and the
+    slope is taken to be the one before: a strip at the edge of a scan is as wide as the noise,
+    which moves points along the ray in place as in height and would turn the fit towards it. What
+    the others leave out may differ in slope by `UNSEEN_TILT`. Residuals beyond
+    what noise makes of them are of ground that is no plane: as scans see it from elsewhere, its
+    height is as uncertain, however many points there are.
+
+    Args:
+        points: (N, 3) map axes about the lidar, m; the run is ``begin`` to ``end``.
+        x, y: Cell's centre about the lidar, m.
+        z: Height of the plane that is known there, m; NaN for none.
+        side: Of the cell, m.
+        prior: (3) normal to keep to where the points do not tell the slope.
+        sigma: (6, 6) pose covariance.
+        run: Record of type `RUN`.
+    """
+    basis = cython.declare(cython.double[6])
+    slope = cython.declare(cython.double[4])
+    arm = cython.declare(cython.double[3])
+    i: cython.int
+    moments(points, begin, end, run.centroid, run.scatter)
+    count: cython.double = end - begin
+    run.points = count
+    xx = run.scatter[0]
+    yy = run.scatter[3]
+    xy = run.scatter[1]
+    off_x = run.centroid[0] - x
+    off_y = run.centroid[1] - y
+    correlation = xy * xy / max(xx * yy, 1e-300)
+    wide = max(
+        _unseen(xx / count, correlation, side, count),
+        _unseen(yy / count, correlation, side, count),
+    )
+    run.unseen = min(max(wide / side, 0.0), 1.0)
+    seen = max(1.0 - run.unseen, 0.1)
+    distance = sqrt(
+        run.centroid[0] * run.centroid[0]
+        + run.centroid[1] * run.centroid[1]
+        + run.centroid[2] * run.centroid[2]
+    )
+    ray_x = run.centroid[0] / distance
+    ray_y = run.centroid[1] / distance
+    ray_z = run.centroid[2] / distance
+    # The slope across the thinner width of what was seen: of noise, and of what noise turns it by.
+    half = 0.5 * (xx + yy) / count
+    least = max(half - sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0)), 1e-12)
+    square = rules.range_noise * rules.range_noise
+    across = sqrt(square / (count * least)) + 0.5 * square / least
+    run.sloped = 0.0 if run.unseen >= PARTIAL and across > UNSEEN_TILT else 1.0
+    if run.sloped == 0.0 or count < rules.min_points:
+        tilt = UNKNOWN_TILT
+        for i in range(3):
+            run.normal[i] = prior[i]
+    else:
+        tilt = run.unseen * UNSEEN_TILT
+        spread = rules.range_noise * rules.range_noise
+        height_normal(run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, run.normal)
+        if rules.ml and count > 3.0:
+            first = run.normal[0]
+            second = run.normal[1]
+            up = run.normal[2]
+            orthogonal_normal(run.scatter, run.normal)
+            if run.normal[2] < OVERTURNED * up:
+                run.normal[0] = first
+                run.normal[1] = second
+                run.normal[2] = up
+    up = run.normal[2]
+    cosine = fabs(run.normal[0] * ray_x + run.normal[1] * ray_y + up * ray_z)
+    cosine = max(cosine, MIN_COSINE)
+    along = range_variance(
+        rules.range_noise, rules.noise_per_metre, rules.divergence, distance, cosine
+    )
+    run.cosine = cosine
+    run.variance = variance = along * cosine * cosine
+    if rules.independent:
+        variance += pose_variance(run.normal, run.centroid, sigma)
+    rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
+    run.z = run.centroid[2] + rise
+    quadratic = (
+        run.normal[0] * (run.normal[0] * xx + 2.0 * run.normal[1] * xy)
+        + run.normal[1] * run.normal[1] * yy
+        + up * up * run.scatter[5]
+        + 2.0 * up * run.normal[0] * run.scatter[2]
+        + 2.0 * up * run.normal[1] * run.scatter[4]
+    )
+    free = max(count - 3.0, 1.0)
+    run.square = max(quadratic, 0.0) / free
+    doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
+    uneven = max(run.square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
+    _bias(run, ray_x, ray_y, sqrt(along), cosine / up, tilt < UNKNOWN_TILT)
+    if run.sloped == 0.0 and z == z:
+        # Of a strip that is as wide as the noise, place and height err together, along the ray.
+        # Rays are exact: the place is where the ray meets the plane that is known.
+        gap = run.z - z
+        most = 3.0 * sqrt(variance / count) / up
+        gap = min(max(gap, -most), most) * up / cosine
+        off_x -= gap * ray_x
+        off_y -= gap * ray_y
+        rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
+    slope_covariance(run.scatter, run.normal, variance, tilt * tilt, slope)
+    basis_at(run.normal, basis)
+    covariance_about(
+        slope,
+        variance / count + uneven,
+        basis[0] * off_x + basis[1] * off_y - basis[2] * rise,
+        basis[3] * off_x + basis[4] * off_y - basis[5] * rise,
+        run.range_part,
+    )
+    if rules.independent:
+        for i in range(9):
+            run.pose_part[i] = 0.0
+    else:
+        arm[0], arm[1], arm[2] = x, y, run.z
+        pose_part(run.normal, arm, sigma, run.pose_part)
+    run.statistic = run.raised = run.greatest = run.raised_by = run.doubt = 0.0
+
+
+def fit(
+    rules: Rules,
+    points: Array,
+    x: float,
+    y: float,
+    side: float,
+    prior: ArrayLike,
+    sigma: Array,
+) -> np.recarray[tuple[int], np.dtype[np.void]]:
+    """`measure` of all points (N, 3) and one cell: a record of type `RUN`."""
+    normal: cython.double[3] = prior  # type: ignore[valid-type]
+    runs = np.zeros(1, dtype=RUN).view(np.recarray)
+    measure(rules, points, 0, len(points), x, y, nan, side, normal, sigma, record(runs, 0))
+    return runs
+
+
+@cython.boundscheck(False)
+def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
+    """What the parts of leaves that were never seen add to their covariance.
+
+    However often a part is seen, it says nothing of the rest, whose slope may differ by
+    `UNSEEN_TILT`: a tilt about the middle of the finest cells in which a point fell, by as much of
+    the leaf's width as these leave out.
+
+    Args:
+        table: The leaves.
+        rows: (M,) of them.
+        out: (M, 9) covariances of (dphi, dd), m and rad; written.
+    """
+    basis = cython.declare(cython.double[6])
+    slope = cython.declare(cython.double[4])
+    part = cython.declare(cython.double[9])
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, j=cython.int, first=cython.Py_ssize_t)
+    cython.declare(number=cython.Py_ssize_t, seen=cython.Py_ssize_t)
+    observed = table.seen
+    with cython.nogil:
+        for i in range(rows.shape[0]):
+            leaf = table.at(rows[i])
+            slope[0] = slope[3] = leaf.bias[0] * leaf.bias[0]
+            slope[1] = slope[2] = 0.0
+            covariance_about(slope, leaf.bias[1] * leaf.bias[1], 0.0, 0.0, part)
+            for j in range(9):
+                out[i, j] = part[j]
+            j = 2 * (table.max_level - leaf.level)
+            number = 1 << j
+            first = encode(leaf.ix, leaf.iy) << j
+            seen = 0
+            for k in range(first, first + number):
+                seen += observed[k]
+            if seen == 0 or seen == number or leaf.known < 3:
+                continue
+            sx = sy = sxx = sxy = syy = 0.0
+            for k in range(number):
+                if observed[first + k]:
+                    x = squeeze(k) + 0.5
+                    y = squeeze(k >> 1) + 0.5
+                    sx += x
+                    sy += y
+                    sxx += x * x
+                    sxy += x * y
+                    syy += y * y
+            x = sx / seen
+            y = sy / seen
+            # A finest cell is a square of side one.
+            sxx = sxx / seen - x * x + 1.0 / 12.0
+            syy = syy / seen - y * y + 1.0 / 12.0
+            sxy = sxy / seen - x * y
+            across = sqrt(number)
+            correlation = sxy * sxy / (sxx * syy)
+            wide = max(
+                _unseen(sxx, correlation, across, seen),
+                _unseen(syy, correlation, across, seen),
+            )
+            tilt = UNSEEN_TILT * min(max(wide / across, 0.0), 1.0)
+            slope[0] = slope[3] = tilt * tilt
+            slope[1] = slope[2] = 0.0
+            side = table.side(leaf.level) / across
+            x = side * (x - 0.5 * across)
+            y = side * (y - 0.5 * across)
+            z = -(leaf.normal[0] * x + leaf.normal[1] * y)
+            z /= leaf.normal[2]
+            basis_at(leaf.normal, basis)
+            covariance_about(
+                slope,
+                0.0,
+                basis[0] * x + basis[1] * y + basis[2] * z,
+                basis[3] * x + basis[4] * y + basis[5] * z,
+                part,
+            )
+            for j in range(9):
+                out[i, j] += part[j]

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points that came to rest in a leaf: what its plane does not describe (Eq. 48, Eq. 55)."""
+
+from __future__ import annotations
+
+import cython
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.geometry.sphere import Vector
+from quadtree_lss.onboard.core.mapping.measure import Rules
+from quadtree_lss.onboard.core.tree.leaves import Record
+
+if not cython.compiled:
+    from math import fabs, sqrt
+
+    from quadtree_lss.onboard.core.mapping.tail import above
+
+#: A view that leaves out more than this share of a cell's width is held against the leaf's plane.
+PARTIAL = cython.declare(cython.double, 0.5)
+#: E[chi_1] = sqrt(2 / pi).
+MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
+#: A point stands out of curved ground if it is this many root mean square residuals above.
+OUTSTANDING = cython.declare(cython.double, 4.0)
+
+
+def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
+    """From which distance to its leaf's plane on a return stands out, m."""
+    usual = variance
+    if leaf.division_weight > 0.0:
+        usual = max(leaf.square_sum / leaf.division_weight, variance)
+    return max(rules.rock_height, OUTSTANDING * sqrt(usual))
+
+
+@cython.boundscheck(False)
+def departs(
+    rules: Rules,
+    leaf: Record,
+    run: Record,
+    points: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    origin: Vector,
+    side: float,
+) -> cython.bint:
+    """Whether a view of a part of a leaf shows what the leaf's plane does not describe.
+
+    It is held against the plane as it was before: a rock that fills the view would bend it. What
+    the offset of the view may be, ``run.doubt``, is no rock.
+    """
+    i: cython.Py_ssize_t
+    n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
+    d = n_x * (leaf.x - origin[0]) + n_y * (leaf.y - origin[1]) + n_z * (leaf.z - origin[2])
+    off = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2] - d
+    d += min(max(off, -run.doubt), run.doubt)
+    high = standing_out(rules, leaf, run.variance)
+    out = greatest = 0.0
+    for i in range(begin, end):
+        e = fabs(n_x * points[i, 0] + n_y * points[i, 1] + n_z * points[i, 2] - d)
+        out += 1.0 if e > high else 0.0
+        greatest = e if e > greatest else greatest
+    if out < max(2.0, rules.divide_area / (side * side) * run.points):
+        return False
+    leaf.greatest = max(leaf.greatest, min(greatest, rules.clip))
+    return True
+
+
+@cython.boundscheck(False)
+def rest(
+    rules: Rules,
+    leaf: Record,
+    run: Record,
+    points: Array,
+    residual: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    origin: Vector,
+) -> None:
+    """Add a run to the running statistics of the leaf it came to rest in.
+
+    Residuals are n.(r - mean): without the scan's common offset in the cell, which pose error
+    and not the ground explains; it takes one degree of freedom.
+
+    Args:
+        rules: Limits.
+        leaf, run: Records of types `LEAF` and `RUN`.
+        points: (N, 3) about the lidar, m; the run is ``begin`` to ``end``, two points at least.
+        residual: (N,) written there, m.
+    """
+    i: cython.Py_ssize_t
+    count = run.points
+    variance = run.variance
+    n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
+    d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
+    off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
+    if run.unseen >= PARTIAL:
+        d -= off - min(max(off, -run.doubt), run.doubt)
+    high = standing_out(rules, leaf, variance)
+    clip = rules.clip
+    total = raised = greatest = 0.0
+    low = high_z = points[begin, 2]
+    for i in range(begin, end):
+        z = points[i, 2]
+        low = z if z < low else low
+        high_z = z if z > high_z else high_z
+        e = n_x * points[i, 0] + n_y * points[i, 1] + n_z * z - d
+        residual[i] = e
+        raised += 1.0 if e > high else 0.0
+        e = fabs(e)
+        greatest = e if e > greatest else greatest
+        total += e if e < clip else clip
+    leaf.low = min(leaf.low, low + origin[2])
+    leaf.high = max(leaf.high, high_z + origin[2])
+    run.raised = raised
+    run.raised_by = high
+    run.greatest = greatest
+    leaf.greatest = max(leaf.greatest, min(greatest, clip))
+    noise = variance * max(1.0 - 1.0 / count, 0.5)
+    leaf.distance_sum += total
+    leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
+    leaf.raised_sum += raised
+    leaf.raised_noise += count * above(rules.rock_height / sqrt(variance))
+    # xi of a residual that is noise itself: the noise counts twice.
+    leaf.exception_noise += 2.0 * count * above(rules.tolerance / sqrt(2.0 * variance))
+    if greatest > rules.tolerance - 3.0 * sqrt(noise):
+        leaf.exception_sum += exceptions(residual, begin, end, rules.tolerance, sqrt(noise))
+    leaf.residuals += count
+
+
+@cython.boundscheck(False)
+def exceptions(
+    residual: Array,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    tolerance: float,
+    deviation: float,
+) -> cython.double:
+    """Eq. 48's sum of xi: probability mass beyond the roughness tolerance t.
+
+    xi = P(|e + s N(0, 1)| > t) with e the residual (N,), m, of the run ``begin`` to ``end``, and s
+    the ``deviation`` that range noise leaves in it, m. How uncertain the plane's slope is does not
+    count: of a leaf that was seen in part that is the other part's.
+    """
+    i: cython.Py_ssize_t
+    mass = 0.0
+    for i in range(begin, end):
+        e = fabs(residual[i])
+        if e > tolerance - 3.0 * deviation:
+            mass += above((tolerance - e) / deviation) + above((tolerance + e) / deviation)
+    return mass

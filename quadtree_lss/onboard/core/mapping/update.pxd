@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
+from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance
+from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
+from quadtree_lss.onboard.core.mapping.bell cimport Heights
+from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge
+from quadtree_lss.onboard.core.mapping.features cimport update_feature
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, measure, record
+from quadtree_lss.onboard.core.mapping.residuals cimport departs, rest, standing_out
+from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable, clear
+
+cdef class ScanUpdate:
+    cdef LeafTable table
+    cdef Rules rules
+    cdef Heights heights
+    cdef double[:, ::1] points
+    cdef double[::1] residual
+    cdef long long[::1] key
+    cdef double[:, ::1] sigma
+    cdef double[:, ::1] columns
+    cdef Run[::1] runs
+    cdef Py_ssize_t[::1] rows
+    cdef Py_ssize_t[::1] begins
+    cdef readonly object fits
+    cdef readonly object ratio
+    cdef double[::1] ratios
+    cdef double[::1] weights
+    cdef double origin[3]
+    cdef double now
+    cdef readonly Py_ssize_t cells
+    cdef Py_ssize_t rested
+    cdef bint aligned
+    cdef readonly Py_ssize_t divisions
+    cdef readonly Py_ssize_t refused
+    cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void _doubt(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
+    cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
+    cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
+    cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil
+    cdef void _mark(self, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
+    cdef void _residuals(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef void _rest(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef double common(self, double time) noexcept nogil

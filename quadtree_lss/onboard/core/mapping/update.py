@@ -1,0 +1,438 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one scan does to the leaves: fit, fuse, judge, divide, come to rest (paper IV)."""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.mapping.bell import Heights
+from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.sensing.register import RegisteredScan
+from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
+
+if not cython.compiled:
+    from math import exp, fabs, inf, nan, sqrt
+
+    from quadtree_lss.onboard.core.geometry.plane import fuse, offset_variance
+    from quadtree_lss.onboard.core.geometry.sphere import basis_at
+    from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge
+    from quadtree_lss.onboard.core.mapping.features import update_feature
+    from quadtree_lss.onboard.core.mapping.measure import measure, record
+    from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
+    from quadtree_lss.onboard.core.tree.leaves import clear
+
+    NOTHING, HINTS, INHERITED, MEASURED = range(4)
+    SEEN, KNOWN, OUT = 1, 2, 3
+    INFINITE = inf
+    NAN = nan
+
+
+#: A view that leaves out more than this share of a cell's width does not stand for the cell.
+PARTIAL = cython.declare(cython.double, 0.5)
+#: Share of a finest cell, of 6 cm in 25, on which nothing stands out that matters.
+FEW = cython.declare(cython.double, 1.0 / 16.0)
+#: A slope less certain than this (rad, one sigma) is none.
+MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
+#: Before anything is known, ground is level but for this (rad, one sigma) ...
+LEVEL_SIGMA = cython.declare(cython.double, 0.5)
+#: ... and this high or low, m.
+HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
+#: A run contradicts a plane that is so many deviations off, with `SLACK` m^2 to spare.
+CONTRADICTING = cython.declare(cython.double, 30.0)
+SLACK = cython.declare(cython.double, 0.01)
+#: Points of a scan in a cell that tell the range noise.
+NOISE_POINTS = cython.declare(cython.double, 8.0)
+
+
+class ScanUpdate:
+    """One scan on its way through the leaves.
+
+    Points lie about the lidar, in Morton order, so that those of a cell of any level are one run.
+
+    Attributes:
+        cells: Leaves that the scan touches.
+        fits: (cells,) records of type `RUN`.
+        divisions, refused: Cells divided, and divisions for which there was no room.
+        ratio: (2, R) of the cells in which points came to rest and that tell the range noise:
+            observed over configured deviation, and points.
+    """
+
+    def __init__(self, table: LeafTable, rules: Rules, scan: RegisteredScan, now: float) -> None:
+        count = len(scan.key)
+        self.table = table
+        self.rules = rules
+        self.points = scan.points
+        self.key = scan.key
+        x, y, z = scan.origin.tolist()
+        self.origin = [x, y, z]
+        self.sigma = scan.pose.covariance
+        self.aligned = False
+        self.now = now
+        self.residual = np.empty(count)
+        self.heights = Heights(min(count, 1024))
+        self.divisions = self.refused = self.rested = 0
+        self._gather()
+
+    def _gather(self) -> None:
+        """The runs of points that share a leaf."""
+        i: cython.Py_ssize_t
+        cells: cython.Py_ssize_t = 0
+        count: cython.Py_ssize_t = len(self.key)
+        last: cython.Py_ssize_t = -1
+        begins = np.empty(count + 1, dtype=np.intp)
+        rows = np.empty(count, dtype=np.intp)
+        self.begins, self.rows = begins, rows
+        for i in range(count):
+            if self.table.over[self.key[i]] != last:
+                last = self.table.over[self.key[i]]
+                self.begins[cells] = i
+                self.rows[cells] = last
+                cells += 1
+        self.begins[cells] = count
+        self.cells = cells
+        self.fits = np.empty(cells + self.table.max_level + 1, dtype=RUN).view(np.recarray)
+        self.runs = self.fits
+
+    def fit(self) -> None:
+        """Fit every touched leaf."""
+        i: cython.Py_ssize_t
+        with cython.nogil:
+            for i in range(self.cells):
+                self.table.expect(self.rows[min(i + 4, self.cells - 1)])
+                self._measure(
+                    self.table.at(self.rows[i]),
+                    self.begins[i],
+                    self.begins[i + 1],
+                    record(self.runs, i),
+                )
+
+    def compare(self) -> Array:
+        """The scan and the map in the M measured leaves that it touches, (12, M).
+
+        The scan's height over the map, m, variance of that but for pose error, variance of the
+        scan's height and of the map's from pose error, m^2, first and last time in the map, s;
+        the cell's place about the lidar, x, y, z, m, the map's slope along x and along y, and the
+        variance of that from pose error.
+        """
+        i: cython.Py_ssize_t
+        found: cython.Py_ssize_t = 0
+        out = np.empty((12, self.cells))
+        self.columns = out
+        for i in range(self.cells):
+            leaf = self.table.at(self.rows[i])
+            if leaf.known == MEASURED:
+                run = record(self.runs, i)
+                square = leaf.normal[2] * leaf.normal[2]
+                own = run.range_part[8] + leaf.range_part[8]
+                misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
+                self.columns[0, found] = run.z + self.origin[2] - leaf.z
+                self.columns[1, found] = own / square + max(misfit, 0.0)
+                self.columns[2, found] = run.pose_part[8] / square
+                self.columns[3, found] = leaf.pose_part[8] / square
+                self.columns[4, found] = leaf.first_time
+                self.columns[5, found] = leaf.last_time
+                self.columns[6, found] = leaf.x - self.origin[0]
+                self.columns[7, found] = leaf.y - self.origin[1]
+                self.columns[8, found] = run.z
+                self.columns[9, found] = -leaf.normal[0] / leaf.normal[2]
+                self.columns[10, found] = -leaf.normal[1] / leaf.normal[2]
+                tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
+                self.columns[11, found] = tilt / (square * square)
+                found += 1
+        return out[:, :found]
+
+    def align(self, down: float) -> None:
+        """Lower the scan to where the map lies, by so many m."""
+        self.origin[2] -= down
+        self.aligned = True
+
+    def common(self, time: float) -> cython.double:
+        """Correlation of this scan's pose error with that of another time, s."""
+        if self.rules.correlation_time <= 0.0:
+            return 0.0
+        return exp(-fabs(self.now - time) / self.rules.correlation_time)
+
+    def settle(self) -> None:
+        """Fuse, judge and divide until no cell asks for it; then count the residuals."""
+        cython.declare(i=cython.Py_ssize_t, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
+        cython.declare(levels=cython.Py_ssize_t)
+        self.ratio = np.empty((2, len(self.key)))
+        self.ratios, self.weights = self.ratio[0], self.ratio[1]
+        with cython.nogil:
+            for i in range(self.cells):
+                self.table.expect(self.rows[min(i + 4, self.cells - 1)])
+                begin, end = self.begins[i], self.begins[i + 1]
+                levels = self.table.max_level - self.table.at(self.rows[i]).level
+                levels = min(3 * levels * (end - begin), (1 << (2 * levels)) - 1)
+                if self.table.count + levels > self.table.capacity:
+                    with cython.gil:
+                        self.table.reserve(levels)
+                self._settle(self.rows[i], begin, end, record(self.runs, i), False)
+        self.ratio = self.ratio[:, : self.rested]
+
+    def _measure(
+        self,
+        leaf: Record,
+        begin: cython.Py_ssize_t,
+        end: cython.Py_ssize_t,
+        run: Record,
+    ) -> None:
+        """Fit a run of points in a leaf."""
+        if leaf.known == NOTHING:
+            leaf.normal[0] = leaf.normal[1] = 0.0
+            leaf.normal[2] = 1.0
+        x = leaf.x - self.origin[0]
+        y = leaf.y - self.origin[1]
+        side = self.table.side(leaf.level)
+        z = leaf.z - self.origin[2] if leaf.known != NOTHING else NAN
+        measure(self.rules, self.points, begin, end, x, y, z, side, leaf.normal, self.sigma, run)
+
+    def _contradicts(self, leaf: Record, run: Record) -> cython.bint:
+        """Whether a run is of another place altogether than a plane, beyond any covariance.
+
+        A scan with a wrong pose over ground that no other had seen leaves such planes; to average
+        with them would keep them for ever. They are kept apart, and points are votes.
+        """
+        if leaf.known < INHERITED:
+            return False
+        variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
+        off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
+        return off * off > CONTRADICTING * CONTRADICTING * (variance + SLACK)
+
+    def _doubt(self, leaf: Record, run: Record) -> None:
+        """How far a run may lie off a leaf's plane where it was seen and both be right, m.
+
+        Twice the deviation: of the plane at the run's place, of the run, of what a plane leaves
+        out that passes for one, and what is news of the pose's error. Its height is taken out
+        where the scan was aligned.
+        """
+        basis = cython.declare(cython.double[6])
+        basis_at(leaf.normal, basis)
+        x = run.centroid[0] - (leaf.x - self.origin[0])
+        y = run.centroid[1] - (leaf.y - self.origin[1])
+        z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
+        first = basis[0] * x + basis[1] * y + basis[2] * z
+        second = basis[3] * x + basis[4] * y + basis[5] * z
+        factor = self.rules.division_factor
+        own = run.variance * (1.0 / run.points + factor * factor - 1.0)
+        pose = offset_variance(leaf.pose_part, first, second) + run.pose_part[8]
+        if self.aligned:
+            square = leaf.normal[2] * leaf.normal[2]
+            pose = max(pose - 2.0 * square * self.sigma[2, 2], 0.0)
+        pose *= 1.0 - self.common(leaf.last_time)
+        run.doubt = 2.0 * sqrt(own + offset_variance(leaf.range_part, first, second) + pose)
+
+    def _fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
+        """Fuse a run's fit with what the leaf knows (paper IV.C), however little either is.
+
+        A first estimate of level ground is fused like any other. What a leaf inherited lies at the
+        height of the map, as an aligned scan does, or at that of this very scan: then pose error
+        is common to both, decides nothing between them and stays as it was.
+        """
+        rise = cython.declare(cython.double[1])
+        i: cython.int
+        fresh: cython.bint = leaf.known <= HINTS
+        if leaf.known == NOTHING:
+            leaf.first_time = self.now
+            leaf.z = run.z + self.origin[2]
+            for i in range(9):
+                leaf.range_part[i] = leaf.pose_part[i] = 0.0
+            leaf.range_part[0] = leaf.range_part[4] = LEVEL_SIGMA * LEVEL_SIGMA
+            leaf.range_part[8] = HEIGHT_SIGMA * HEIGHT_SIGMA
+        if same_scan or (self.aligned and leaf.known == INHERITED):
+            common = 1.0
+            for i in range(9):
+                run.pose_part[i] = leaf.pose_part[i]
+        else:
+            common = self.common(leaf.last_time)
+        fuse(
+            leaf.normal,
+            leaf.z - self.origin[2] - run.z,
+            leaf.range_part,
+            leaf.pose_part,
+            run.normal,
+            run.range_part,
+            run.pose_part,
+            common,
+            run.sloped > 0.0,
+            rise,
+        )
+        for i in range(3):
+            leaf.normal[i] = run.normal[i]
+        leaf.z = run.z + self.origin[2] + rise[0]
+        leaf.points += run.points
+        leaf.bias[2] += run.bias[2]
+        leaf.bias[0] += run.bias[2] / max(leaf.bias[2], 1e-300) * (run.bias[0] - leaf.bias[0])
+        leaf.bias[1] += run.points / leaf.points * (run.bias[1] - leaf.bias[1])
+        leaf.last_time = self.now
+        if fresh:
+            steep = leaf.range_part[0] + leaf.range_part[4]
+            if leaf.points < self.rules.min_points or steep > MAX_SLOPE_SIGMA**2:
+                leaf.known = HINTS
+                return
+        leaf.known = MEASURED
+
+    def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
+        """Divide a leaf above the finest level, if there is room.
+
+        What the plane did not describe, its mean square residual, makes its height less certain to
+        the children. Its slope is worth `slope_points` measurements that fill a child, which have
+        the horizontal variance side^2 / 12.
+        """
+        leaf = self.table.at(row)
+        if leaf.level >= self.table.max_level:
+            return False
+        square = run.variance
+        if leaf.division_weight > 0.0:
+            square = max(leaf.square_sum / leaf.division_weight, square)
+        side = 0.5 * self.table.side(leaf.level)
+        tilt = 12.0 * run.variance / (self.rules.slope_points * side * side)
+        spread = standing_out(self.rules, leaf, run.variance)
+        if not self.table.divide(row, square, min(tilt, 1.0), spread):
+            self.refused += 1
+            return False
+        self.divisions += 1
+        return True
+
+    def _settle(
+        self,
+        row: cython.Py_ssize_t,
+        begin: cython.Py_ssize_t,
+        end: cython.Py_ssize_t,
+        run: Record,
+        same_scan: cython.bint,
+    ) -> None:
+        """Take a run of points into a leaf or its descendants.
+
+        A strip that tells no plane of a fresh leaf goes on in smaller ones. A view of a part of a
+        leaf is held against the plane as it was: a rock that fills the view would bend it. The
+        others are fused, judged and come to rest, or divide the leaf.
+        """
+        leaf = self.table.at(row)
+        side = self.table.side(leaf.level)
+        if self._contradicts(leaf, run):
+            leaf.points -= run.points
+            if leaf.points > 0.0:
+                self._mark(begin, end, SEEN)
+                return
+            clear(leaf)
+            self.table.unknow(leaf)
+            leaf.low, leaf.high = INFINITE, -INFINITE
+            leaf.known = NOTHING
+            leaf.normal[0] = leaf.normal[1] = 0.0
+            leaf.normal[2] = 1.0
+        fresh: cython.bint = leaf.known <= HINTS
+        if fresh and run.sloped == 0.0:
+            # A strip tells no plane of this cell. Smaller ones can hold what this one cannot.
+            if run.points >= self.rules.min_residuals and self._divide(row, run):
+                self._go_on(row, begin, end, False)
+            else:
+                self._mark(begin, end, SEEN)
+            return
+        if leaf.known >= INHERITED:
+            self._doubt(leaf, run)
+            if (
+                run.unseen >= PARTIAL
+                and leaf.level < self.table.max_level
+                and departs(self.rules, leaf, run, self.points, begin, end, self.origin, side)
+            ):
+                self._residuals(leaf, begin, end, run)
+                if self._divide(row, run):
+                    self._go_on(row, begin, end, False)
+                    return
+        judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
+        x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
+        self._fuse(leaf, run, same_scan)
+        moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(
+            leaf.normal[1] / leaf.normal[2] - y
+        )
+        if fabs(leaf.z - z) + 0.5 * side * moved > standing_out(self.rules, leaf, run.variance):
+            self.table.unknow(leaf)  # what was known, was by another plane
+            leaf.low, leaf.high = INFINITE, -INFINITE
+        if leaf.known != MEASURED:
+            self._mark(begin, end, SEEN)
+            return
+        asked: cython.bint = asks(self.rules, leaf, run)
+        if asked and leaf.level < self.table.max_level:
+            self._residuals(leaf, begin, end, run)
+        if not (asked and self._divide(row, run)):
+            self._rest(leaf, begin, end, run)
+            if not hides_rock(self.rules, leaf, run, side):
+                return
+            if asked or not self._divide(row, run):
+                return
+        self._go_on(row, begin, end, same_scan or fresh)
+
+    @cython.boundscheck(False)
+    def _go_on(
+        self,
+        row: cython.Py_ssize_t,
+        begin: cython.Py_ssize_t,
+        end: cython.Py_ssize_t,
+        same_scan: cython.bint,
+    ) -> None:
+        """The quarters of a run go on in the leaves that their cell was divided into."""
+        run = record(self.runs, self.cells + self.table.at(row).level)
+        cython.declare(child=cython.Py_ssize_t, stop=cython.Py_ssize_t)
+        while begin < end:
+            child = self.table.over[self.key[begin]]
+            stop = begin + 1
+            while stop < end and self.table.over[self.key[stop]] == child:
+                stop += 1
+            self._measure(self.table.at(child), begin, stop, run)
+            self._settle(child, begin, stop, run, same_scan)
+            begin = stop
+
+    @cython.boundscheck(False)
+    def _mark(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar) -> None:
+        """The finest cells under a run are `SEEN` at least, or `KNOWN`."""
+        i: cython.Py_ssize_t
+        for i in range(begin, end):
+            if self.table.seen[self.key[i]] < state:
+                self.table.seen[self.key[i]] = state
+
+    @cython.boundscheck(False)
+    def _residuals(
+        self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
+    ) -> None:
+        """A run held against a leaf's plane: what stands out, and where.
+
+        Of each finest cell the last look decides, and in it more than `FEW` of the cell's returns:
+        one of noise's tail among many does not last.
+        """
+        cython.declare(i=cython.Py_ssize_t)
+        out = count = 0.0
+        rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.origin)
+        for i in range(begin, end):
+            count += 1.0
+            if fabs(self.residual[i]) > run.raised_by:
+                out += 1.0
+            if i == end - 1 or self.key[i + 1] != self.key[i]:
+                self.table.seen[self.key[i]] = OUT if out > FEW * count else KNOWN
+                out = count = 0.0
+
+    def _rest(
+        self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
+    ) -> None:
+        """Points came to rest: residuals, and the leaf's feature."""
+        if run.points >= NOISE_POINTS:
+            self.ratios[self.rested] = sqrt(run.square / run.variance)
+            self.weights[self.rested] = run.points
+            self.rested += 1
+        self._residuals(leaf, begin, end, run)
+        if self.rules.features:
+            update_feature(
+                self.rules,
+                leaf,
+                self.points,
+                self.residual,
+                begin,
+                end,
+                leaf.x - self.origin[0],
+                leaf.y - self.origin[1],
+                self.table.side(leaf.level),
+                run.variance,
+                self.heights,
+            )

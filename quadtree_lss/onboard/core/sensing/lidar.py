@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lidar measurements: from ranges to points in the map frame with their covariance (paper III.C).
+
+Lidar axes are Eq. 14's: z boresight, x right, y down (ROS calls such a frame ``_optical``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.geometry.portable import eigen, product
+
+#: Variances (m^2, rad^2) above this say no more than this: nothing is known.
+MAX_VARIANCE = 1e6
+
+
+@dataclass(frozen=True, repr=False)
+class Pose:
+    """Estimated lidar pose at one instant.
+
+    Attributes:
+        stamp_ns: Time in integer nanoseconds.
+        position: (3,) lidar origin in the map frame, m.
+        rotation_map_lidar: (3, 3) takes lidar axes to map axes.
+        covariance: (6, 6) of (x, y, z, rotation about the map's fixed X, Y, Z), where Eq. 16
+            perturbs about the lidar's axes: Sigma_R = R^T Sigma_fixed R; m and rad,
+            as in ``geometry_msgs/PoseWithCovariance``.
+    """
+
+    stamp_ns: int
+    position: Array
+    rotation_map_lidar: Array
+    covariance: Array
+
+    @classmethod
+    def from_matrix(
+        cls,
+        matrix: ArrayLike,
+        stamp_ns: int = 0,
+        *,
+        covariance: ArrayLike | None = None,
+        position_sigma: float = 0.1,
+        attitude_sigma_deg: float = 0.05,
+    ) -> Pose:
+        """A pose from the homogeneous transform that takes points of the lidar to the map.
+
+        Args:
+            matrix: (4, 4): rotation, position in the last column, m, and the row 0, 0, 0, 1.
+            stamp_ns: Time of the scan.
+            covariance: (6, 6) as above; None takes the two standard deviations, of each axis.
+            position_sigma, attitude_sigma_deg: m, deg.
+
+        Raises:
+            ValueError: the matrix is no rotation with a translation, or the covariance is not
+                (6, 6) and finite.
+        """
+        t = np.array(matrix, dtype=np.float64)
+        if t.shape != (4, 4) or not np.isfinite(t).all() or not np.allclose(t[3], (0, 0, 0, 1)):
+            msg = "a pose is a (4, 4) matrix of finite numbers with the last row 0, 0, 0, 1"
+            raise ValueError(msg)
+        rotation = t[:3, :3]
+        unit = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+        if not unit or np.linalg.det(rotation) < 0.0:
+            msg = "the upper left (3, 3) of the matrix is not a rotation"
+            raise ValueError(msg)
+        left, _, right = np.linalg.svd(rotation)
+        if covariance is None:
+            sigmas = np.repeat([position_sigma, np.radians(attitude_sigma_deg)], 3)
+            covariance = np.diag(sigmas**2)
+        known = np.array(covariance, dtype=np.float64)
+        if known.shape != (6, 6) or not np.isfinite(known).all():
+            msg = "a pose's covariance is a (6, 6) matrix of finite numbers"
+            raise ValueError(msg)
+        return cls(int(stamp_ns), t[:3, 3].copy(), np.asarray(left @ right), known)
+
+    @property
+    def matrix(self) -> Array:
+        """(4, 4) that takes points in lidar axes to the map."""
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = self.rotation_map_lidar, self.position
+        return out
+
+    def __repr__(self) -> str:
+        x, y, z = self.position
+        return f"<Pose: x {x:.3f}, y {y:.3f}, z {z:.3f} m at {self.stamp_ns} ns>"
+
+
+def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLike) -> Array:
+    """Eq. 14: ranges in m and angles in rad, each (...), to points (..., 3) in lidar axes."""
+    rho = np.asarray(ranges, dtype=np.float64)
+    cos_el = np.cos(elevation)
+    return np.stack(
+        [
+            rho * np.sin(azimuth) * cos_el,
+            -rho * np.sin(elevation),
+            rho * np.cos(azimuth) * cos_el,
+        ],
+        axis=-1,
+    )
+
+
+def sound_covariance(covariance: Array) -> Array:
+    """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
+    values, vectors = eigen(covariance)
+    root = vectors * np.sqrt(np.minimum(np.maximum(values, 0.0), MAX_VARIANCE))
+    return product(root, root.T)

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Passes over the points of a scan: to map axes, into cells, into the order of the cells."""
+
+from __future__ import annotations
+
+import cython
+
+from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
+
+if not cython.compiled:
+    from math import nan as NAN
+    from math import sqrt
+
+    from quadtree_lss.onboard.core.geometry.morton import PLACE_BITS
+
+
+@cython.boundscheck(False)
+def turn(
+    points_lidar: Points,
+    offsets: Ints,
+    times: Array,
+    motion: Array,
+    least: float,
+    most: float,
+    west: float,
+    south: float,
+    per_metre: float,
+    count: cython.longlong,
+    spread: Keys,
+    points: Array,
+    ranges: Array,
+    codes: Ints,
+    counts: Keys,
+) -> cython.void:
+    """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
+
+    Args:
+        offsets, times, motion: Of a `sweep.Sweep`; without offsets, the first row is for all.
+        least, most: Shorter or longer ranges are no returns, m.
+        west, south: Place of the points' origin in the domain, from its corner, m.
+        per_metre, count: Finest cells to a metre, and along a side.
+        spread: `morton.SPREAD`.
+        points: (N, 3) for the answer.
+        ranges: (N,) for their ranges, NaN where there is no return.
+        codes: (N,) for the Morton codes of the finest cells; ``count`` squared for none.
+        counts: (3,) for how many are not finite, out of range, in a cell.
+    """
+    i: cython.Py_ssize_t
+    missing: cython.longlong = 0
+    beyond: cython.longlong = 0
+    inside: cython.longlong = 0
+    cython.declare(x=cython.double, y=cython.double, z=cython.double, k=cython.Py_ssize_t)
+    at: cython.Py_ssize_t = 0
+    cython.declare(code=cython.longlong)
+    nowhere: cython.longlong = count * count
+    side: cython.double = count
+    moving: cython.bint = offsets.shape[0] > 0
+    nearest: cython.double = max(least, 5e-324)  # more than nothing
+    r = cython.declare(cython.double[12])
+    with cython.nogil:
+        for k in range(12):
+            r[k] = motion[0, k]
+        for i in range(points_lidar.shape[0]):
+            x = points_lidar[i, 0]
+            y = points_lidar[i, 1]
+            z = points_lidar[i, 2]
+            distance = sqrt(x * x + y * y + z * z)
+            code = nowhere
+            if nearest <= distance <= most:
+                ranges[i] = distance
+                if moving:
+                    while at > 0 and offsets[i] < times[at]:
+                        at -= 1
+                    while at < times.shape[0] - 2 and offsets[i] >= times[at + 1]:
+                        at += 1
+                    share = (offsets[i] - times[at]) / (times[at + 1] - times[at])
+                    for k in range(12):
+                        r[k] = motion[at, k] + share * (motion[at + 1, k] - motion[at, k])
+                points[i, 2] = r[6] * x + r[7] * y + r[8] * z + r[11]
+                east = r[0] * x + r[1] * y + r[2] * z + r[9]
+                north = r[3] * x + r[4] * y + r[5] * z + r[10]
+                points[i, 0] = east
+                points[i, 1] = north
+                column = (east + west) * per_metre
+                row = (north + south) * per_metre
+                if 0.0 <= column < side and 0.0 <= row < side:
+                    code = spread[cython.cast(cython.Py_ssize_t, column)]
+                    code |= spread[cython.cast(cython.Py_ssize_t, row)] << 1
+                    inside += 1
+            else:
+                ranges[i] = NAN
+                # The square of an absurd coordinate may be infinite though it is not.
+                if x - x + (y - y) + (z - z) == 0.0:
+                    beyond += 1
+                else:
+                    missing += 1
+            codes[i] = code
+    counts[0] = missing
+    counts[1] = beyond
+    counts[2] = inside
+
+
+@cython.boundscheck(False)
+def reach_beyond(points: Points, limit: float) -> cython.bint:
+    """True if one of points (N, 3) has a coordinate beyond ``limit`` or infinite."""
+    i: cython.Py_ssize_t
+    with cython.nogil:
+        for i in range(points.shape[0]):
+            if abs(points[i, 0]) > limit or abs(points[i, 1]) > limit or abs(points[i, 2]) > limit:
+                return True
+    return False
+
+
+@cython.boundscheck(False)
+def find_runs(codes: Ints, runs: Keys, begins: Ints) -> cython.Py_ssize_t:
+    """Points of one code (N,) that follow one another are a run; how many runs there are.
+
+    Args:
+        runs: (N,) for the code and the number of each run, packed as `morton.sort_packed` needs
+            them.
+        begins: (N + 1,) for the first point of each run, and the end of the last.
+    """
+    i: cython.Py_ssize_t
+    run: cython.Py_ssize_t = -1
+    code: cython.longlong
+    last: cython.longlong = -1
+    begins[0] = 0
+    with cython.nogil:
+        for i in range(codes.shape[0]):
+            code = cython.cast(cython.longlong, codes[i])
+            # Without a branch, which nobody could foretell.
+            run += code != last
+            last = code
+            runs[run] = (code << PLACE_BITS) | run
+            begins[run + 1] = i + 1
+    return run + 1
+
+
+@cython.boundscheck(False)
+def arrange(points: Array, runs: Keys, begins: Ints, arranged: Array, keys: Keys) -> cython.void:
+    """Copy points run by run to ``arranged`` (M, 3), the key of each to ``keys`` (M,).
+
+    Args:
+        runs, begins: As of `find_runs`, ``runs`` sorted; those of points in no cell, the last,
+            are left.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
+    key: cython.longlong
+    to: cython.Py_ssize_t = 0
+    with cython.nogil:
+        for i in range(runs.shape[0]):
+            if to >= keys.shape[0]:
+                break
+            key = runs[i] >> PLACE_BITS
+            run = runs[i] - (key << PLACE_BITS)
+            for j in range(begins[run], begins[run + 1]):
+                arranged[to, 0] = points[j, 0]
+                arranged[to, 1] = points[j, 1]
+                arranged[to, 2] = points[j, 2]
+                keys[to] = key
+                to += 1

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A pose that contradicts its neighbours, and its own covariance, is no pose."""
+
+from __future__ import annotations
+
+from math import acos, hypot, sqrt
+
+import numpy as np
+
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+
+#: Deviations that a pose may lie from where the two before it lead.
+DEVIATIONS = 6.0
+#: What no covariance tells, m and rad, ...
+SLACK, TURN = 1.0, 0.3
+#: ... and how a vehicle may move in between, m/s^2 and rad/s.
+ACCELERATION, TURN_RATE = 100.0, 6.0
+#: A step back in time by at most this is a late pose, which is not judged, ns.
+JUMP_NS = 10**9
+#: So many doubtful poses in a row are believed, whatever they are.
+PATIENCE = 5
+
+
+class PoseGate:
+    """Lets poses pass in the order of their stamps; one that leaps waits for the next.
+
+    If the next pose is where the leap led, both are believed: navigation has jumped. If it is where
+    the poses before lead, the one that leapt is dropped.
+
+    Args:
+        max_gap_ns: Poses farther apart say nothing of each other.
+
+    Attributes:
+        dropped: Poses that were.
+    """
+
+    def __init__(self, max_gap_ns: int) -> None:
+        self.max_gap_ns = max_gap_ns
+        self.dropped = 0
+        self._last: list[Pose] = []
+        self._doubtful: list[Pose] = []
+
+    def sift(self, pose: Pose) -> list[Pose]:
+        """The poses, none to two, that may be used now that one has come."""
+        last = self._last
+        gap_ns = pose.stamp_ns - last[-1].stamp_ns if last else 0
+        if -JUMP_NS <= gap_ns <= 0 and last:
+            return [pose]
+        if not 0 < gap_ns <= self.max_gap_ns:
+            self._last = last = []
+        if len(last) < 2 or leads_to(last[0], last[1], pose):
+            return self._take([pose])
+        doubtful = self._doubtful[-1:]
+        agree = bool(doubtful) and leads_to(None, doubtful[0], pose)
+        if agree or len(self._doubtful) + 1 >= PATIENCE:
+            return self._take([*doubtful, pose])
+        self._doubtful.append(pose)
+        return []
+
+    def _take(self, poses: list[Pose]) -> list[Pose]:
+        self.dropped += len(self._doubtful) + 1 - len(poses)
+        self._doubtful = []
+        self._last = [*self._last, *poses][-2:]
+        return poses
+
+
+def leads_to(before: Pose | None, last: Pose, pose: Pose) -> bool:
+    """Whether a pose can follow on another, at the velocity from the one before that."""
+    seconds = 1e-9 * (pose.stamp_ns - last.stamp_ns)
+    ahead = 0.0 if before is None else seconds / (1e-9 * (last.stamp_ns - before.stamp_ns))
+    step = pose.position - last.position
+    variances = pose.covariance.diagonal() + (1.0 + ahead) ** 2 * last.covariance.diagonal()
+    if before is not None:
+        step = step - ahead * (last.position - before.position)
+        variances = variances + ahead**2 * before.covariance.diagonal()
+    x, y, z, roll, pitch, yaw = variances.tolist()
+    moved = SLACK + 0.5 * ACCELERATION * seconds**2 + DEVIATIONS * sqrt(x + y + z)
+    turned = TURN + TURN_RATE * seconds + DEVIATIONS * sqrt(roll + pitch + yaw)
+    # tr(R_1 R_2^T) = 1 + 2 cos(angle) is the sum of the products of their entries.
+    cosine = 0.5 * float(np.sum(pose.rotation_map_lidar * last.rotation_map_lidar)) - 0.5
+    angle = acos(min(max(cosine, -1.0), 1.0))
+    return hypot(*step.tolist()) <= moved and angle <= turned

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One scan on its way into the map: validated, taken to map axes, in Morton order (paper IV.A)."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Keys, Points
+from quadtree_lss.onboard.config.settings import DomainConfig, LidarConfig
+from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
+from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image
+from quadtree_lss.onboard.core.sensing.isolated_points import isolated_in_space
+from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
+from quadtree_lss.onboard.core.sensing.points import arrange, find_runs, turn
+from quadtree_lss.onboard.core.sensing.sweep import Sweep, still
+
+#: Of larger scans no memory is kept.
+KEPT_POINTS = 1 << 20
+
+
+@dataclass(frozen=True)
+class RegisteredScan:
+    """Points of one scan inside the domain, in Morton order of the finest cells under them.
+
+    Attributes:
+        pose: Lidar pose at the scan's stamp, its covariance positive semidefinite and bounded.
+        origin: (3,) position of the lidar at the scan's stamp, map frame, m.
+        points: (N, 3) map axes about ``origin``, m: each point is its own ray (but for the
+            lidar's way between the stamp and the point's time, far shorter than a ray).
+        key: (N,) Morton code of the finest cell under each point, ascending; points of a cell
+            keep the order of the scan.
+        centre: x and y of the middle of the sound returns, map frame, m, if all of them are outside
+            the domain; otherwise, or if there is none, None.
+    """
+
+    pose: Pose
+    origin: Array
+    points: Array
+    key: Keys
+    centre: tuple[float, float] | None
+
+
+def register(
+    points_lidar: Points,
+    pose: Pose,
+    lidar: LidarConfig,
+    domain: DomainConfig,
+    sweep: Sweep | None = None,
+) -> tuple[RegisteredScan, dict[str, int]]:
+    """Keep the sound returns, apply Eq. 15 and bring them into the order of the cells.
+
+    Args:
+        points_lidar: (H, W, 3) organised or (N, 3), float32 or float64, lidar axes, m; not
+            finite = no return.
+        pose: Of the lidar at the scan's stamp.
+        sweep: How the lidar moved while it took the scan, if it did.
+
+    Returns:
+        The scan and how many points were dropped, by reason: ``no_return``, ``range``,
+        ``isolated``, ``outside`` (of the domain).
+
+    Raises:
+        ValueError: the sweep is of another number of points.
+    """
+    flat = points_lidar.reshape(-1, 3)
+    if flat.dtype not in (np.float32, np.float64):
+        flat = flat.astype(np.float64)
+    if sweep is not None and len(sweep.offsets) != len(flat):
+        msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
+        raise ValueError(msg)
+    work = _workspace(len(flat))
+    counts = np.zeros(3, np.int64)
+    moved = still(pose.rotation_map_lidar) if sweep is None else sweep
+    x, y, _ = pose.position.tolist()
+    n = 1 << domain.max_level
+    nowhere = n * n
+    turn(
+        flat,
+        moved.offsets,
+        moved.times,
+        moved.motion,
+        lidar.min_range,
+        lidar.max_range,
+        x - domain.xmin,
+        y - domain.ymin,
+        n / domain.size,
+        n,
+        SPREAD,
+        work.points,
+        work.ranges,
+        work.codes,
+        counts,
+    )
+    if points_lidar.ndim == 3:
+        image = work.ranges.reshape(points_lidar.shape[:2])
+        isolated = isolated_in_image(image, lidar.outlier_gate)
+    else:
+        isolated = isolated_in_space(work.points, work.ranges, lidar.outlier_gate)
+    missing, beyond, inside = counts.tolist()
+    if isolated:
+        work.codes[np.isnan(work.ranges)] = nowhere
+        inside = int(np.count_nonzero(work.codes != nowhere))
+    sound = len(flat) - missing - beyond - isolated
+    run_count = find_runs(work.codes, work.runs, work.begins)
+    runs, spare = work.runs[:run_count], work.spare[:run_count]
+    points, key = work.answer(inside)
+    arrange(work.points, spare if sort_packed(runs, spare) else runs, work.begins, points, key)
+    middle = None
+    if sound and not inside:
+        middle = (work.points[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
+    scan = RegisteredScan(
+        pose=Pose(
+            pose.stamp_ns,
+            pose.position,
+            pose.rotation_map_lidar,
+            sound_covariance(pose.covariance),
+        ),
+        origin=pose.position,
+        points=points,
+        key=key,
+        centre=None if middle is None else (middle[0], middle[1]),
+    )
+    dropped = {
+        "no_return": missing,
+        "range": beyond,
+        "isolated": isolated,
+        "outside": sound - inside,
+    }
+    return scan, dropped
+
+
+class _Workspace:
+    """What the passes over N points write and read, see there."""
+
+    def __init__(self, size: int) -> None:
+        self.points, self.ranges = np.empty((size, 3)), np.empty(size)
+        self.runs, self.spare = np.empty((2, size), np.int64)
+        self.codes, self.begins = np.empty(size, np.int32), np.empty(size + 1, np.int32)
+        self._fresh()
+
+    def _fresh(self) -> None:
+        size = len(self.ranges)
+        self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
+        self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
+
+    def answer(self, count: int) -> tuple[Array, Keys]:
+        """For points (count, 3) and keys (count,): the last scan's, unless somebody has them."""
+        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
+            self._fresh()
+        return self._arranged[:count], self._key[:count]
+
+
+def _workspace(size: int) -> _Workspace:
+    """Kept for the next scan of this size: fresh memory costs as much as the work in it."""
+    if size > KEPT_POINTS:
+        return _Workspace(size)
+    if getattr(_kept, "size", None) != size:
+        _kept.size, _kept.work = size, _Workspace(size)
+    work: _Workspace = _kept.work
+    return work
+
+
+_kept = threading.local()

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map as it is published: what landing site selection sees of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Numbers
+from quadtree_lss.onboard.core.geometry.bounds import bounded
+from quadtree_lss.onboard.core.geometry.heights import height_by_error
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.leaves import leaf_raster
+
+
+class Ground(NamedTuple):
+    """The ground at places, arrays of their shape; NaN where there is no estimate."""
+
+    height: Array
+    """m."""
+    slope_deg: Array
+    deviation: Array
+    """Standard deviation of the height by the plane's covariance, m."""
+
+    def __repr__(self) -> str:
+        if np.ndim(self.height):
+            return f"<Ground at {np.size(self.height)} places>"
+        height = f"{self.height:.3f} ± {self.deviation:.3f} m"
+        return f"<Ground: height {height}, slope {self.slope_deg:.1f} deg>"
+
+
+class Profile(NamedTuple):
+    """The ground along a line: arrays (K,)."""
+
+    distance: Array
+    """From the start, m."""
+    x: Array
+    y: Array
+    height: Array
+    slope_deg: Array
+    deviation: Array
+
+
+@dataclass(frozen=True, repr=False)
+class CellMap:
+    """What the mapping publishes: one row per leaf in Morton order, map frame, m and rad.
+
+    Attributes:
+        stamp_ns: Stamp of the newest scan in the map, 0 if there is none; see `Mapper`.
+        domain: Extent and levels.
+        level: (M,) uint8.
+        ix, iy: (M,) uint32 index at the leaf's own level.
+        z: (M,) elevation of the plane at the cell's centre, NaN where there is no estimate.
+        normal: (M, 3) upward unit normal.
+        covariance_range: (M, 3, 3) part of the covariance of (dphi_1, dphi_2, dd), d about
+            (x, y, z), that comes from range noise (independent between cells).
+        covariance_pose: (M, 3, 3) part from pose error (common to neighbouring cells).
+        count: (M,) uint32 measurements in the estimate.
+        measured: (M,) True where the cell's own points were fitted, False if it is empty or
+            inherited its plane.
+        roughness: (M,) roughness density of Eq. 55 without its noise floor, m^3.
+        exception_fraction: (M,) Eq. 48.
+        feature: (M, 5) A, k, mu_x, mu_y (about the centre), sigma of Eq. 51; NaN for none. k^2 is
+            the volume, k^2 / (2 pi sigma^2) the height (``columns.WIDER``).
+        low, high: (M,) lowest and highest height that a return has in the leaf, give or take its
+            noise, m; NaN where there is none, or no bound. The plane's heights keep to them (see
+            ``geometry.bounds``).
+        observed: (n, n) [iy, ix], True for finest cells in which a point fell.
+        known: (n, n) of these, the cells whose returns are part of what their leaf says: they were
+            compared with its plane, or with that of the leaf it was divided from and did not stand
+            out. The others are seen, not yet mapped: as bad as unseen.
+        offset_z: By how much the ground of the newest scan that could be compared with the map lay
+            over it by its pose: the map's height plus this is the height by navigation, m. NaN if
+            none could be compared.
+        offset_variance: Of ``offset_z``, m^2.
+    """
+
+    stamp_ns: int
+    domain: Domain
+    level: Bytes
+    ix: Numbers
+    iy: Numbers
+    z: Array
+    normal: Array
+    covariance_range: Array
+    covariance_pose: Array
+    count: Numbers
+    measured: Mask
+    roughness: Array
+    exception_fraction: Array
+    feature: Array
+    low: Array
+    high: Array
+    observed: Mask
+    known: Mask
+    offset_z: float = float("nan")
+    offset_variance: float = float("nan")
+
+    @cached_property
+    def size(self) -> Array:
+        """(M,) side of each leaf, m."""
+        return self.domain.cell_size(self.level)
+
+    @cached_property
+    def x(self) -> Array:
+        """(M,) cell centre, m."""
+        return self.domain.xmin + (self.ix + 0.5) * self.size
+
+    @cached_property
+    def y(self) -> Array:
+        """(M,) cell centre, m."""
+        return self.domain.ymin + (self.iy + 0.5) * self.size
+
+    @property
+    def covariance(self) -> Array:
+        """(M, 3, 3) total covariance of (dphi_1, dphi_2, dd)."""
+        return self.covariance_range + self.covariance_pose
+
+    @property
+    def estimated(self) -> Mask:
+        """(M,) True where there is a plane, measured or inherited."""
+        return np.isfinite(self.z)
+
+    def at(self, x: ArrayLike, y: ArrayLike) -> Ground:
+        """Height, slope and deviation of the plane over each place; heights are within bounds.
+
+        Rocks that stand out of a plane are not in its height (``feature``); a place on a border
+        belongs to the cell north and east of it, as measurements do.
+
+        Args:
+            x, y: Places in the map frame, m, of any shape; they broadcast.
+        """
+        at_x, at_y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        place_x, place_y = at_x.ravel(), at_y.ravel()
+        domain = self.domain
+        with np.errstate(invalid="ignore"):
+            column = np.floor((place_x - domain.xmin) / domain.finest_size)
+            row = np.floor((place_y - domain.ymin) / domain.finest_size)
+            ends = (column >= 0) & (column < domain.finest_count)
+            inside = ends & (row >= 0) & (row < domain.finest_count)
+        out = np.full((3, len(place_x)), np.nan)
+        leaf = self._leaves[row[inside].astype(np.intp), column[inside].astype(np.intp)]
+        normal = self.normal[leaf]
+        east, north = place_x[inside] - self.x[leaf], place_y[inside] - self.y[leaf]
+        out[0, inside] = self.heights(leaf, place_x[inside], place_y[inside])
+        out[1, inside] = np.degrees(np.arccos(np.clip(normal[:, 2], -1.0, 1.0)))
+        by = height_by_error(normal, east, north)
+        variance = np.einsum("ki,kij,kj->k", by, self.covariance[leaf], by)
+        out[2, inside] = np.sqrt(np.maximum(variance, 0.0))
+        height, slope, deviation = (values.reshape(at_x.shape)[()] for values in out)
+        return Ground(height, slope, deviation)
+
+    def heights(self, leaf: Index | Ints, x: Array, y: Array) -> Array:
+        """Heights (...) of the planes of leaves, rows (...), at x, y (...), within bounds, m."""
+        normal = self.normal[leaf]
+        along = normal[..., 0] * (x - self.x[leaf]) + normal[..., 1] * (y - self.y[leaf])
+        return bounded(self.z[leaf] - along / normal[..., 2], self.low[leaf], self.high[leaf])
+
+    def profile(self, start: ArrayLike, end: ArrayLike, step: float | None = None) -> Profile:
+        """The ground along the straight line between two places.
+
+        Args:
+            start, end: (2,) x and y, map frame, m.
+            step: Distance of the samples, m; by default half a finest cell. Both ends are samples.
+
+        Raises:
+            ValueError: the step is not positive, or a place is no pair of finite numbers.
+        """
+        first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
+        if first.shape != (2,) or last.shape != (2,) or not np.isfinite([first, last]).all():
+            msg = "start and end of a profile are pairs (x, y) of finite numbers"
+            raise ValueError(msg)
+        if step is None:
+            step = 0.5 * self.domain.finest_size
+        if not step > 0.0:
+            msg = f"step = {step} m is not positive"
+            raise ValueError(msg)
+        length = float(np.hypot(*(last - first)))
+        distance = np.linspace(0.0, length, int(np.ceil(length / step)) + 1)
+        x, y = (first + (distance / (length or 1.0))[:, None] * (last - first)).T
+        return Profile(distance, x, y, *self.at(x, y))
+
+    def __repr__(self) -> str:
+        d = self.domain
+        return (
+            f"<CellMap: {len(self.level)} leaves, {np.count_nonzero(self.measured)} measured;"
+            f" x {d.xmin:g} ... {d.xmin + d.size:g}, y {d.ymin:g} ... {d.ymin + d.size:g} m;"
+            f" cells of {float(d.cell_size(d.min_level)):g} ... {d.finest_size:g} m>"
+        )
+
+    @cached_property
+    def _leaves(self) -> Ints:
+        return self.leaf_raster()
+
+    def leaf_raster(self) -> Ints:
+        """(n, n) [iy, ix] row of the leaf that covers each finest cell."""
+        out = np.zeros((self.domain.finest_count,) * 2, dtype=np.int32)
+        leaf_raster(self.level, self.ix, self.iy, out)
+        return out

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mapper's state as bytes and back, checked before it replaces anything.
+
+The bytes are an ``npz`` archive, in which each array has a checksum: what was cut short or
+damaged is refused. Reading and writing files is the caller's.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+FORMAT = 4
+"""Goes up whenever the arrays of `Mapper.export_state` change their meaning."""
+
+ROUNDING = 1e-6
+"""By how much a correlation may be off by rounding."""
+TINY = 1e-30
+"""In place of a variance that is zero: what is correlated with it is no rounding."""
+
+OUT = 3
+"""The greatest state of a finest cell (`LeafTable.observed`)."""
+
+State: TypeAlias = dict[str, NDArray[Any]]
+
+
+class CheckpointError(QuadtreeLssError):
+    """The bytes are no checkpoint, or not one of this mapper's domain."""
+
+
+def to_bytes(state: State) -> bytes:
+    """The archive of a state's arrays."""
+    out = io.BytesIO()
+    np.savez(out, **state)  # type: ignore[arg-type]
+    return out.getvalue()
+
+
+def from_bytes(content: bytes) -> State:
+    """Arrays of an archive.
+
+    Raises:
+        CheckpointError: damaged, cut short or something else.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            _check_sizes(archive, len(content))
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except CheckpointError:
+        raise
+    except Exception as error:  # zipfile and NumPy raise a dozen kinds on damaged bytes
+        msg = f"is not a checkpoint, or a damaged one ({type(error).__name__})"
+        raise CheckpointError(msg) from None
+
+
+def _check_sizes(archive: zipfile.ZipFile, size: int) -> None:
+    """See that an archive of ``size`` bytes unpacks to no more than these.
+
+    Raises:
+        CheckpointError: something in it is compressed, or it claims more than there is.
+    """
+    parts = archive.infolist()
+    packed = any(part.compress_type != zipfile.ZIP_STORED for part in parts)
+    if packed or sum(part.file_size for part in parts) > size:
+        msg = "is not a checkpoint: its content is compressed or larger than itself"
+        raise CheckpointError(msg)
+
+
+def identified(state: State, domain: Domain) -> State:
+    """A state with the version and the domain that it is of."""
+    return {"format": np.array(FORMAT), "domain": _identity(domain), **state}
+
+
+def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
+    """See that a mapper of this domain can go on from a state.
+
+    Args:
+        state: From outside.
+        like: `identified` state of such a mapper, for the names, types and shapes of its arrays.
+        domain: The mapper's.
+        max_cells: Leaves it may hold.
+
+    Raises:
+        CheckpointError: another format or domain, arrays missing or inconsistent.
+    """
+    wanted, found = like["domain"], state.get("domain", np.empty(0))
+    alike = found.dtype == wanted.dtype and found.shape == wanted.shape
+    if not alike or not np.array_equal(state.get("format", ""), FORMAT):
+        msg = "is not a checkpoint of this version"
+        raise CheckpointError(msg)
+    if not np.array_equal(found, wanted):
+        msg = (
+            f"is of another domain: xmin, ymin, size, min_level, max_level are"
+            f" {_listed(found)}, here {_listed(wanted)}"
+        )
+        raise CheckpointError(msg)
+    for name, example in like.items():
+        if name not in state:
+            msg = f"lacks {name}"
+            raise CheckpointError(msg)
+        array = state[name]
+        shape = array.shape[1:] if name == "leaves" else array.shape
+        if array.dtype != example.dtype or array.ndim != example.ndim:
+            msg = f"holds {name} as {array.dtype} of {array.ndim} dimensions"
+            raise CheckpointError(msg)
+        if shape != (example.shape[1:] if name == "leaves" else example.shape):
+            msg = f"holds {name} of shape {array.shape}"
+            raise CheckpointError(msg)
+    if len(state["leaves"]) > max_cells:
+        msg = f"has {len(state['leaves'])} leaves, mapping.max_cells is {max_cells}"
+        raise CheckpointError(msg)
+    _check_leaves(state["leaves"], domain)
+    if (state["observed"] > OUT).any():
+        msg = "has an impossible mask of observed cells"
+        raise CheckpointError(msg)
+    height, variance = state["offset"].tolist()
+    if not (math.isnan(height) and math.isnan(variance)) and not (
+        math.isfinite(height) and 0.0 <= variance < math.inf
+    ):
+        msg = "has an impossible offset from navigation"
+        raise CheckpointError(msg)
+
+
+def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
+    level, ix, iy = (leaves[name] for name in ("level", "ix", "iy"))
+    sound = (level >= domain.min_level) & (level <= domain.max_level) & (np.minimum(ix, iy) >= 0)
+    sound &= np.maximum(ix, iy) >> np.clip(level, 0, 31) == 0
+    raster = np.full((domain.finest_count,) * 2, -1, dtype=np.int32)
+    if sound.all():
+        leaf_raster(level.astype(np.uint8), ix.astype(np.uint32), iy.astype(np.uint32), raster)
+    if np.sum(0.25 ** level.astype(np.float64)) != 1.0 or (raster < 0).any():
+        msg = "has leaves that do not tile the domain"
+        raise CheckpointError(msg)
+    known = leaves["known"]
+    planes = leaves[known > 0]
+    whole = np.isin(known, (0, 1, 2, 3)).all() and (planes["normal"][:, 2] > 0.0).all()
+    for name in LEAF.names or ():
+        if name not in {"low", "high"} and not name.startswith("feature"):
+            whole &= np.isfinite(planes[name]).all()
+    # Where nothing came to rest yet they are infinity and minus infinity.
+    whole &= ((planes["low"] > -np.inf) & (planes["high"] < np.inf)).all()
+    if not whole or (planes["range_part"][:, ::4] <= 0.0).any() or not _covariances(planes):
+        msg = "has a leaf with an impossible plane"
+        raise CheckpointError(msg)
+
+
+def _covariances(planes: NDArray[Any]) -> bool:
+    """True if the covariances of finite planes are symmetric and positive semi-definite.
+
+    Judged as correlations, so that a large variance does not hide what a small one lacks.
+    """
+    for name in ("range_part", "pose_part"):
+        covariance = planes[name].reshape(-1, 3, 3)
+        variance = covariance.diagonal(axis1=1, axis2=2)
+        deviation = np.sqrt(np.where(variance > 0.0, variance, TINY))
+        correlation = covariance / (deviation[:, :, None] * deviation[:, None, :])
+        # No principal minor is negative, nor NaN.
+        u, v, w = np.sign(variance).T
+        a, b, c = correlation[:, 0, 1], correlation[:, 0, 2], correlation[:, 1, 2]
+        minors = [u, v, w, u * v - a * a, u * w - b * b, v * w - c * c]
+        minors.append(u * minors[5] - a * (a * w - b * c) + b * (a * c - b * v))
+        skew = np.abs(correlation - correlation.transpose(0, 2, 1))
+        if not all((minor >= -ROUNDING).all() for minor in [*minors, -skew]):
+            return False
+    return True
+
+
+def _identity(domain: Domain) -> NDArray[np.float64]:
+    numbers = (domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level)
+    return np.array(numbers, dtype=np.float64)
+
+
+def _listed(values: NDArray[Any]) -> str:
+    return ", ".join(f"{value:g}" for value in values)

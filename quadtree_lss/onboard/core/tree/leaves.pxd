@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+from libc.math cimport NAN, fabs
+from quadtree_lss.onboard.core.geometry.morton cimport encode
+from quadtree_lss.onboard.core.geometry.plane cimport shift_origin
+from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
+
+cdef enum:
+    NOTHING
+    HINTS
+    INHERITED
+    MEASURED
+
+cdef enum:
+    SEEN = 1
+    KNOWN = 2
+    OUT = 3
+
+cdef struct Leaf:
+    int level
+    int ix
+    int iy
+    int known
+    double x
+    double y
+    double z
+    double first_time
+    double last_time
+    double normal[3]
+    double range_part[9]
+    double pose_part[9]
+    double points
+    double distance_sum
+    double noise_sum
+    double exception_sum
+    double exception_noise
+    double raised_sum
+    double raised_noise
+    double residuals
+    double division_sum
+    double division_weight
+    double square_sum
+    double low
+    double high
+    double greatest
+    double bias[3]
+    double feature[5]
+    double feature_information[25]
+
+cdef Leaf* leaf_at(Leaf[::1] rows, Py_ssize_t row) noexcept nogil
+
+cdef void clear(Leaf* leaf) noexcept nogil
+
+cdef extern from * nogil:
+    void prefetch "__builtin_prefetch" (const void* at)
+
+cdef class LeafTable:
+    cdef readonly object domain
+    cdef readonly object rows
+    cdef readonly object leaf_of
+    cdef Leaf[::1] leaf
+    cdef int[::1] over
+    cdef Py_ssize_t[::1] order
+    cdef readonly object observed
+    cdef unsigned char[::1] seen
+    cdef readonly Py_ssize_t count
+    cdef readonly Py_ssize_t capacity
+    cdef readonly Py_ssize_t max_cells
+    cdef readonly int max_level
+    cdef double xmin, ymin, size
+    cdef void expect(self, Py_ssize_t row) noexcept nogil
+    cdef Leaf* at(self, Py_ssize_t row) noexcept nogil
+    cdef double side(self, int level) noexcept nogil
+    cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
+    cdef void unknow(self, Leaf* leaf) noexcept nogil
+    cdef bint _stands_out(self, int level, int ix, int iy) noexcept nogil
+    cdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread) noexcept nogil
+    cpdef reserve(self, Py_ssize_t more)
+
+cpdef unfold(unsigned char[::1] values, unsigned char[:, ::1] out)
+cpdef leaf_raster(unsigned char[::1] level, unsigned int[::1] ix, unsigned int[::1] iy, int[:, ::1] out)

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quadtree (paper III.A) as a table: a row for each leaf, and the row over each finest cell.
+
+Finest cells are numbered in Morton order, so that every cell of every level is one run of numbers,
+and a point finds its leaf without descending the tree. Division turns one row into four.
+A plane is Eq. 37 with the covariance of Eq. 38.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import cython
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.arrays import Bytes, Index, Ints, Numbers
+from quadtree_lss.onboard.core.geometry.morton import SPREAD
+from quadtree_lss.onboard.core.tree.domain import Domain
+
+if not cython.compiled:
+    from math import fabs
+
+    from quadtree_lss.onboard.core.geometry.morton import encode
+    from quadtree_lss.onboard.core.geometry.plane import shift_origin
+    from quadtree_lss.onboard.core.geometry.sphere import basis_at
+
+    NAN = float("nan")
+    NOTHING, HINTS, INHERITED, MEASURED = range(4)
+    SEEN, KNOWN, OUT = 1, 2, 3
+
+    def prefetch(at: object) -> None:
+        """Only a compiled program knows where its numbers lie."""
+
+
+#: One record of a table: a pointer to a C structure, or a record of NumPy.
+Record: TypeAlias = Any
+
+#: A leaf:
+#:
+#: - level, ix, iy: its place; x, y: its centre, m;
+#: - known: 0 nothing, 1 points that do not tell a plane yet, 2 inherited, 3 measured;
+#: - first_time, last_time: of the first and last scan in its plane, s since the first in the map;
+#: - z, normal: the plane's elevation at the centre, m, and its upward unit normal;
+#: - range_part, pose_part: covariance (9) of (dphi_1, dphi_2, dd), d about (x, y, z), from range
+#:   noise and from pose error;
+#: - points: measurements in the plane;
+#: - distance_sum, exception_sum, raised_sum: of |orthogonal distance| (Eq. 55), m, of exception
+#:   masses (Eq. 48), of measurements that stand out above; noise_sum, exception_noise,
+#:   raised_noise: what range noise alone adds to each; residuals: measurements in these sums;
+#: - division_sum, square_sum, division_weight: sums of the division statistic and of the mean
+#:   square residual about the scans' own fits, m^2, and of their weights;
+#: - low, high: lowest and highest return, m, of those that came to rest here, or before that of
+#:   those of the parent; low > high for none; greatest: |orthogonal distance| of one, m;
+#: - bias: means of what noise along the rays may turn its fits by, rad, and lift them by, m, and
+#:   the weight of the first, m^2;
+#: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
+#:   covariance (25), feature_information.
+LEAF = np.dtype(
+    [(name, "i4") for name in ("level", "ix", "iy", "known")]
+    + [(name, "f8") for name in ("x", "y", "z", "first_time", "last_time")]
+    + [("normal", "f8", 3), ("range_part", "f8", 9), ("pose_part", "f8", 9), ("points", "f8")]
+    + [(f"{name}_sum", "f8") for name in ("distance",)]
+    + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
+    + [("raised_sum", "f8"), ("raised_noise", "f8"), ("residuals", "f8")]
+    + [("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
+    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("bias", "f8", 3)]
+    + [("feature", "f8", 5), ("feature_information", "f8", 25)]
+)
+
+
+def leaf_at(rows: NDArray[np.void], row: cython.Py_ssize_t) -> Record:
+    """One record of type `LEAF`, to read and to write."""
+    if cython.compiled:
+        return cython.address(rows[row])
+    else:
+        return rows[row]
+
+
+def clear(leaf: Record) -> None:
+    """Forget all that was found in a leaf but for its plane."""
+    i: cython.int
+    leaf.points = 0.0
+    leaf.distance_sum = leaf.noise_sum = 0.0
+    leaf.exception_sum = leaf.exception_noise = 0.0
+    leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
+    leaf.division_sum = leaf.division_weight = leaf.square_sum = leaf.greatest = 0.0
+    leaf.bias[0] = leaf.bias[1] = leaf.bias[2] = 0.0
+    for i in range(5):
+        leaf.feature[i] = NAN
+
+
+class LeafTable:
+    """The leaves of a map, divided to the minimum level at the start.
+
+    Attributes:
+        domain: Extent and levels.
+        rows: Records of type `LEAF`, of which the first ``count`` are leaves; a division may
+            replace the array by a longer one.
+        leaf_of: (4^max_level,) row of the leaf over each finest cell, by its Morton code.
+        observed: (4^max_level,) of the finest cells: 0 where no point fell, 1 where one did, 2
+            where one was compared with the plane of the leaf, or of that which it was divided
+            from, 3 where one stood out from that.
+        count, capacity, max_cells: Leaves, rows, and how many leaves there may be.
+    """
+
+    def __init__(self, domain: Domain, max_cells: int) -> None:
+        self.domain = domain
+        self.max_cells = max_cells
+        self.max_level = domain.max_level
+        self.xmin, self.ymin, self.size = domain.xmin, domain.ymin, domain.size
+        self.leaf_of = np.zeros(4**domain.max_level, dtype=np.int32)
+        self.over = self.leaf_of
+        self.observed = np.zeros(4**domain.max_level, dtype=np.uint8)
+        self.seen = self.observed
+        self.count = self.capacity = 0
+        self.rows = np.zeros(0, dtype=LEAF).view(np.recarray)
+        self.plant()
+
+    def plant(self) -> None:
+        """Forget all leaves and divide to the minimum level."""
+        self.observed[:] = 0
+        side = 1 << self.domain.min_level
+        iy, ix = np.divmod(np.arange(side * side), side)
+        level = np.full(side * side, self.domain.min_level)
+        self.take_up({"level": level, "ix": ix, "iy": iy})
+
+    def take_up(self, columns: dict[str, NDArray[np.generic]]) -> None:
+        """Have the leaves of these columns, which tile the domain (not checked here)."""
+        row: cython.Py_ssize_t
+        count = len(columns["level"])
+        self._allocate(count)
+        self.rows["feature"] = np.nan
+        self.rows["low"], self.rows["high"] = np.inf, -np.inf
+        for name, column in columns.items():
+            self.rows[name][:count] = column
+        self.count = count
+        for row in range(count):
+            self._place(row, self.leaf[row].level, self.leaf[row].ix, self.leaf[row].iy)
+
+    def _allocate(self, rows: int) -> None:
+        self.capacity = rows
+        self.rows = np.zeros(rows, dtype=LEAF).view(np.recarray)
+        self.leaf = self.rows
+
+    def reserve(self, more: cython.Py_ssize_t) -> None:
+        """Have room for so many further leaves, as far as ``max_cells`` allows."""
+        wanted = min(self.count + more, self.max_cells)
+        if wanted > self.capacity:
+            grown = np.zeros(max(wanted, min(2 * self.capacity, self.max_cells)), dtype=LEAF)
+            grown[: self.count] = self.rows[: self.count]
+            self.rows = grown.view(np.recarray)
+            self.leaf = self.rows
+            self.capacity = len(grown)
+
+    def at(self, row: cython.Py_ssize_t) -> Record:
+        """A leaf, to read and to write; until the table grows."""
+        return leaf_at(self.leaf, row)
+
+    def expect(self, row: cython.Py_ssize_t) -> None:
+        """Have a leaf brought near that will be wanted soon."""
+        i: cython.int
+        if cython.compiled:
+            byte: cython.p_char = cython.cast(cython.p_char, cython.address(self.leaf[row]))
+            for i in range(0, 576, 64):
+                prefetch(byte + i)
+
+    def side(self, level: cython.int) -> cython.double:
+        """Side of a cell of a level, m."""
+        return self.size / (1 << level)
+
+    @cython.boundscheck(False)
+    def _place(
+        self, row: cython.Py_ssize_t, level: cython.int, ix: cython.int, iy: cython.int
+    ) -> None:
+        cython.declare(code=cython.Py_ssize_t, first=cython.Py_ssize_t)
+        leaf = self.at(row)
+        side = self.side(level)
+        leaf.level = level
+        leaf.ix = ix
+        leaf.iy = iy
+        leaf.x = self.xmin + (ix + 0.5) * side
+        leaf.y = self.ymin + (iy + 0.5) * side
+        first = encode(ix, iy) << (2 * (self.max_level - level))
+        for code in range(first, first + (1 << (2 * (self.max_level - level)))):
+            self.over[code] = row
+            if self.seen[code] == OUT:
+                self.seen[code] = SEEN
+
+    @cython.boundscheck(False)
+    def _stands_out(self, level: cython.int, ix: cython.int, iy: cython.int) -> cython.bint:
+        """Whether a return stood out in a cell."""
+        code: cython.Py_ssize_t
+        down: cython.int = 2 * (self.max_level - level)
+        first: cython.Py_ssize_t = encode(ix, iy) << down
+        for code in range(first, first + (1 << down)):
+            if self.seen[code] == OUT:
+                return True
+        return False
+
+    @cython.boundscheck(False)
+    def divide(
+        self,
+        row: cython.Py_ssize_t,
+        square: float,
+        tilt: float,
+        spread: float,
+    ) -> cython.bint:
+        """Divide a leaf above the maximum level; its children inherit what it knows.
+
+        An inherited plane is the parent's moved to the child's centre, and less certain: by
+        ``square`` m^2 in height and ``tilt`` rad^2 in either slope; where a return stood out, by
+        the square of the greatest distance, too. Finest cells whose returns lay within ``spread``
+        (m) of it stay known. The first child (in Morton's order) has the parent's
+        row, the others follow the last leaf.
+
+        Returns:
+            False, and nothing is done, where ``max_cells`` leaves no room. The caller has made room
+            in the table (`reserve`).
+        """
+        basis = cython.declare(cython.double[6])
+        cython.declare(child=cython.Py_ssize_t, at=cython.Py_ssize_t)
+        parent = self.at(row)
+        level: cython.int = parent.level
+        ix: cython.int = 2 * parent.ix
+        iy: cython.int = 2 * parent.iy
+        if self.count + 3 > self.max_cells:
+            return False
+        basis_at(parent.normal, basis)
+        quarter = 0.25 * self.side(level)
+        # The first child overwrites its parent, so it is the last to be made.
+        for child in range(3, -1, -1):
+            at = row if child == 0 else self.count + child - 1
+            self.leaf[at] = self.leaf[row]
+            leaf = self.at(at)
+            if leaf.known >= INHERITED:
+                leaf.known = INHERITED
+                x = quarter if child & 1 else -quarter
+                y = quarter if child & 2 else -quarter
+                z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
+                first = basis[0] * x + basis[1] * y + basis[2] * z
+                second = basis[3] * x + basis[4] * y + basis[5] * z
+                leaf.z += z
+                # No return that is known there lay farther from the plane.
+                z = quarter * (fabs(leaf.normal[0]) + fabs(leaf.normal[1])) + spread
+                leaf.low = max(leaf.low, leaf.z - z / leaf.normal[2])
+                leaf.high = min(leaf.high, leaf.z + z / leaf.normal[2])
+                shift_origin(leaf.range_part, first, second)
+                shift_origin(leaf.pose_part, first, second)
+                leaf.range_part[0] += tilt
+                leaf.range_part[4] += tilt
+                leaf.range_part[8] += square
+                if self._stands_out(level + 1, ix + (child & 1), iy + (child >> 1)):
+                    leaf.range_part[8] += leaf.greatest * leaf.greatest
+            else:
+                leaf.known = NOTHING
+            clear(leaf)
+            self._place(at, level + 1, ix + (child & 1), iy + (child >> 1))
+        self.count += 3
+        return True
+
+    @cython.boundscheck(False)
+    def unknow(self, leaf: Record) -> None:
+        """Nothing is known of the finest cells under a leaf; seen they were."""
+        code: cython.Py_ssize_t
+        down: cython.int = 2 * (self.max_level - leaf.level)
+        first: cython.Py_ssize_t = encode(leaf.ix, leaf.iy) << down
+        for code in range(first, first + (1 << down)):
+            if self.seen[code] > SEEN:
+                self.seen[code] = SEEN
+
+    def make_room_and_divide(
+        self, row: int, square: float, tilt: float, spread: float = 0.0
+    ) -> cython.bint:
+        """`divide` one leaf."""
+        self.reserve(3)
+        return self.divide(row, square, tilt, spread)
+
+    def in_order(self) -> Index:
+        """Rows of the leaves in Morton order: neighbours in space are near in the table."""
+        code: cython.Py_ssize_t = 0
+        at: cython.Py_ssize_t = 0
+        out = np.empty(self.count, dtype=np.intp)
+        self.order = out
+        while code < self.over.shape[0]:
+            self.order[at] = self.over[code]
+            code += 1 << (2 * (self.max_level - self.leaf[self.over[code]].level))
+            at += 1
+        return out
+
+
+@cython.boundscheck(False)
+def unfold(values: Bytes, out: Bytes) -> None:
+    """Values (n^2,) of finest cells in Morton order, laid out by row and column (n, n)."""
+    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    places = cython.declare(cython.longlong[::1], SPREAD)
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            out[row, column] = values[places[column] | places[row] << 1]
+
+
+@cython.boundscheck(False)
+def leaf_raster(
+    level: Bytes,
+    ix: Numbers,
+    iy: Numbers,
+    out: Ints,
+) -> None:
+    """Which of the cells (level, ix, iy), each (M,), covers each finest cell (n, n) [iy, ix]."""
+    cython.declare(i=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    cython.declare(side=cython.Py_ssize_t)
+    for i in range(len(level)):
+        side = len(out) >> level[i]
+        for row in range(iy[i] * side, (iy[i] + 1) * side):
+            for column in range(ix[i] * side, (ix[i] + 1) * side):
+                out[row, column] = i

@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Point clouds as they arrive, to arrays of points in the lidar frame.
+
+Anything with the attributes of ``sensor_msgs/PointCloud2`` will do: rclpy's message and that of
+``rosbags`` are decoded by the same code, so a node and a replay see the same points (both go
+through `messages.intake.Intake`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.arrays import Array, Bytes, Points
+from quadtree_lss.onboard.core.sensing.lidar import points_from_ranges
+from quadtree_lss.onboard.core.sensing.points import reach_beyond
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+CARTESIAN = ("x", "y", "z")
+SPHERICAL = ("range", "azimuth", "elevation")
+FLOAT_TYPES = {7: "f4", 8: "f8"}
+"""Datatype constants of ``sensor_msgs/PointField`` that coordinates may have."""
+
+MAX_POINTS = 1 << 22
+"""A larger cloud is taken for a damaged one."""
+
+MAX_DISTANCE = 1e6
+"""Metres; coordinates beyond are absurd."""
+
+MAX_ANGLE = 2.0 * np.pi + 1e-3
+
+
+class MessageError(QuadtreeLssError):
+    """A message cannot be used.
+
+    Attributes:
+        reason: Short key under which it is counted.
+    """
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where three coordinates lie within a cloud's bytes."""
+
+    height: int
+    width: int
+    point_step: int
+    row_step: int
+    order: str
+    offsets: tuple[int, int, int]
+    formats: tuple[str, str, str]
+
+    def columns(self, data: Bytes) -> tuple[NDArray[Any], ...]:
+        """Three (height, width) views of the bytes."""
+        return tuple(
+            np.ndarray(
+                (self.height, self.width),
+                dtype=self.order + kind,
+                buffer=data,
+                offset=offset,
+                strides=(self.row_step, self.point_step),
+            )
+            for offset, kind in zip(self.offsets, self.formats, strict=True)
+        )
+
+    def view(self, data: Bytes) -> Points | None:
+        """(height, width, 3) of the bytes themselves; None if they do not lie so."""
+        kind, size = self.formats[0], int(self.formats[0][1])
+        start, address = self.offsets[0], data.__array_interface__["data"][0]
+        aligned = not any(n % size for n in (address + start, self.point_step, self.row_step))
+        together = self.offsets == (start, start + size, start + 2 * size)
+        same = self.formats == (kind,) * 3 and np.dtype(self.order + kind).isnative
+        if not (aligned and together and same):
+            return None
+        shape, strides = (self.height, self.width, 3), (self.row_step, self.point_step, size)
+        return np.ndarray(shape, kind, data, start, strides)
+
+
+def points_from_cloud(msg: Any) -> Points:
+    """Points of a cloud in lidar axes, m; NaN where a coordinate is missing: no return.
+
+    The fields are x, y, z or range, azimuth, elevation (m, rad; Eq. 14: z boresight, x right,
+    y down), each float32 or float64, at any offset, in either byte order, with any padding of
+    points and rows. Infinite coordinates are no returns either. Single coordinates beyond
+    ``MAX_DISTANCE`` are limited to it, so that the range gate counts them. Points that lie in the
+    message as the core takes them are not copied: the answer is then a view of its data.
+
+    Args:
+        msg: Like ``sensor_msgs/PointCloud2``.
+
+    Returns:
+        (H, W, 3) float32 or float64 for an organised cloud (height > 1), otherwise (N, 3).
+
+    Raises:
+        MessageError: with reason ``size``, ``fields``, ``field_type``, ``layout``,
+            ``too_large``, ``units`` or ``absurd``.
+    """
+    height, width = _count(msg, "height"), _count(msg, "width")
+    data = _bytes(msg.data)
+    if height * width == 0:
+        if data.size:
+            text = f"cloud of {width} x {height} points carries {data.size} bytes"
+            raise MessageError("size", text)
+        return np.empty((0, 3))
+    if height * width > MAX_POINTS:
+        text = f"cloud claims {width} x {height} points; {MAX_POINTS} is the most"
+        raise MessageError("too_large", text)
+    names, layout = _layout(msg, height, width, data.size)
+    seen = layout.view(data) if names is CARTESIAN else None
+    if seen is not None and not reach_beyond(seen.reshape(-1, 3), MAX_DISTANCE):
+        return seen if height > 1 else seen[0]
+    first, second, third = layout.columns(data)
+    with np.errstate(invalid="ignore", over="ignore"):
+        if names is CARTESIAN:
+            points = np.empty((height, width, 3), np.result_type(first, second, third))
+            points[..., 0], points[..., 1], points[..., 2] = first, second, third
+        else:
+            points = _from_spherical(*(np.asarray(c, "=f8") for c in (first, second, third)))
+    _limit(points)
+    return points if height > 1 else points[0]
+
+
+def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
+    """(height, width) values of one field of a cloud that `points_from_cloud` has taken.
+
+    Args:
+        kind: NumPy's word for the field's type, without byte order.
+
+    Raises:
+        MessageError: ``layout`` if the field lies outside a point or is no single value.
+    """
+    if int(field.count) != 1 or not 0 <= int(field.offset) <= msg.point_step - int(kind[1]):
+        text = f"cloud field '{field.name}' is not a single value within a point"
+        raise MessageError("layout", text)
+    return np.ndarray(
+        (msg.height, msg.width),
+        (">" if msg.is_bigendian else "<") + kind,
+        _bytes(msg.data),
+        int(field.offset),
+        (msg.row_step, msg.point_step),
+    )
+
+
+def stamp_ns(header: Any) -> int:
+    """Stamp of a ``std_msgs/Header`` in integer nanoseconds.
+
+    Raises:
+        MessageError: ``stamp`` if its nanoseconds are no fraction of a second.
+    """
+    seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
+    if not 0 <= nanoseconds < 1_000_000_000:
+        text = f"stamp {seconds} s + {nanoseconds} ns: the nanoseconds exceed a second"
+        raise MessageError("stamp", text)
+    return seconds * 1_000_000_000 + nanoseconds
+
+
+def _count(msg: Any, name: str) -> int:
+    value = int(getattr(msg, name))
+    if value < 0:
+        text = f"cloud has {name} {value}"
+        raise MessageError("size", text)
+    return value
+
+
+def _bytes(data: Any) -> Bytes:
+    """The bytes without a copy where the type allows it: array.array, bytes, NumPy."""
+    try:
+        return np.frombuffer(data, dtype=np.uint8)
+    except (TypeError, ValueError, BufferError):
+        return _copied_bytes(data)
+
+
+def _copied_bytes(data: Any) -> Bytes:
+    """Bytes of a list, an array with gaps or an empty buffer."""
+    try:
+        values = np.asarray(data).reshape(-1)
+    except (TypeError, ValueError, OverflowError):
+        values = np.array([None])
+    if values.size == 0:
+        return np.empty(0, dtype=np.uint8)
+    if values.dtype.kind not in "iu" or values.min() < 0 or values.max() > 255:
+        text = f"cloud data of type {type(data).__name__} are not bytes"
+        raise MessageError("size", text)
+    return values.astype(np.uint8)
+
+
+def _layout(msg: Any, height: int, width: int, size: int) -> tuple[tuple[str, ...], _Layout]:
+    point_step, row_step = _count(msg, "point_step"), _count(msg, "row_step")
+    names, fields = _coordinate_fields(msg.fields)
+    spans = []
+    for field in fields:
+        kind = FLOAT_TYPES.get(int(field.datatype))
+        if kind is None:
+            text = (
+                f"cloud field '{field.name}' has datatype {field.datatype};"
+                " float32 (7) or float64 (8) is needed"
+            )
+            raise MessageError("field_type", text)
+        if int(field.count) != 1:
+            text = f"cloud field '{field.name}' has count {field.count}; 1 is needed"
+            raise MessageError("layout", text)
+        offset, length = int(field.offset), int(kind[1])
+        if offset < 0 or offset + length > point_step:
+            text = (
+                f"cloud field '{field.name}' at bytes {offset}..{offset + length} lies outside"
+                f" a point of {point_step} bytes"
+            )
+            raise MessageError("layout", text)
+        spans.append((offset, length, kind))
+    ordered = sorted(spans)
+    if any(a[0] + a[1] > b[0] for a, b in zip(ordered, ordered[1:], strict=False)):
+        text = f"cloud fields {', '.join(names)} overlap"
+        raise MessageError("layout", text)
+    if row_step < width * point_step:
+        text = f"cloud row_step {row_step} is less than {width} points of {point_step} bytes"
+        raise MessageError("size", text)
+    # The padding of the last row may be left out.
+    least, most = (height - 1) * row_step + width * point_step, height * row_step
+    if not least <= size <= most:
+        text = f"cloud of {width} x {height} points needs {most} bytes, has {size}"
+        raise MessageError("size", text)
+    offsets, kinds = [s[0] for s in spans], [s[2] for s in spans]
+    return names, _Layout(
+        height=height,
+        width=width,
+        point_step=point_step,
+        row_step=row_step,
+        order=">" if msg.is_bigendian else "<",
+        offsets=(offsets[0], offsets[1], offsets[2]),
+        formats=(kinds[0], kinds[1], kinds[2]),
+    )
+
+
+def _coordinate_fields(fields: Any) -> tuple[tuple[str, ...], list[Any]]:
+    found: dict[str, Any] = {}
+    for field in fields:
+        if field.name in found and field.name in CARTESIAN + SPHERICAL:
+            text = f"cloud has two fields '{field.name}'"
+            raise MessageError("fields", text)
+        found[field.name] = field
+    for names in (CARTESIAN, SPHERICAL):
+        if all(name in found for name in names):
+            return names, [found[name] for name in names]
+    have = ", ".join(map(str, found)) or "none"
+    text = f"cloud needs fields x, y, z or range, azimuth, elevation; it has {have}"
+    raise MessageError("fields", text)
+
+
+def _from_spherical(ranges: Array, azimuth: Array, elevation: Array) -> Array:
+    turned = (np.abs(azimuth) > MAX_ANGLE) | (np.abs(elevation) > MAX_ANGLE)
+    wrong = turned | (ranges < 0.0)
+    if wrong.any():
+        if 2 * np.count_nonzero(turned) > np.count_nonzero(np.isfinite(azimuth)):
+            text = "cloud azimuth and elevation exceed a turn: degrees where radians are needed?"
+            raise MessageError("units", text)
+        ranges = np.where(wrong, np.nan, ranges)
+    return points_from_ranges(ranges, azimuth, elevation)
+
+
+def _limit(points: Points) -> None:
+    """Makes infinite coordinates NaN and limits absurd ones, in place."""
+    far = np.abs(points) > MAX_DISTANCE
+    if not far.any():
+        return
+    points[np.isinf(points)] = np.nan
+    far &= ~np.isnan(points)
+    count, usable = np.count_nonzero(far.any(axis=-1)), np.count_nonzero(~np.isnan(points[..., 2]))
+    if 2 * count > usable:
+        text = (
+            f"cloud has {count} of {usable} points beyond {MAX_DISTANCE:.0e} m:"
+            " wrong byte order, unit or offsets?"
+        )
+        raise MessageError("absurd", text)
+    np.clip(points, -MAX_DISTANCE, MAX_DISTANCE, out=points)

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the lidar sits on the body: by parameters, from ``lidar/gimbal`` or from ``/tf_static``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.mount import cloud_turn, fixed_mount
+from quadtree_lss.onboard.core.sensing.transforms import FixedTransforms
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.poses import mount_from_message
+
+
+class Extrinsics:
+    """Knows the frames of body and scans, and with ``mount.tf`` the way from one to the other.
+
+    Args:
+        config: Of which ``mount`` and ``frames.body`` matter.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.tf = config.mount.tf
+        self._turn = cloud_turn(config.mount)
+        self._fixed = None if self.tf else fixed_mount(config.mount)
+        self._tree = FixedTransforms()
+        self._body = config.frames.body.lstrip("/")
+        self._lidar = ""
+        self._found: Pose | None = None
+
+    @property
+    def mount(self) -> Pose | None:
+        """Pose of the cloud's axes in body axes as far as known; the identity is None, too."""
+        return self._found if self.tf else self._fixed
+
+    def turned(self, lidar: Pose) -> Pose:
+        """The cloud's axes, of a lidar that sits so on the body (``mount.axes``)."""
+        return replace(lidar, rotation_map_lidar=lidar.rotation_map_lidar @ self._turn)
+
+    def check_body(self, frame: str) -> None:
+        """Takes the child frame of an odometry, the first if ``frames.body`` names none.
+
+        Raises:
+            MessageError: ``child_frame`` if it is another one.
+        """
+        frame = str(frame).lstrip("/")
+        if not self._body and frame:
+            self._body = frame
+            self._look()
+        if frame != self._body:
+            text = f"odometry is of '{frame}', expected '{self._body}' (parameter frames.body)"
+            raise MessageError("child_frame", text)
+
+    def check_lidar(self, frame: str) -> None:
+        """Takes the frame of a cloud, which matters with ``mount.tf`` alone.
+
+        Raises:
+            MessageError: ``frame`` if it is another one than before.
+        """
+        frame = str(frame).lstrip("/")
+        if not self.tf or frame == self._lidar:
+            return
+        if self._lidar:
+            text = f"cloud is in frame '{frame}', those before were in '{self._lidar}'"
+            raise MessageError("frame", text)
+        self._lidar = frame
+        self._look()
+
+    def on_transforms(self, msg: Any) -> None:
+        """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``.
+
+        Raises:
+            MessageError: ``stamp``, ``position`` or ``quaternion`` of a transform; the others hold.
+        """
+        wrong: MessageError | None = None
+        new = False
+        for item in msg.transforms:
+            try:
+                held = mount_from_message(item, "transform")
+            except MessageError as error:
+                wrong = wrong or error
+            else:
+                new |= self._tree.add(item.header.frame_id, item.child_frame_id, held)
+        if new:
+            self._look()
+        if wrong is not None:
+            raise wrong
+
+    def lack(self) -> str:
+        """Why the mount is not known yet."""
+        if not self._body:
+            return "the body's frame is not known (frames.body, or the child frame of an odometry)"
+        told = ", ".join(self._tree.frames()) or "none"
+        return (
+            f"/tf_static has no chain from '{self._body}' to '{self._lidar}' (mount.tf);"
+            f" frames heard of: {told}"
+        )
+
+    def _look(self) -> None:
+        found = self._tree.between(self._body, self._lidar) if self._body and self._lidar else None
+        if found is not None:
+            self._found = self.turned(found)

@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From messages to scans with their pose: the part that a node and a replay have in common."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.arrays import Points
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.mount import MountedPoses
+from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS, PoseBuffer
+from quadtree_lss.onboard.core.sensing.pose_gate import PoseGate
+from quadtree_lss.onboard.core.sensing.scan_queue import Drop, ScanQueue
+from quadtree_lss.onboard.core.sensing.sweep import Sweep, poses_during, sweep
+from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.onboard.messages.extrinsics import Extrinsics
+from quadtree_lss.onboard.messages.poses import (
+    has_unknown_covariance,
+    mount_from_message,
+    pose_from_message,
+)
+from quadtree_lss.onboard.messages.times import offsets_from_cloud
+
+NOISE_RATIO_LIMIT = 1.4
+"""Observed over configured range noise that is worth a warning, either way."""
+
+
+class Notice(NamedTuple):
+    """Something to tell the user: a short key to count and throttle by, and one line of text."""
+
+    reason: str
+    text: str
+
+
+class ReadyScan(NamedTuple):
+    """A scan and the pose of the lidar at its stamp; points as of `points_from_cloud`.
+
+    ``sweep`` is how the lidar moved while it took the scan, None if that was at once.
+    """
+
+    stamp_ns: int
+    points_lidar: Points
+    pose: Pose
+    sweep: Sweep | None = None
+
+    def __repr__(self) -> str:
+        shape = " x ".join(map(str, self.points_lidar.shape[:-1]))
+        return f"<ReadyScan: {shape} points at {self.stamp_ns} ns>"
+
+
+class _Cloud(NamedTuple):
+    """What waits for its pose; ``times`` as of `offsets_from_cloud`."""
+
+    points: Points
+    times: tuple[NDArray[np.int32], tuple[int, int]] | None
+
+
+class Intake:
+    """Decodes messages, lets scans wait for poses, counts what cannot be used.
+
+    Call `on_pose`, `on_cloud`, `on_gimbal`, `on_transforms` with each message as it comes, then
+    `ready`. No call raises on bad input: it is counted in ``rejected`` or ``queue.dropped`` and
+    told by `notices`.
+
+    Args:
+        config: Of which ``pose``, ``frames``, ``mount`` and ``lidar.deskew`` matter: with a
+            mount, poses are the body's; with ``mount.gimbal`` the mount comes by `on_gimbal`, with
+            ``mount.tf`` by `on_transforms`.
+        scan_topic, pose_topic, gimbal_topic: Names for messages to the user.
+
+    Attributes:
+        rejected: Unusable messages by reason, ``cloud_<reason>``, ``pose_<reason>``, …; as
+            ``times_<reason>`` clouds that were taken as of one time.
+        scans, poses_taken: Usable messages.
+        queue: The waiting scans; ``queue.dropped`` counts those given up.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        *,
+        scan_topic: str = "lidar/points",
+        pose_topic: str = "nav/pose",
+        gimbal_topic: str = "lidar/gimbal",
+    ) -> None:
+        self._pose_config = config.pose
+        self._map_frame = config.frames.map
+        self._deskew = config.lidar.deskew
+        self._body = self._buffer()
+        self._gate = PoseGate(round(config.pose.max_gap * SECOND_NS))
+        self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
+        self._extrinsics = Extrinsics(config)
+        held = self._gimbal if self._gimbal is not None else self._extrinsics.mount
+        self._mounted: MountedPoses | None = None
+        if held is not None or self._extrinsics.tf:
+            lack = self._extrinsics.lack
+            self._mounted = MountedPoses(self._body, held, gimbal_topic, lack)
+        self.queue = ScanQueue(
+            self._body if self._mounted is None else self._mounted,
+            max_scans=config.pose.queue,
+            max_wait_ns=round(config.pose.max_wait * SECOND_NS),
+            scan_topic=scan_topic,
+            pose_topic=pose_topic,
+        )
+        self.rejected: Counter[str] = Counter()
+        self.scans = 0
+        self.poses_taken = 0
+        self._notices: list[Notice] = []
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Scans that were not mapped, by reason: unusable clouds and those without a pose."""
+        clouds = {k: v for k, v in self.rejected.items() if k.startswith("cloud_")}
+        return {**clouds, **self.queue.dropped}
+
+    def on_pose(self, msg: Any) -> None:
+        """Takes a pose of the lidar, or of the body with a mount.
+
+        Args:
+            msg: ``PoseWithCovarianceStamped``, or ``Odometry``, whose child frame is then checked.
+        """
+        limits = self._pose_config
+        try:
+            if hasattr(msg, "child_frame_id"):
+                self._extrinsics.check_body(msg.child_frame_id)
+            pose = pose_from_message(
+                msg,
+                self._map_frame,
+                unknown_position_sigma=limits.unknown_position_sigma,
+                unknown_attitude_sigma_deg=limits.unknown_attitude_sigma_deg,
+            )
+        except MessageError as error:
+            self.reject("pose", error)
+            return
+        if has_unknown_covariance(msg):
+            self._notices.append(
+                Notice(
+                    "pose_covariance_unknown",
+                    "pose covariance is all zero, taken as unknown: using"
+                    f" {limits.unknown_position_sigma:g} m and"
+                    f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
+                    " pose.unknown_attitude_sigma_deg)",
+                )
+            )
+        refused = self._gate.dropped
+        for believed in self._gate.sift(pose):
+            self.poses_taken += self._add(self._body, believed, "pose")
+        if self._gate.dropped > refused:
+            self.rejected["pose_contradiction"] += self._gate.dropped - refused
+            text = "pose ignored: those before and after it lead elsewhere, beyond its covariance"
+            self._notices.append(Notice("pose_contradiction", text))
+        self._mount()
+
+    def on_gimbal(self, msg: Any) -> None:
+        """Takes a ``TransformStamped`` body to lidar."""
+        if self._gimbal is None:
+            return
+        try:
+            mount = self._extrinsics.turned(mount_from_message(msg))
+            self._add(self._gimbal, mount, "gimbal")
+        except MessageError as error:
+            self.reject("gimbal", error)
+
+    def on_transforms(self, msg: Any) -> None:
+        """Takes a ``TFMessage`` of ``/tf_static``, which matters with ``mount.tf``."""
+        try:
+            self._extrinsics.on_transforms(msg)
+        except MessageError as error:
+            self.reject("transform", error)
+        self._mount()
+
+    def _mount(self) -> None:
+        if self._extrinsics.tf and self._mounted is not None:
+            self._mounted.mount = self._extrinsics.mount
+
+    def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
+        """Takes a ``PointCloud2``; ``arrival_ns`` is of any steady clock, see `ready`.
+
+        Returns:
+            The scan's stamp, or None if it cannot be used.
+        """
+        try:
+            points, stamp = points_from_cloud(msg), stamp_ns(msg.header)
+            self._extrinsics.check_lidar(msg.header.frame_id)
+        except MessageError as error:
+            self.reject("cloud", error)
+            return None
+        if points.size == 0:
+            self.reject("cloud", MessageError("empty", "cloud has no points"))
+            return None
+        times = None
+        if self._deskew:
+            try:
+                times = offsets_from_cloud(msg, stamp, points)
+            except MessageError as error:
+                self.reject("times", error)
+        self.scans += 1
+        self._mount()
+        jumps = self.queue.jumps
+        span_ns = (0, 0) if times is None else times[1]
+        self.queue.push_scan(stamp, _Cloud(points, times), arrival_ns, span_ns)
+        if self.queue.jumps != jumps:
+            text = "scan stamps jumped back (a looping bag?): waiting scans dropped, map kept"
+            self._notices.append(Notice("time_jump", text))
+        return stamp
+
+    def ready(self, now_ns: int) -> list[ReadyScan]:
+        """Scans whose pose is known, oldest first; gives up those that have waited too long.
+
+        Args:
+            now_ns: Present time on the clock of ``arrival_ns``.
+        """
+        scans = self.queue.pop_ready()
+        drops = self.queue.expire(now_ns)
+        while drops:
+            self._tell(drops)
+            scans += self.queue.pop_ready()
+            drops = self.queue.expire(now_ns)
+        return [self._with_sweep(*scan) for scan in scans]
+
+    def _with_sweep(self, stamp: int, cloud: _Cloud, pose: Pose) -> ReadyScan:
+        if cloud.times is None:
+            return ReadyScan(stamp, cloud.points, pose)
+        offsets, (first, last) = cloud.times
+        poses = poses_during(self.queue.poses, stamp + first, stamp + last)
+        return ReadyScan(stamp, cloud.points, pose, sweep(offsets, pose, poses))
+
+    def finish(self) -> None:
+        """Gives up what still waits, because nothing more will come."""
+        self._tell(self.queue.finish())
+
+    def notices(self) -> list[Notice]:
+        """What there is to tell since the last call."""
+        told, self._notices = self._notices, []
+        return [Notice(reason, one_line(text)) for reason, text in told]
+
+    def reject(self, what: str, error: MessageError) -> None:
+        """Counts and tells a message that cannot be used; ``what`` is cloud, pose or gimbal."""
+        self.rejected[f"{what}_{error.reason}"] += 1
+        self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
+
+    def _buffer(self, what: str = "pose") -> PoseBuffer:
+        limits = self._pose_config
+        span_ns, gap_ns = round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS)
+        return PoseBuffer(span_ns, gap_ns, what=what)
+
+    def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> bool:
+        """Whether the pose is used; one that is not, is counted as rejected."""
+        reason = buffer.add(pose)
+        if reason is None:
+            return True
+        used = reason == "time_jump"
+        if not used:
+            self.rejected[f"{what}_{reason}"] += 1
+        consequence = "older ones forgotten" if used else "ignored"
+        text = f"{what} with stamp {pose.stamp_ns} ns: {reason}, {consequence}"
+        self._notices.append(Notice(f"{what}_{reason}", text))
+        return used
+
+    def _tell(self, drops: list[Drop]) -> None:
+        self._notices += [Notice(drop.reason, drop.text) for drop in drops]
+
+
+def noise_notice(ratio: float, config: Config) -> Notice | None:
+    """Warning if the observed range noise is not the configured one; the leaf count hangs on it.
+
+    Args:
+        ratio: Observed over configured, as in ``ScanReport.noise_ratio``; NaN if unknown.
+        config: Of which ``lidar.range_noise`` and ``mapping.noise_check`` matter.
+    """
+    agrees = 1.0 / NOISE_RATIO_LIMIT <= ratio <= NOISE_RATIO_LIMIT
+    if not config.mapping.noise_check or math.isnan(ratio) or agrees:
+        return None
+    configured = config.lidar.range_noise
+    cause = (
+        "rough ground, or too many cells for a wrong setting"
+        if ratio > 1.0
+        else "a setting too large makes too few cells"
+    )
+    text = (
+        f"points scatter about flat cells by {ratio * configured:.3g} m, but lidar.range_noise is"
+        f" {configured:g} m: {cause}"
+    )
+    return Notice("range_noise", text)
+
+
+def pose_notices(errors: PoseErrors | None, config: Config) -> list[Notice]:
+    """Warnings where poses err otherwise than they claim; the map's covariance hangs on it.
+
+    Args:
+        errors: Of ``Mapper.pose_errors``.
+        config: Of which ``pose.correlation_time`` matters.
+    """
+    if errors is None:
+        return []
+    time, seen, size = config.pose.correlation_time, errors.seen, errors.size
+    found = []
+    if errors.white:
+        text = (
+            f"poses look white: heights jump from scan to scan by errors of {seen:.2g} m, where"
+            f" pose.correlation_time {time:g} s allows {errors.claimed:.2g} m;"
+            f" correlation_time 0 would say {errors.white_says:.2g} m of the map's height instead"
+            f" of {errors.map_says:.2g}"
+        )
+        found.append(Notice("pose_white", text))
+    if errors.persist:
+        text = (
+            f"pose errors persist, or are smaller than claimed: heights jump from scan to scan by"
+            f" {seen:.2g} m, where white errors (pose.correlation_time {time:g} s) of {size:.2g} m"
+            f" are claimed; if they persist, the map's height may be off by {size:.2g} m, not"
+            f" {errors.map_says:.2g}"
+        )
+        found.append(Notice("pose_persist", text))
+    if errors.too_small:
+        text = (
+            f"poses err by more than they claim: heights jump from scan to scan by errors of"
+            f" {seen:.2g} m, where their covariance says {size:.2g} m"
+        )
+        found.append(Notice("pose_covariance", text))
+    return found

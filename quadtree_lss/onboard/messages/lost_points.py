@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why points of a scan did not enter the map, in words; and what would bring them there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Points
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.mapping.mapper import ScanReport
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.mount import AXES, cloud_turn
+from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
+from quadtree_lss.onboard.core.tree.domain import Domain
+
+TRIED_POINTS = 500
+"""As many points of a scan are tried with other axes and frames."""
+
+NO_POINTS_USED = "no_points_used"
+"""Key of the notice that `unused_points_text` is the text of."""
+
+MAP_OVERRULED = "map_overruled"
+"""Key of the notice that `overruled_text` is the text of."""
+
+REASONS = {
+    "no_return": "without a return",
+    "range": "out of range (lidar.min_range, lidar.max_range)",
+    "isolated": "isolated (lidar.outlier_gate)",
+    "outside": "outside the domain",
+    "contradiction": "contradicting the map (their pose is farther off than it claims)",
+}
+"""What became of points that did not enter the map, by the keys of ``ScanReport.dropped``."""
+
+
+def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str | None:
+    """Why not one point of a scan entered the map, in one line; None if one did.
+
+    For the one notice `NO_POINTS_USED` that a flight may need: the domain is named with the scan's
+    middle if points missed it.
+
+    Args:
+        why: Of `likely_reason`.
+    """
+    if report.points_used:
+        return None
+    text = f"no point of scan {seconds(report.stamp_ns)} entered the map: "
+    text += lost_points_text(report.dropped)
+    if report.dropped["outside"]:
+        text += f"; {domain_text(domain)}"
+        if report.centre is not None:
+            text += f", the scan's middle is at x {report.centre[0]:.1f}, y {report.centre[1]:.1f}"
+        text += f"; {why}" if why else ""
+    return text
+
+
+def overruled_text(report: ScanReport) -> str | None:
+    """That scans which contradicted the map have won, in one line; None if they did not."""
+    if not report.overruled:
+        return None
+    return (
+        f"the map was moved to scan {seconds(report.stamp_ns)}, or begun anew: the last scans"
+        " contradicted it and agreed with each other"
+    )
+
+
+def lost_points_text(lost: Mapping[str, int]) -> str:
+    """``16384 outside the domain, 3 without a return``: counts by reason, the largest first.
+
+    Args:
+        lost: By the keys of `REASONS`.
+    """
+    told = sorted(((n, key) for key, n in lost.items() if n), reverse=True)
+    return ", ".join(f"{n} {REASONS[key]}" for n, key in told)
+
+
+def domain_text(domain: Domain) -> str:
+    """Extent of the domain with the parameters that set it."""
+    x, y, size = domain.xmin, domain.ymin, domain.size
+    return (
+        f"the domain is x {x:g} ... {x + size:g}, y {y:g} ... {y + size:g} m"
+        " (domain.xmin, domain.ymin, domain.size)"
+    )
+
+
+NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
+    """What would bring a scan into the domain that misses it with all points; empty if unknown.
+
+    Each usual mistake about axes and frames is mended on some of the points: which of them lie in
+    the domain then, and below the lidar, decides.
+
+    Args:
+        points_lidar: (..., 3) as they were mapped, m.
+        pose: As they were mapped with, ``mount.axes`` included.
+    """
+    points = points_lidar.reshape(-1, 3).astype(np.float64)
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[:: max(len(points) // TRIED_POINTS, 1)]
+    if not len(points):
+        return ""
+    p, r = pose.position, pose.rotation_map_lidar
+    own = r @ cloud_turn(config.mount).T
+    tries = [
+        (f"mount.axes: {name}", own @ turn, p)
+        for name, turn in AXES.items()
+        if name != config.mount.axes
+    ]
+    tries += [
+        ("poses whose orientation takes the lidar's axes to the map's, not back", r.T, p),
+        ("the pose of a body with z up and a lidar that looks down from it: mount.roll_deg 180",
+         own @ LOOKING_DOWN, p),
+        ("poses with x east, y north, z up instead of north, east, down",
+         NED_FROM_ENU @ r, NED_FROM_ENU @ p),
+        ("a cloud in the lidar's axes: this one is in the map's frame already",
+         np.eye(3), np.zeros(3)),
+    ]  # fmt: skip
+    shares = [
+        _share_inside(points @ turn.T + place, config, place[2] if place.any() else p[2])
+        for _, turn, place in tries
+    ]
+    best = int(np.argmax(shares))
+    if shares[best] < 0.5:
+        return ""
+    return f"it would lie inside with {tries[best][0]} ({100 * shares[best]:.0f} % of its points)"
+
+
+def _share_inside(points_map: Array, config: Config, lidar_z: float) -> float:
+    """Share of the points over the domain and below the lidar."""
+    d = config.domain
+    x, y, z = points_map.T
+    inside = (x >= d.xmin) & (x < d.xmin + d.size) & (y >= d.ymin) & (y < d.ymin + d.size)
+    return float(np.mean(inside & (z < lidar_z)))

@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The output topics as messages, and maps read back: for rclpy's classes and for those of bags.
+
+Nothing here knows where the classes come from; they are given by name and called with all fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages.clouds import stamp_ns
+from quadtree_lss.onboard.messages.maps import (
+    CELL_FIELDS,
+    CELL_FIELDS_BEFORE,
+    POINT_FIELD_TYPES,
+    SITE_FIELDS,
+    STATUS_FIELDS,
+    MapMessageError,
+    decode_cells,
+    decode_observed,
+    encode_cells,
+    encode_hazards,
+    encode_observed,
+    encode_probability,
+    encode_score,
+    encode_sites,
+    encode_status,
+    known_probability,
+    record_dtype,
+    site_orientations,
+)
+
+if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
+    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+
+CELLS, OBSERVED = "map/cells", "map/observed"
+SITES, SITE_TABLE = "landing/sites", "landing/site_table"
+HAZARDS, SCORE = "landing/hazards", "landing/score"
+PROBABILITY = "landing/probability"
+SELECTED, STATUS = "landing/selected", "landing/status"
+
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
+POSES_TYPE = "geometry_msgs/msg/PoseArray"
+SELECTED_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TOPIC_TYPES = {
+    CELLS: CLOUD_TYPE,
+    OBSERVED: GRID_TYPE,
+    SITES: POSES_TYPE,
+    SITE_TABLE: CLOUD_TYPE,
+    HAZARDS: GRID_TYPE,
+    SCORE: GRID_TYPE,
+    PROBABILITY: GRID_TYPE,
+    SELECTED: SELECTED_TYPE,
+    STATUS: CLOUD_TYPE,
+}
+"""Relative names of the outputs and their types."""
+
+GRID_MAP, GRID_MAP_TYPE = "landing/grid_map", "grid_map_msgs/msg/GridMap"
+"""Sent live where ``grid_map_msgs`` is installed, and always recorded."""
+GRID_MAP_LAYERS = ("elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
+GRID_MAP_LAYERS += ("probability",)
+"""Layers of it, as far as the assessment has them."""
+
+Fields = tuple[tuple[str, str], ...]
+Named = tuple[str, Any]
+"""Relative name of a topic, and a message."""
+
+
+def point_layout(fields: Fields) -> list[tuple[str, int, int]]:
+    """Name, offset and PointField datatype of each field of ``record_dtype(fields)``."""
+    offsets: Mapping[str, Any] = record_dtype(fields).fields or {}
+    return [(name, offsets[name][1], POINT_FIELD_TYPES[kind]) for name, kind in fields]
+
+
+def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
+    """Records (M,) of a PointCloud2 that has exactly the layout of `MessageMaker.cloud`.
+
+    Raises:
+        MapMessageError: other fields, offsets, types or sizes (``layout``).
+    """
+    kinds = record_dtype(fields)
+    found = [(item.name, item.offset, item.datatype) for item in cloud.fields]
+    count = cloud.width * cloud.height
+    if (
+        found != point_layout(fields)
+        or cloud.is_bigendian
+        or cloud.point_step != kinds.itemsize
+        or len(cloud.data) != count * kinds.itemsize
+    ):
+        msg = (
+            f"cloud of {count} points, {len(found)} fields and {cloud.point_step} bytes"
+            f" each is not of the layout documented in msg_docs ({len(fields)} fields,"
+            f" {kinds.itemsize} bytes)"
+        )
+        raise MapMessageError("layout", msg)
+    return np.frombuffer(cloud.data, dtype=kinds)
+
+
+def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> CellMap:
+    """The map of one stamp from ``map/cells`` and ``map/observed``.
+
+    Args:
+        cloud, grid: The messages.
+        lss: How landing will be judged on it: a map too large for that is refused before anything
+            is made of it. None if it will not be judged.
+
+    Raises:
+        MapMessageError: a message is not what ``mapping_node`` sends, or the two are not of one
+            frame (``frame``).
+    """
+    frames = (str(cloud.header.frame_id), str(grid.header.frame_id))
+    if frames[0].lstrip("/") != frames[1].lstrip("/"):
+        shown = [one_line(frame, 80) for frame in frames]
+        msg = f"map/cells is in frame '{shown[0]}', map/observed in '{shown[1]}'"
+        raise MapMessageError("frame", msg)
+    before = len(cloud.fields) == len(CELL_FIELDS_BEFORE)
+    records = cloud_records(cloud, CELL_FIELDS_BEFORE if before else CELL_FIELDS)
+    values = np.frombuffer(grid.data, dtype=np.int8)
+    if values.size != grid.info.height * grid.info.width:
+        msg = (
+            f"map/observed of {grid.info.width} x {grid.info.height} cells carries"
+            f" {values.size} values"
+        )
+        raise MapMessageError("observed_size", msg)
+    shape = grid.info.height, grid.info.width
+    observed, known = (marks.reshape(shape) for marks in decode_observed(values))
+    origin, stamp = grid.info.origin.position, stamp_ns(cloud.header)
+    return decode_cells(records, observed, origin.x, origin.y, stamp, lss, known)
+
+
+class MessageMaker:
+    """Builds the output messages.
+
+    Args:
+        types: Message class by name, such as ``nav_msgs/msg/OccupancyGrid``.
+        pack: What the classes take as an array of uint8, int8 or float32.
+        frame: Frame of the map.
+    """
+
+    def __init__(
+        self,
+        types: Mapping[str, Callable[..., Any]],
+        pack: Callable[[NDArray[Any]], Any],
+        frame: str,
+    ) -> None:
+        self._types, self._pack, self._frame = types, pack, frame
+        self._layouts: dict[Fields, list[Any]] = {}
+
+    def of_map(self, cells: CellMap) -> Iterator[Named]:
+        """``map/cells`` and ``map/observed``."""
+        domain, stamp = cells.domain, cells.stamp_ns
+        yield CELLS, self.cloud(encode_cells(cells), CELL_FIELDS, stamp)
+        values, corner = encode_observed(cells.observed, cells.known), (domain.xmin, domain.ymin)
+        yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
+
+    def of_landing(
+        self, assessment: LandingAssessment, age: float = float("nan")
+    ) -> Iterator[Named]:
+        """The ``landing/`` topics, target first."""
+        yield from self.of_target(assessment, age)
+        yield from self.of_ground(assessment)
+
+    def of_ground(self, assessment: LandingAssessment) -> Iterator[Named]:
+        """Grids and sites; grid points are the centres of their cells."""
+        stamp, x, y = assessment.stamp_ns, assessment.x, assessment.y
+        spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
+        corner = (float(x[0]) - 0.5 * spacing, float(y[0]) - 0.5 * spacing)
+        yield HAZARDS, self.grid(encode_hazards(assessment), corner, spacing, stamp)
+        yield SCORE, self.grid(encode_score(assessment), corner, spacing, stamp)
+        yield PROBABILITY, self.grid(encode_probability(assessment), corner, spacing, stamp)
+        yield SITE_TABLE, self.cloud(encode_sites(assessment), SITE_FIELDS, stamp)
+        yield SITES, self.sites(assessment)
+
+    def grid_map(self, assessment: LandingAssessment) -> Any:
+        """``landing/grid_map``: all layers of the landing grid, NaN where unknown."""
+        x, y = assessment.x, assessment.y
+        spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
+        found = {name: getattr(assessment, name, None) for name in GRID_MAP_LAYERS}
+        found["probability"] = known_probability(assessment)
+        layers = {name: values for name, values in found.items() if values is not None}
+        middle = (0.5 * float(x[0] + x[-1]), 0.5 * float(y[0] + y[-1]), 0.0)
+        info = self._make(
+            "grid_map_msgs/msg/GridMapInfo",
+            resolution=spacing,
+            length_x=spacing * len(x),
+            length_y=spacing * len(y),
+            pose=self._pose(middle, (0.0, 0.0, 0.0, 1.0)),
+        )
+        return self._make(
+            GRID_MAP_TYPE,
+            header=self._header(assessment.stamp_ns),
+            info=info,
+            layers=list(layers),
+            basic_layers=["elevation"],
+            data=[self.grid_map_layer(values) for values in layers.values()],
+            outer_start_index=0,
+            inner_start_index=0,
+        )
+
+    def grid_map_layer(self, values: NDArray[Any]) -> Any:
+        """One layer (ny, nx) as grid_map keeps it: column by column.
+
+        Row 0 is that of the greatest x, column 0 that of the greatest y.
+        """
+        ny, nx = values.shape
+        dimensions = [
+            self._make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=stride)
+            for label, size, stride in (("column_index", ny, ny * nx), ("row_index", nx, nx))
+        ]
+        layout = self._make("std_msgs/msg/MultiArrayLayout", dim=dimensions, data_offset=0)
+        turned = np.ascontiguousarray(values[::-1, ::-1], np.float32).ravel()
+        return self._make("std_msgs/msg/Float32MultiArray", layout=layout, data=self._pack(turned))
+
+    def of_target(self, assessment: LandingAssessment, age: float) -> Iterator[Named]:
+        """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown."""
+        yield SELECTED, self.selected(assessment)
+        record = encode_status(assessment, age)
+        yield STATUS, self.cloud(record, STATUS_FIELDS, assessment.stamp_ns)
+
+    def cloud(self, records: NDArray[np.void], fields: Fields, stamp: int) -> Any:
+        """PointCloud2 with one point per record (M,) of ``record_dtype(fields)``, packed."""
+        size = records.dtype.itemsize
+        return self._make(
+            CLOUD_TYPE,
+            header=self._header(stamp),
+            height=1,
+            width=len(records),
+            fields=self._point_fields(fields),
+            is_bigendian=False,
+            point_step=size,
+            row_step=size * len(records),
+            data=self._pack(np.ascontiguousarray(records).view(np.uint8)),
+            is_dense=False,
+        )
+
+    def grid(
+        self, values: NDArray[np.int8], corner: tuple[float, float], side: float, stamp: int
+    ) -> Any:
+        """OccupancyGrid of values (ny, nx), row of least y first.
+
+        Args:
+            values: int8.
+            corner: South-western corner of the first cell, m.
+            side: Side of a cell, m.
+            stamp: Of the map, ns.
+        """
+        info = self._make(
+            "nav_msgs/msg/MapMetaData",
+            map_load_time=self._time(stamp),
+            resolution=float(side),
+            width=values.shape[1],
+            height=values.shape[0],
+            origin=self._pose((*corner, 0.0), (0.0, 0.0, 0.0, 1.0)),
+        )
+        data = self._pack(np.ascontiguousarray(values, dtype=np.int8).ravel())
+        return self._make(GRID_TYPE, header=self._header(stamp), info=info, data=data)
+
+    def sites(self, assessment: LandingAssessment) -> Any:
+        """PoseArray of the sites, best first."""
+        sites = assessment.sites
+        turns = site_orientations(sites.normal)
+        poses = [self._pose(p, q) for p, q in zip(sites.position, turns, strict=True)]
+        header = self._header(assessment.stamp_ns)
+        return self._make(POSES_TYPE, header=header, poses=poses)
+
+    def selected(self, assessment: LandingAssessment) -> Any:
+        """The target; one without a place (NaN) if there is none."""
+        target = assessment.selected
+        turn = site_orientations(target.site.normal)[0] if target.id else (0.0, 0.0, 0.0, 1.0)
+        pose = self._make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=self._pose(target.position, turn),
+            covariance=target.covariance.ravel(),
+        )
+        return self._make(SELECTED_TYPE, header=self._header(assessment.stamp_ns), pose=pose)
+
+    def _point_fields(self, fields: Fields) -> list[Any]:
+        """The same list in every cloud of these fields: making one takes longer than its bytes."""
+        if fields not in self._layouts:
+            self._layouts[fields] = [
+                self._make(
+                    "sensor_msgs/msg/PointField", name=name, offset=at, datatype=kind, count=1
+                )
+                for name, at, kind in point_layout(fields)
+            ]
+        return self._layouts[fields]
+
+    def _make(self, kind: str, /, **values: Any) -> Any:
+        return self._types[kind](**values)
+
+    def _time(self, stamp: int) -> Any:
+        seconds, nanoseconds = divmod(int(stamp), 10**9)
+        return self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+    def _header(self, stamp: int) -> Any:
+        return self._make("std_msgs/msg/Header", stamp=self._time(stamp), frame_id=self._frame)
+
+    def _pose(self, position: Any, xyzw: Any) -> Any:
+        x, y, z = map(float, position)
+        a, b, c, d = map(float, xyzw)
+        return self._make(
+            "geometry_msgs/msg/Pose",
+            position=self._make("geometry_msgs/msg/Point", x=x, y=y, z=z),
+            orientation=self._make("geometry_msgs/msg/Quaternion", x=a, y=b, z=c, w=d),
+        )

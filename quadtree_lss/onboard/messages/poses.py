@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses as they arrive, validated, to ``core.sensing.lidar.Pose``; duck-typed like the clouds."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.geometry.portable import eigen, product
+from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
+
+MAX_POSITION = 1e8
+"""Metres; positions beyond are absurd."""
+
+MAX_COVARIANCE = 1e12
+"""m^2, m rad, rad^2; entries beyond are absurd, and their squares no numbers any more."""
+
+MAX_ATTITUDE_VARIANCE = 0.25
+"""rad^2; an attitude known to no better than 0.5 rad places no point."""
+
+UNIT_TOLERANCE = 0.01
+"""A quaternion's length may differ from one by this; it is normalised."""
+
+COVARIANCE_TOLERANCE = 1e-6
+"""Relative asymmetry and negative eigenvalue that count as rounding and are mended."""
+
+
+_UNKNOWN = bytes(8 * 36)
+
+
+def pose_from_message(
+    msg: Any,
+    map_frame: str,
+    *,
+    unknown_position_sigma: float = 0.1,
+    unknown_attitude_sigma_deg: float = 0.05,
+) -> Pose:
+    """Pose of the lidar (or body) in the map frame.
+
+    A covariance of zeros alone says "unknown" by convention; the two sigmas then take its place
+    (see `has_unknown_covariance`).
+
+    Args:
+        msg: Like ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which
+            the velocity is not used; covariance of (x, y, z, rotation
+            about the fixed axes X, Y, Z of the header's frame), m and rad.
+        map_frame: Name the header's frame must have; a leading slash does not matter.
+        unknown_position_sigma: m, each axis.
+        unknown_attitude_sigma_deg: degrees, each axis.
+
+    Raises:
+        MessageError: with reason ``frame``, ``stamp``, ``position``, ``quaternion``,
+            ``covariance`` or ``attitude``.
+    """
+    check_frame(msg.header.frame_id, map_frame, "pose")
+    position = _position(msg.pose.pose.position, "pose position")
+    rotation = _rotation(msg.pose.pose.orientation, "pose orientation")
+    known = _covariance(_content(msg.pose.covariance))
+    if known is None:
+        attitude = np.deg2rad(unknown_attitude_sigma_deg)
+        sigmas = np.repeat([unknown_position_sigma, attitude], 3)
+        covariance: Array = np.diag(sigmas**2)
+    else:
+        covariance = known
+        widest = float(covariance.diagonal()[3:].max())
+        if widest > MAX_ATTITUDE_VARIANCE:
+            text = f"pose attitude has a variance of {widest:.3g} rad^2, so nothing is known of it"
+            text += "; a covariance of zeros says unknown (pose.unknown_attitude_sigma_deg)"
+            raise MessageError("attitude", text)
+    return Pose(stamp_ns(msg.header), position, rotation, covariance)
+
+
+def has_unknown_covariance(msg: Any) -> bool:
+    """True if all 36 entries are zero, by which a publisher says that it does not know."""
+    return _content(msg.pose.covariance) == _UNKNOWN
+
+
+def mount_from_message(msg: Any, what: str = "gimbal") -> Pose:
+    """Pose of the lidar in body axes from a ``geometry_msgs/TransformStamped`` body to lidar.
+
+    The transform is ROS's: header frame the body, child frame the lidar, translation the lidar's
+    origin in body axes, rotation taking lidar to body axes. The covariance is zero.
+
+    Raises:
+        MessageError: with reason ``stamp``, ``position`` or ``quaternion``.
+    """
+    position = _position(msg.transform.translation, f"{what} translation")
+    rotation = _rotation(msg.transform.rotation, f"{what} rotation")
+    return Pose(stamp_ns(msg.header), position, rotation, np.zeros((6, 6)))
+
+
+def check_frame(frame: str, expected: str, what: str) -> None:
+    """Raises MessageError ``frame`` unless both names are the same frame."""
+    if str(frame).lstrip("/") != expected.lstrip("/"):
+        text = f"{what} is in frame '{one_line(frame, 80)}', expected '{expected}'"
+        text += " (parameter frames.map)"
+        raise MessageError("frame", text)
+
+
+def _content(covariance: Any) -> bytes:
+    return np.asarray(covariance, dtype=np.float64).tobytes()
+
+
+@lru_cache(maxsize=8)  # most publishers repeat theirs, and poses come at hundreds a second
+def _covariance(content: bytes) -> Array | None:
+    """A covariance (6, 6), symmetric and without negative eigenvalues, read-only.
+
+    Rounding is mended, more is refused. Asymmetry and eigenvalues are judged after scaling to
+    unit diagonal, since metres and radians differ by orders of magnitude.
+
+    Args:
+        content: 36 float64, row by row.
+
+    Returns:
+        None if all are zero.
+
+    Raises:
+        MessageError: ``covariance`` if it has another length, is not finite, not symmetric or
+            has a negative eigenvalue.
+    """
+    if content == _UNKNOWN:
+        return None
+    entries = np.frombuffer(content)
+    if entries.size != 36:
+        text = f"pose covariance has {entries.size} entries; 36 are needed"
+        raise MessageError("covariance", text)
+    if not (np.abs(entries) <= MAX_COVARIANCE).all():  # also when one is not a number
+        text = f"pose covariance is not finite or absurd (beyond {MAX_COVARIANCE:.0e})"
+        raise MessageError("covariance", text)
+    matrix = entries.reshape(6, 6)
+    variances = matrix.diagonal()
+    if variances.min() < 0.0:
+        text = f"pose covariance has a negative variance ({variances.min():.3g})"
+        raise MessageError("covariance", text)
+    sigmas = np.sqrt(variances)
+    scale = np.where(sigmas > 0.0, sigmas, 1.0)
+    with np.errstate(all="ignore"):
+        scaled = matrix / scale[:, None] / scale
+        asymmetry = np.abs(scaled - scaled.T).max()
+    if not asymmetry <= COVARIANCE_TOLERANCE:  # also when one is not a number
+        text = f"pose covariance is not symmetric (relative difference {asymmetry:.2g})"
+        raise MessageError("covariance", text)
+    scaled = 0.5 * (scaled + scaled.T)
+    eigenvalues, vectors = eigen(scaled)
+    least = eigenvalues.min()
+    if least < -COVARIANCE_TOLERANCE:
+        text = f"pose covariance has a negative eigenvalue (relative {least:.2g})"
+        raise MessageError("covariance", text)
+    if least < 0.0:
+        scaled = product(vectors * np.maximum(eigenvalues, 0.0), vectors.T)
+    covariance: Array = scaled * np.outer(scale, scale)
+    covariance.flags.writeable = False
+    return covariance
+
+
+def _position(point: Any, what: str) -> Array:
+    values = (float(point.x), float(point.y), float(point.z))
+    if not all(abs(value) <= MAX_POSITION for value in values):  # also when one is not a number
+        text = f"{what} ({point.x}, {point.y}, {point.z}) is not finite or absurd"
+        raise MessageError("position", text)
+    return np.array(values)
+
+
+def _rotation(quaternion: Any, what: str) -> Array:
+    q = quaternion
+    xyzw = (float(q.x), float(q.y), float(q.z), float(q.w))
+    length = math.hypot(*xyzw)
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:  # also when it is not a number
+        text = f"{what} ({q.x}, {q.y}, {q.z}, {q.w}) is not a unit quaternion: length {length:.4g}"
+        raise MessageError("quaternion", text)
+    return rotation_from_quaternion(xyzw)

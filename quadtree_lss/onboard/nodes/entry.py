@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes' console scripts. Signals are heard before anything that takes long is imported."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from types import FrameType
+
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+PATIENCE_S = 3.0
+"""So long a callback may go on; a terminal and ``launch`` may both send the first signal."""
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class StopOnSignal:
+    """Remembers SIGINT, SIGTERM and SIGHUP, so that a callback in progress ends before the node.
+
+    ROS's own handlers invalidate the context at once, and whatever is being published fails.
+    SIGHUP stays ignored if it is, as under ``nohup``. Who asks again after `PATIENCE_S`, as
+    ``launch`` does, breaks the callback off.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._first = 0.0
+        self._breaks = False
+        for number in SIGNALS:
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._ask)
+
+    @contextlib.contextmanager
+    def breaking(self) -> Iterator[None]:
+        """Within it, asking again raises KeyboardInterrupt; what was at work is then half done."""
+        self._breaks = True
+        try:
+            yield
+        finally:
+            self._breaks = False
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if not self.asked:
+            self.asked, self._first = True, now
+        elif self._breaks and now - self._first >= PATIENCE_S:
+            raise KeyboardInterrupt
+
+
+_early: list[StopOnSignal] = []
+
+
+def stop_on_signal() -> StopOnSignal:
+    """What the process's console script began with, once; else a new one."""
+    return _early.pop() if _early else StopOnSignal()
+
+
+def mapping_node() -> int:
+    """Console script ``mapping_node``."""
+    return _run("mapping_node")
+
+
+def lss_node() -> int:
+    """Console script ``lss_node``."""
+    return _run("lss_node")
+
+
+def _run(name: str) -> int:
+    _early.append(StopOnSignal())
+    try:
+        main: Callable[[], int] = import_module(f"quadtree_lss.onboard.nodes.{name}").main
+    except QuadtreeLssError as error:  # the core is not compiled, or of other sources
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return main()

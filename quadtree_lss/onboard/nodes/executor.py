@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""rclpy's executor for one node in one thread, without what several threads need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+from quadtree_lss.onboard.nodes.inputs import WhenWanted
+
+Work = tuple[Callable[[Any], Any], Any]
+"""What takes from an entity that is ready, and the entity."""
+
+KINDS = ("timer", "subscription", "client", "service")
+"""Entities in the order in which they are served; events come before them."""
+
+
+class OneNodeExecutor(SingleThreadedExecutor):
+    """Serves nodes in one thread; their callbacks may not wait for anything (``await``).
+
+    rclpy's wakes itself twice after every callback, for other threads that it might have, and
+    gathers all entities and makes a wait set anew each time that it wakes: that took a node more
+    processor time than most of its callbacks. Here it is done when an entity came or went.
+    """
+
+    def __init__(self, *, context: Context | None = None) -> None:
+        super().__init__(context=context)
+        self._changed = True
+        self._ready: Iterator[Work] = iter(())
+        self._entities: dict[str, list[Any]] = {}
+        self._events: list[Any] = []
+        self._groups: list[WhenWanted] = []
+        self._set: Any = None
+
+    def add_node(self, node: Any) -> bool:
+        """As of the base class."""
+        self._changed = True
+        return bool(super().add_node(node))
+
+    def wake(self) -> None:
+        """Called by a node when one of its entities came or went."""
+        self._changed = True
+        super().wake()
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Runs one callback that is due, or waits until one is, at most so long.
+
+        Raises:
+            ExternalShutdownException: the context was shut down.
+        """
+        work = next(self._ready, None)
+        if work is None:
+            self._ready = self._wait(-1 if timeout_sec is None else round(1e9 * timeout_sec))
+            work = next(self._ready, None)
+        if work is None:
+            return
+        take, entity = work
+        if entity.callback_group.can_execute(entity):
+            execute = take(entity)
+            if execute is not None:
+                _finish(execute())
+
+    def _wait(self, timeout_ns: int) -> Iterator[Work]:
+        """What is ready, each looked at when its turn comes: callbacks cancel timers."""
+        if not self._context.ok():
+            raise ExternalShutdownException
+        if self._changed:
+            self._look_through()
+        waits = self._set
+        waits.clear_entities()
+        held = {group for group in self._groups if not group.wanted()}
+        added = []
+        for kind, entities in self._entities.items():
+            add = getattr(waits, f"add_{kind}")
+            for entity in entities:
+                if entity.callback_group not in held:
+                    added.append((kind, add(entity.handle), entity))
+        # With its subscription: what arrives there would wake the node by its events.
+        events = [event for event in self._events if event.callback_group not in held]
+        for event in events:
+            event.add_to_wait_set(waits)
+        waits.add_guard_condition(self._guard.handle)
+        waits.wait(timeout_ns)
+        if not self._context.ok():
+            raise ExternalShutdownException
+        for event in events:
+            if event.is_ready(waits):
+                yield self._take_waitable, event
+        for kind, index, entity in added:
+            if waits.is_ready(kind, index) and (kind != "timer" or _is_due(entity)):
+                yield getattr(self, f"_take_{kind}"), entity
+
+    def _look_through(self) -> None:
+        """Finds the nodes' entities and makes a wait set that has room for them."""
+        self._changed = False
+        nodes = self.get_nodes()
+        self._entities = {
+            kind: [entity for node in nodes for entity in getattr(node, f"{kind}s")]
+            for kind in KINDS
+        }
+        self._events = [event for node in nodes for event in node.waitables]
+        groups = {one.callback_group for some in self._entities.values() for one in some}
+        self._groups = [group for group in groups if isinstance(group, WhenWanted)]
+        room = {kind: len(entities) for kind, entities in self._entities.items()}
+        self._set = rclpy_implementation.WaitSet(
+            room["subscription"],
+            1,
+            room["timer"],
+            room["client"],
+            room["service"],
+            len(self._events),
+            self._context.handle,
+        )
+
+
+def _is_due(timer: Any) -> bool:
+    """False for one that was cancelled or destroyed after it became due."""
+    try:
+        with timer.handle:
+            return bool(timer.handle.is_timer_ready())
+    except InvalidHandle:
+        return False
+
+
+def _finish(callback: Coroutine[Any, Any, None]) -> None:
+    """Runs what rclpy wraps a callback in.
+
+    Raises:
+        RuntimeError: the callback waits for something.
+    """
+    try:
+        callback.send(None)
+    except StopIteration:
+        return
+    callback.close()
+    msg = "a callback waits for something, which this executor does not serve"
+    raise RuntimeError(msg)

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that a node keeps: within one folder, replaced in one step, one keeper each.
+
+Whoever can write to the folder may have put anything at the names used here: links, pipes, folders.
+Nothing but regular files is read, replaced or waited for, and no link leads out of the folder.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+
+
+class MapFileError(QuadtreeLssError):
+    """A map file cannot be written, read or used; one line that names it."""
+
+
+class InUseError(MapFileError):
+    """Another program keeps this file."""
+
+
+def is_below(path: Path, root: str) -> bool:
+    """True if a path, from the root if relative, leads into the folder below it, links followed."""
+    return Path(os.path.realpath(root)) in Path(os.path.realpath(root / path)).parents
+
+
+def regular_file(path: Path, root: str = "") -> Path:
+    """The file a path means, links followed; it need not exist yet.
+
+    Args:
+        path: If relative, from ``root``.
+        root: ``files.root``: the folder in which the file must lie; empty = anywhere.
+
+    Raises:
+        MapFileError: there is something that is no regular file (a folder, a device, a pipe), it
+            lies elsewhere, or it cannot be looked at.
+    """
+    try:
+        target = Path(os.path.realpath(root / path))
+        if root and not is_below(path, root):
+            msg = f"{path}: is not below {root} (files.root)"
+            raise MapFileError(msg)
+        mode = target.stat().st_mode
+    except FileNotFoundError:
+        return target
+    except (OSError, ValueError) as error:
+        raise MapFileError(error_text(path, "used", error)) from None
+    if not stat.S_ISREG(mode):
+        kind = "folder" if stat.S_ISDIR(mode) else "device, pipe or socket"
+        msg = f"{path}: is a {kind}, not a file"
+        raise MapFileError(msg)
+    return target
+
+
+def sibling(path: Path, ending: str) -> Path:
+    """The path of a `regular_file` with something behind its name."""
+    return path.parent / (path.name + ending)
+
+
+def error_text(path: Path, done: str, error: Exception) -> str:
+    """``PATH: cannot be DONE: reason``."""
+    reason = error.strerror if isinstance(error, OSError) else None
+    return f"{path}: cannot be {done}: {reason or str(error).removeprefix(f'{path}: ')}"
+
+
+def read_file(path: Path, root: str, most: int) -> bytes:
+    """Content of a regular file, of which no more than ``most`` bytes.
+
+    Raises:
+        MapFileError: it is none or cannot be read.
+    """
+    target = regular_file(path, root)
+    try:
+        with open(os.open(target, READ), "rb") as file:
+            return file.read(most)
+    except OSError as error:
+        raise MapFileError(error_text(path, "read", error)) from None
+
+
+def write_atomically(
+    path: Path,
+    content: bytes,
+    *,
+    root: str = "",
+    verify: Callable[[bytes], None] | None = None,
+    previous: str = "",
+    keeper: Keeper | None = None,
+) -> None:
+    """Replace the file in one step, once its new content is safely on the disk.
+
+    A link stays one: what it points to is replaced.
+
+    Args:
+        path, root: As of `regular_file`.
+        content: The whole new content.
+        verify: Called with what can be read back before anything is replaced.
+        previous: Ending under which the file that was there is kept; empty = not.
+        keeper: Gets the right to the new file; needs that to the old one.
+
+    Raises:
+        InUseError: another process has the right, or writes the file at the same time.
+        MapFileError: no regular file, not writable, disk full; the old file is then untouched.
+        Exception: whatever ``verify`` raises; the same.
+    """
+    target = regular_file(path, root)
+    part = sibling(target, ".part")
+    if keeper is not None:
+        keeper.claim(target)
+    try:
+        # Of a writer that was killed, or put there by somebody; nobody is to follow or open it.
+        part.unlink(missing_ok=True)
+        with open(os.open(part, NEW, 0o666), "w+b") as file:
+            try:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+                if verify is not None:
+                    file.seek(0)
+                    verify(file.read())
+                if not os.path.samestat(os.fstat(file.fileno()), part.lstat()):
+                    msg = f"{path}: another program writes it at the same time"
+                    raise InUseError(msg)
+                if keeper is not None:
+                    keeper.hold(os.dup(file.fileno()))
+            except Exception:
+                part.unlink(missing_ok=True)  # it takes the room that there may not be
+                raise
+        if previous and target.exists():
+            target.replace(sibling(target, previous))
+        part.replace(target)
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise MapFileError(error_text(path, "written", error)) from None
+
+
+class Keeper:
+    """The right to write a file, which one process has at a time, until it ends.
+
+    It is a lock on the file itself, which goes over to each file that replaces it.
+    """
+
+    def __init__(self) -> None:
+        self._held: int | None = None
+
+    def claim(self, target: Path) -> None:
+        """Have the right to a `regular_file`, if there is one yet.
+
+        Raises:
+            InUseError: another process has it.
+        """
+        try:
+            found = os.open(target, READ)
+        except OSError:
+            return  # there is none, or it cannot be read, which is for others to tell
+        if self._held is not None and os.path.samestat(os.fstat(found), os.fstat(self._held)):
+            os.close(found)
+            return
+        try:
+            self.hold(found)
+        except InUseError:
+            os.close(found)
+            msg = f"{target}: another node keeps its checkpoint there"
+            raise InUseError(msg) from None
+
+    def hold(self, descriptor: int) -> None:
+        """Have the right to an open file, which is closed with it, instead of the one before.
+
+        Raises:
+            InUseError: another process has it.
+        """
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            msg = "another process has locked it"
+            raise InUseError(msg) from None
+        except OSError:
+            pass  # a disk without locks: two nodes are not told
+        self.release()
+        self._held = descriptor
+
+    def release(self) -> None:
+        """Let another have it."""
+        if self._held is not None:
+            os.close(self._held)
+        self._held = None

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map in, ranked landing sites out. Computes nothing: the core does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from geometry_msgs.msg import PoseArray
+from nav_msgs.msg import OccupancyGrid
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.nodes.announce import announce
+from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Status
+from quadtree_lss.onboard.nodes.landing_inputs import LandingInputs
+from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
+from quadtree_lss.onboard.nodes.messages import GridMap, grid_map_message, landing_messages
+from quadtree_lss.onboard.nodes.monitor import Durations
+from quadtree_lss.onboard.nodes.node_runner import run
+from quadtree_lss.onboard.nodes.parameters import NodeParameters
+from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.publishers import Publishers
+from quadtree_lss.onboard.nodes.qos import advertise, latched, subscribe
+from quadtree_lss.onboard.nodes.rate_limit import ChangePublisher
+from quadtree_lss.onboard.nodes.received_map import ReceivedMap
+from quadtree_lss.onboard.nodes.target_output import TargetOutput
+
+if TYPE_CHECKING:
+    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+
+CELLS, OBSERVED = "map/cells", "map/observed"
+GRID_MAP = "landing/grid_map"
+LOOK_PERIOD_S = 0.2
+"""How often the age of the map is looked at."""
+
+
+class LssNode(Node):
+    """Takes the map and where landing is wanted, publishes ``landing/``; see ``msg_docs``."""
+
+    def __init__(self) -> None:
+        super().__init__("lss_node", automatically_declare_parameters_from_overrides=True)
+        self._settings = NodeParameters(self, self._reconfigure)
+        config = self._settings.config
+        self._problems = Problems(self.get_logger())
+        self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
+        # Before the map: of what is there when the node starts, they are to be looked at first.
+        self._inputs = LandingInputs(self, self._problems, self._ask, config.lss.required_input)
+        self._map_topic = self.resolve_topic_name(CELLS)
+        effect = "maps of either are assessed"
+        self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
+        binding = "frames.map" in self._settings.given
+        self._map = ReceivedMap(
+            self._problems,
+            config.frames.map,
+            lambda: self._settings.config.lss,
+            binding=binding,
+        )
+        subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._map_publishers.changed)
+        subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
+        self._result: LandingAssessment | None = None
+        self._assessed: CellMap | None = None
+        self._withheld = ""
+        self._asked = False
+        self._first_told = False
+        self._lss_ms, self._latency_ms = Durations(), Durations()
+        self._diagnostics = Diagnostics(
+            self, config.publish.diagnostics_rate, self._problems, self._collect
+        )
+        self._landing = {
+            topic: advertise(self, kind, topic, latched())
+            for topic, kind in (
+                ("landing/sites", PoseArray),
+                ("landing/site_table", PointCloud2),
+                ("landing/hazards", OccupancyGrid),
+                ("landing/score", OccupancyGrid),
+                ("landing/probability", OccupancyGrid),
+            )
+        }
+        self._target = TargetOutput(self, self._age, self._release)
+        self._markers = MarkerPublisher(
+            self,
+            config.publish.marker_rate,
+            advertise(self, MarkerArray, "landing/markers", latched()),
+            self._site_markers,
+        )
+        self._grid_map = None
+        if GridMap is not None:
+            publisher = advertise(self, GridMap, GRID_MAP, latched())
+            rate = config.publish.marker_rate
+            self._grid_map = MarkerPublisher(self, rate, publisher, self._grid_map_message)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
+        # This takes a while to load, in which the middleware already finds mapping_node.
+        from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+
+        self._selector = LandingSiteSelector(config)
+        if said := doubt(config):
+            self.get_logger().warning(said)
+        announce(self, config)
+
+    def _reconfigure(self, config: Config) -> None:
+        self._selector.configure(config)
+        self._ask()
+
+    def _ask(self) -> None:
+        """Something else than the map changed."""
+        self._asked = True
+        self._output.changed()
+
+    def _release(self) -> None:
+        """Somebody asked for another target."""
+        self._selector.release()
+        self._asked = True
+        self._output.now()
+
+    def _age(self, stamp_ns: int) -> float:
+        """Of what has a stamp, by the node's clock, s; NaN if the two are not of one time."""
+        latency = self._diagnostics.latency_ms(stamp_ns)
+        return float("nan") if latency is None else 1e-3 * latency
+
+    def _on_cells(self, message: Any) -> None:
+        if self._map.on_cells(message):
+            self._output.changed()
+
+    def _on_observed(self, message: Any) -> None:
+        if self._map.on_observed(message):
+            self._output.changed()
+
+    def _withhold(self) -> str:
+        """Why no site may be given out, empty if nothing speaks against it."""
+        limit = self._settings.config.lss.max_map_age
+        reasons = (self._inputs.withheld, self._map.too_old(limit))
+        return "; ".join(reason for reason in reasons if reason)
+
+    def _look_around(self) -> None:
+        """Withdraws the sites when the map has become too old."""
+        if self._result is not None and self._withhold() != self._withheld:
+            self._output.now()
+
+    def _assess(self) -> None:
+        self._map.take()
+        cells = self._map.cells
+        if cells is None:
+            return
+        self._inputs.use_frame(self._map.frame)
+        withheld = self._withhold()
+        if cells is self._assessed and withheld == self._withheld and not self._asked:
+            return  # what came was refused
+        if not self._inputs.settled():
+            return
+        new = cells is not self._assessed
+        self._assessed, self._withheld, self._asked = cells, withheld, False
+        start = time.perf_counter()
+        restrictions = {**self._inputs.restrictions(), "withheld": withheld}
+        result = self._selector.assess(cells, **restrictions)
+        self._lss_ms.add(1e3 * (time.perf_counter() - start))
+        self._target.send(result, self._map.frame)
+        for topic, message in landing_messages(result, self._map.frame).items():
+            self._landing[topic].publish(message)
+        self._result = result
+        if result.pending:
+            self._ask()
+        self._tell_first(result)
+        self._markers.changed()
+        if self._grid_map is not None:
+            self._grid_map.changed()
+        latency = self._diagnostics.latency_ms(result.stamp_ns)
+        if new and latency is not None:
+            self._latency_ms.add(latency)
+
+    def _tell_first(self, result: LandingAssessment) -> None:
+        """One line when there are sites for the first time."""
+        sites = result.sites
+        if not self._first_told and len(sites.score):
+            self._first_told = True
+            x, y, z = sites.position[0]
+            self.get_logger().info(
+                f"first sites: {len(sites.score)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m;"
+                f" {result.explanation}"
+            )
+
+    def _site_markers(self) -> MarkerArray | None:
+        if self._result is None:
+            return None
+        lss = self._settings.config.lss
+        return site_markers(self._result, self._map.frame, 0.5 * lss.vehicle_diameter + lss.margin)
+
+    def _grid_map_message(self) -> Any:
+        return None if self._result is None else grid_map_message(self._result, self._map.frame)
+
+    def _collect(self, status: Status) -> None:
+        self._map.take()
+        limits = self._settings.config.diagnostics
+        status.judge_age("map", self._map_topic, self._map.arrivals, limits)
+        latency = self._latency_ms.take()
+        text = "by the map's stamp and this node's clock, sites are sent after"
+        status.judge_delay(text, latency, limits)
+        status.add(
+            {
+                "map.refused": self._map.refusals,
+                "map.publishers": self._map_publishers.number,
+                "assessments": 0 if self._result is None else self._result.answer,
+                "lss_ms": self._lss_ms.take(),
+                "latency_ms": latency,
+            }
+        )
+        status.add({f"landing.{name}": state for name, state in self._inputs.states().items()})
+        withheld = self._withhold()
+        if withheld:
+            status.note(ERROR, f"no site is given out: {withheld}")
+        elif self._map.refused:
+            status.note(ERROR, f"{self._map.refused}; the one before it holds")
+        result = self._result
+        if result is None and self._map.cells is not None:
+            names = " and ".join(f"landing/{name}" for name in self._inputs.unheard())
+            status.note(WARN, f"no site is given out yet: waiting for {names}")
+        if result is None or self._map.cells is None:
+            return
+        count = len(result.sites.score)
+        status.add(
+            {
+                "map.stamp_ns": result.stamp_ns,
+                "map.leaves": len(self._map.cells.level),
+                "sites": count,
+                "target.id": result.selected.id,
+                "target.reason": result.selected.reason.key,
+                "explanation": result.explanation,
+            }
+        )
+        if withheld:
+            return
+        if count:
+            status.note(OK, f"{count} sites; {result.explanation}")
+        else:
+            reason = result.explanation.removeprefix("no safe site: ")
+            status.note(WARN, f"no safe site: {reason}")
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Console script ``lss_node``."""
+    return run(LssNode, "lss_node: the map to hazards and ranked landing sites", args)

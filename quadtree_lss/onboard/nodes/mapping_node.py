@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lidar scans and poses in, the quadtree map out. Computes nothing: the core does."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
+from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.lost_points import (
+    MAP_OVERRULED,
+    NO_POINTS_USED,
+    likely_reason,
+    overruled_text,
+    unused_points_text,
+)
+from quadtree_lss.onboard.nodes.announce import announce
+from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
+from quadtree_lss.onboard.nodes.diagnostics import OK, WARN, Diagnostics, Status
+from quadtree_lss.onboard.nodes.files import MapFileError
+from quadtree_lss.onboard.nodes.inputs import WhenWanted, transforms_type
+from quadtree_lss.onboard.nodes.map_services import MapServices
+from quadtree_lss.onboard.nodes.map_stamps import MapStamps
+from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
+from quadtree_lss.onboard.nodes.messages import header_message, map_messages
+from quadtree_lss.onboard.nodes.monitor import Arrivals, Durations
+from quadtree_lss.onboard.nodes.node_runner import run
+from quadtree_lss.onboard.nodes.overload import Overload
+from quadtree_lss.onboard.nodes.parameters import NodeParameters
+from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.publishers import Publishers
+from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
+from quadtree_lss.onboard.nodes.rate_limit import ChangePublisher
+from quadtree_lss.onboard.nodes.scan_gaps import ScanGaps
+
+SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
+ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"
+MAP_LATE = "by the scans' stamps and this node's clock, maps are sent after"
+LOOK_PERIOD_S = 0.1
+"""How often poses are taken and waiting scans looked at while nothing wakes the node."""
+
+
+class MappingNode(Node):
+    """Takes scans, poses and gimbal angles, publishes the map; see ``msg_docs``."""
+
+    def __init__(self) -> None:
+        super().__init__("mapping_node", automatically_declare_parameters_from_overrides=True)
+        self._settings = NodeParameters(self)
+        config = self._settings.config
+        self._frame = config.frames.map
+        self._mapper = Mapper(config)
+        odometry = config.pose.source == "odometry"
+        self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
+        names = {SCANS: SCANS, POSES: ODOMETRY if odometry else POSES, GIMBAL: GIMBAL}
+        self._topics = {name: self.resolve_topic_name(topic) for name, topic in names.items()}
+        self._intake = Intake(
+            config,
+            scan_topic=self._topics[SCANS],
+            pose_topic=self._topics[POSES],
+            gimbal_topic=self._topics[GIMBAL],
+        )
+        self._problems = Problems(self.get_logger())
+        self._gaps = ScanGaps(self._topics[SCANS], self._problems)
+        self._overload = Overload(self._topics[SCANS], self._problems)
+        effect = "they are taken as one's; scans are mapped between poses of different ones"
+        self._pose_publishers = Publishers(
+            self._topics[POSES], "pose_publishers", effect, self._problems
+        )
+        self._arrived = {"scan": Arrivals(), "pose": Arrivals()}
+        if config.mount.gimbal:
+            self._arrived["gimbal"] = Arrivals()
+        self._scans = 0
+        self._first_told = False
+        self._divisions_refused = 0
+        self._points_dropped: Counter[str] = Counter()
+        self._report: ScanReport | None = None
+        self._map_ms, self._publish_ms, self._latency_ms = Durations(), Durations(), Durations()
+        self._diagnostics = Diagnostics(
+            self, config.publish.diagnostics_rate, self._problems, self._collect
+        )
+        self._cells = advertise(self, PointCloud2, "map/cells", latched())
+        self._observed = advertise(self, OccupancyGrid, "map/observed", latched())
+        self._markers = MarkerPublisher(
+            self,
+            config.publish.marker_rate,
+            advertise(self, MarkerArray, "map/markers", latched()),
+            lambda: cell_markers(self._mapper.snapshot(), self._frame),
+        )
+        self._stamps = MapStamps()
+        self._output = ChangePublisher(self, config.publish.rate, self._publish)
+        self._checkpoints = self._take_up_checkpoint()
+        self._map_services = MapServices(
+            self,
+            self._mapper,
+            path=config.map_file.path,
+            root=config.files.root,
+            changed=self._after_load,
+            reset=self._after_reset,
+        )
+        self._subscribe()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
+        announce(self, config)
+
+    def finish(self) -> None:
+        """Before the node ends in good order, what the checkpoint lacks is written."""
+        if self._checkpoints is not None:
+            error = self._checkpoints.close(self._mapper)
+            if error is not None:
+                self.get_logger().error(f"{error}; what it lacks is lost")
+
+    def _subscribe(self) -> None:
+        qos = self._settings.config.qos
+        scan_qos = stream(qos.scan_depth, reliable=qos.scan_reliability == "reliable")
+        pose_qos = stream(qos.pose_depth, reliable=True)
+        subscribe(self, PointCloud2, SCANS, self._on_scan, scan_qos, self._gaps.on_publishers)
+        ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
+        poses = self._topics[POSES]
+        pose = subscribe(self, self._pose_kind, poses, self._on_pose, pose_qos, group=ahead)
+        self._ahead = [(pose, self._take_pose)]
+        if self._settings.config.mount.gimbal:
+            gimbal = subscribe(
+                self, TransformStamped, GIMBAL, self._on_gimbal, pose_qos, group=ahead
+            )
+            self._ahead.append((gimbal, self._take_gimbal))
+        if self._settings.config.mount.tf:
+            # As tf2's own listeners: every broadcaster keeps its transforms for whoever comes late.
+            kept = latched()
+            kept.depth = 100
+            subscribe(self, transforms_type(), TRANSFORMS, self._on_transforms, kept)
+
+    def _take_up_checkpoint(self) -> Checkpoints | None:
+        config = self._settings.config
+        if not config.checkpoint.path:
+            return None
+        checkpoints = Checkpoints(Path(config.checkpoint.path), config.files.root)
+        try:
+            self.get_logger().info(checkpoints.take_up(self._mapper))
+        except MapFileError as error:
+            self._problems.report("checkpoint", str(error))
+        if self._mapper.stamp_ns:
+            self._output.changed()
+        return checkpoints
+
+    def _on_scan(self, message: Any, info: dict[str, int]) -> None:
+        arrival_ns = time.monotonic_ns()
+        self._arrived["scan"].add()
+        self._gaps.on_scan(info["publication_sequence_number"])
+        self._take_ahead()
+        work_ms = self._map_ms.last + self._publish_ms.last
+        if self._overload.takes(info["received_timestamp"], self._settings.config, work_ms):
+            self._intake.on_cloud(message, arrival_ns)
+        self._work()
+
+    def _on_pose(self, message: Any) -> None:
+        self._take_pose(message)
+        self._take_ahead()
+        self._work()
+
+    def _on_gimbal(self, message: Any) -> None:
+        self._take_gimbal(message)
+        self._take_ahead()
+        self._work()
+
+    def _on_transforms(self, message: Any) -> None:
+        self._intake.on_transforms(message)
+        self._work()
+
+    def _take_pose(self, message: Any) -> None:
+        self._arrived["pose"].add()
+        self._intake.on_pose(message)
+
+    def _take_gimbal(self, message: Any) -> None:
+        self._arrived["gimbal"].add()
+        self._intake.on_gimbal(message)
+
+    def _take_ahead(self) -> None:
+        """All poses and gimbal angles that have arrived, at once.
+
+        The executor takes one message of each topic in turn; poses come several to a scan, and
+        after a pause the scans would run ahead of them and fill their queue.
+        """
+        for source, take in self._ahead:
+            with source.handle:
+                while (got := source.handle.take_message(source.msg_type, source.raw)) is not None:
+                    take(got[0])
+                    if len(self._intake.queue):
+                        self._work()
+
+    def _look_around(self) -> None:
+        """What is due though nothing arrives that wakes the node."""
+        self._take_ahead()
+        self._work()
+        if self._checkpoints is not None:
+            interval = self._settings.config.checkpoint.interval
+            error = self._checkpoints.work(self._mapper, interval)
+            if error is not None:
+                self._problems.report("checkpoint", error)
+
+    def _work(self) -> None:
+        """Map every scan whose pose is there; say what could not be used."""
+        for scan in self._intake.ready(time.monotonic_ns()):
+            self._map(scan)
+        for notice in self._intake.notices():
+            self._problems.report(notice.reason, notice.text)
+
+    def _map(self, scan: ReadyScan) -> None:
+        start = time.perf_counter()
+        report = self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+        self._map_ms.add(1e3 * (time.perf_counter() - start))
+        self._scans += 1
+        self._report = report
+        if report.points_used and not self._first_told:
+            self._first_told = True
+            self.get_logger().info(
+                f"first scan mapped: {seconds(report.stamp_ns)}, {report.points_used} of"
+                f" {report.points} points, {report.leaves} leaves"
+            )
+        self._divisions_refused += report.refused_divisions
+        self._points_dropped.update(report.dropped)
+        config = self._settings.config
+        missed = not report.points_used and report.dropped["outside"]
+        why = likely_reason(scan.points_lidar, scan.pose, config) if missed else ""
+        unused = unused_points_text(report, self._mapper.domain, why)
+        if unused is not None:
+            self._problems.report(NO_POINTS_USED, unused)
+        overruled = overruled_text(report)
+        if overruled is not None:
+            self._problems.report(MAP_OVERRULED, overruled)
+        self._map_changed(report.points_used > 0)
+
+    def _map_changed(self, content: bool = True) -> None:
+        self._stamps.content_changed |= content
+        self._output.changed()
+        self._markers.changed()
+        if self._checkpoints is not None:
+            self._checkpoints.changed()
+
+    def _after_load(self) -> None:
+        self._report = None
+        self._map_changed()
+
+    def _after_reset(self) -> None:
+        self._report = None
+        self._stamps.reset()
+        self._output.now()
+        self._markers.delete_all(header_message(0, self._frame))
+        if self._checkpoints is not None:
+            try:
+                self._checkpoints.forget()
+            except MapFileError as error:  # the map is empty all the same
+                self._problems.report("checkpoint", f"checkpoint {error}")
+
+    def _publish(self) -> None:
+        start = time.perf_counter()
+        snapshot = self._mapper.snapshot()
+        snapshot = replace(snapshot, stamp_ns=self._stamps.next(snapshot.stamp_ns))
+        cells, observed = map_messages(snapshot, self._frame)
+        self._observed.publish(observed)
+        self._cells.publish(cells)
+        self._publish_ms.add(1e3 * (time.perf_counter() - start))
+        latency = self._diagnostics.latency_ms(self._mapper.stamp_ns)
+        if self._report is not None and latency is not None:  # else of a file, however old
+            self._latency_ms.add(latency)
+
+    def _collect(self, status: Status) -> None:
+        config, report = self._settings.config, self._report
+        # Not by an event: those of poses are looked at only while a scan waits.
+        self._pose_publishers.changed(self.count_publishers(self._topics[POSES]))
+        for what, name in (("scan", SCANS), ("pose", POSES), ("gimbal", GIMBAL)):
+            if what in self._arrived:
+                status.judge_age(what, self._topics[name], self._arrived[what], config.diagnostics)
+        other = "pose" if config.pose.source == "odometry" else "odometry"
+        unused = self.resolve_topic_name(f"nav/{other}")
+        if not self._arrived["pose"].count and self.count_publishers(unused):
+            status.note(WARN, f"'{unused}' is published: pose.source: {other} takes it")
+        wait, latency = self._overload.waits.take(), self._latency_ms.take()
+        status.judge_delay("scans wait to be mapped for", wait, config.diagnostics)
+        status.judge_delay(MAP_LATE, latency, config.diagnostics)
+        dropped = Counter(self._intake.dropped, overload=self._overload.dropped)
+        status.add(
+            {
+                "scans": self._scans,
+                "scans.waiting": len(self._intake.queue),
+                **{f"scans.dropped.{key}": n for key, n in dropped.items() if n},
+                **{f"points.dropped.{key}": n for key, n in self._points_dropped.items()},
+                "map.stamp_ns": self._mapper.stamp_ns,
+                "map.leaves": self._mapper.leaves.count,
+                "map.refused_divisions": self._divisions_refused,
+                "map_ms": self._map_ms.take(),
+                "publish_ms": self._publish_ms.take(),
+                "wait_ms": wait,
+                "latency_ms": latency,
+            }
+        )
+        if self._checkpoints is not None:
+            status.add({"checkpoints": self._checkpoints.written})
+            if self._checkpoints.foreign:
+                status.note(WARN, self._checkpoints.foreign)
+        if report is None:
+            status.note(OK, "no scan mapped since the start, a reset or load")
+            return
+        status.note(OK, f"mapping, {self._mapper.leaves.count} leaves")
+        status.add(
+            {
+                "scan.stamp_ns": report.stamp_ns,
+                "scan.points": report.points,
+                "scan.points_used": report.points_used,
+                "scan.noise_ratio": report.noise_ratio,
+                "scan.offset_z": report.offset,
+            }
+        )
+        if report.points_used == 0:
+            status.note(WARN, "no point of the last scan could be used")
+        if self._mapper.leaves.count + 3 > config.mapping.max_cells:
+            status.note(WARN, "the map is full (mapping.max_cells)")
+        noise = noise_notice(report.noise_ratio, config)
+        if noise is not None:
+            status.note(WARN, noise.text)
+        errors = self._mapper.pose_errors()
+        if errors is not None:
+            status.add(
+                {"pose.step": f"{errors.seen:.2g}", "pose.step_claimed": f"{errors.claimed:.2g}"}
+            )
+        for notice in pose_notices(errors, config):
+            status.note(WARN, notice.text)
+            if notice.reason not in self._problems.counts:
+                self._problems.report(notice.reason, notice.text)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Console script ``mapping_node``."""
+    return run(MappingNode, "mapping_node: lidar scans and poses to a map of planar elements", args)

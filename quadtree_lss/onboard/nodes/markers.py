@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Map and sites as markers for viewers such as RViz."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from geometry_msgs.msg import Point, Vector3
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from quadtree_lss.onboard.arrays import Array, Index
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.maps import site_orientations
+from quadtree_lss.onboard.nodes.cdr import CdrWriter
+from quadtree_lss.onboard.nodes.messages import header_message
+
+if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
+    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+
+LOW_TO_HIGH = np.array(
+    [
+        [0.27, 0.00, 0.33],
+        [0.23, 0.32, 0.55],
+        [0.13, 0.57, 0.55],
+        [0.37, 0.79, 0.38],
+        [0.99, 0.91, 0.14],
+    ]
+)
+"""Colours of elevations, evenly spaced."""
+
+CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+"""Two triangles that make a square of side one, counter-clockwise."""
+
+CIRCLE_POINTS = 48
+FIRST_COLOUR = ColorRGBA(r=0.1, g=0.9, b=0.2, a=1.0)
+OTHER_COLOUR = ColorRGBA(r=0.2, g=0.6, b=1.0, a=1.0)
+
+
+class MarkerPublisher:
+    """Publishes what is for viewers on a slow timer, while somebody subscribes and it changed.
+
+    Args:
+        node: Owner of the timer.
+        rate: Hz.
+        publisher: Of a ``MarkerArray`` or another message.
+        build: The message, or its bytes.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        rate: float,
+        publisher: Publisher,
+        build: Callable[[], MarkerArray | bytes | None],
+    ) -> None:
+        self._publisher = publisher
+        self._build = build
+        self._changed = False
+        self._subscribers = 0
+        node.create_timer(1.0 / rate, self._send, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def changed(self) -> None:
+        """What the markers show changed."""
+        self._changed = True
+
+    def delete_all(self, header: Header) -> None:
+        """Take away every marker, of late subscribers too, at once."""
+        deletion = Marker(header=header, action=Marker.DELETEALL)
+        self._publisher.publish(MarkerArray(markers=[deletion]))
+        self._changed = False
+
+    def _send(self) -> None:
+        subscribers = self._publisher.get_subscription_count()
+        fresh, self._subscribers = subscribers > self._subscribers, subscribers
+        if not subscribers or not (self._changed or fresh):
+            return
+        self._changed = False
+        message = self._build()
+        if message is not None:
+            self._publisher.publish(message)
+
+
+def cell_markers(cells: CellMap, frame: str) -> bytes:
+    """``map/markers``, serialised: of each level one marker with two triangles per plane."""
+    known = np.flatnonzero(cells.estimated)
+    colour = elevation_colours(cells.heights(known, cells.x[known], cells.y[known]))
+    writer = CdrWriter()
+    levels = range(cells.domain.min_level, cells.domain.max_level + 1)
+    writer.numbers("I", len(levels))
+    seconds, nanoseconds = divmod(cells.stamp_ns, 1_000_000_000)
+    for level in levels:
+        chosen = np.flatnonzero(cells.level[known] == level)
+        vertices = patch_vertices(cells, known[chosen]).reshape(-1, 3)
+        colours = np.repeat(colour[chosen], len(CORNERS), axis=0)
+        action = Marker.ADD if len(chosen) else Marker.DELETE
+        writer.numbers("i", seconds).numbers("I", nanoseconds).string(frame)
+        writer.string("cells").numbers("i", level, Marker.TRIANGLE_LIST, action)
+        writer.numbers("d", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # pose
+        writer.numbers("d", 1.0, 1.0, 1.0)  # scale
+        writer.numbers("f", 1.0, 1.0, 1.0, 1.0)  # colour, each vertex has its own
+        writer.numbers("i", 0).numbers("I", 0)  # lifetime
+        writer.numbers("?", False)  # frame_locked
+        writer.rows(vertices, "d").rows(colours, "f")
+        writer.string("")  # texture_resource
+        writer.numbers("i", 0).numbers("I", 0).string("").string("").empty_sequence()  # texture
+        writer.empty_sequence()  # uv_coordinates
+        writer.string("").string("")  # text, mesh_resource
+        writer.string("").empty_sequence()  # mesh_file
+        writer.numbers("?", False)  # mesh_use_embedded_materials
+    return writer.bytes()
+
+
+def patch_vertices(cells: CellMap, rows: Index) -> Array:
+    """Corners (K, 6, 3) of two triangles on the planes of leaves ``rows``, map frame, m.
+
+    They keep to what was measured in the leaf: the corners of a steep one may lie level.
+    """
+    offset = CORNERS * cells.size[rows, None, None]
+    out = np.empty((len(rows), len(CORNERS), 3))
+    out[..., 0] = cells.x[rows, None] + offset[..., 0]
+    out[..., 1] = cells.y[rows, None] + offset[..., 1]
+    out[..., 2] = cells.heights(rows[:, None], out[..., 0], out[..., 1])
+    return out
+
+
+def elevation_colours(z: Array) -> Array:
+    """Opaque colours (K, 4) of elevations (K,), from the second lowest per cent to the highest."""
+    out = np.ones((len(z), 4))
+    if len(z):
+        low, high = np.percentile(z, [2.0, 98.0])
+        place = np.clip((z - low) / max(high - low, 1e-6), 0.0, 1.0)
+        steps = np.linspace(0.0, 1.0, len(LOW_TO_HIGH))
+        for channel in range(3):
+            out[:, channel] = np.interp(place, steps, LOW_TO_HIGH[:, channel])
+    return out
+
+
+def site_markers(assessment: LandingAssessment, frame: str, zone_radius: float) -> MarkerArray:
+    """``landing/markers``: of each site its zone's circle, its normal and its rank."""
+    header = header_message(assessment.stamp_ns, frame)
+    sites = assessment.sites
+    markers = [Marker(header=header, action=Marker.DELETEALL)]
+    angle = np.linspace(0.0, 2.0 * math.pi, CIRCLE_POINTS + 1)
+    orientations = site_orientations(sites.normal)
+    for k, (position, normal) in enumerate(zip(sites.position, sites.normal, strict=True)):
+        colour = FIRST_COLOUR if k == 0 else OTHER_COLOUR
+        flat = zone_radius * np.column_stack([np.cos(angle), np.sin(angle)])
+        circle = np.column_stack([flat, -(flat @ normal[:2]) / normal[2]]) + position
+        markers.append(_marker(header, "zone", k, Marker.LINE_STRIP, 0.08, colour))
+        markers[-1].points = _points(circle)
+        markers.append(_marker(header, "normal", k, Marker.ARROW, 0.12, colour))
+        markers[-1].scale = Vector3(x=0.12, y=0.3, z=0.4)
+        markers[-1].points = _points(np.stack([position, position + 2.0 * normal]))
+        markers.append(_marker(header, "rank", k, Marker.TEXT_VIEW_FACING, 1.5, colour))
+        markers[-1].text = f"{k + 1}"
+        place, q = markers[-1].pose, orientations[k].tolist()
+        place.position = _points((position + 2.8 * normal)[None])[0]
+        place.orientation.x, place.orientation.y, place.orientation.z, place.orientation.w = q
+    return MarkerArray(markers=markers)
+
+
+def _marker(
+    header: Header, name: str, number: int, kind: int, size: float, colour: ColorRGBA
+) -> Marker:
+    marker = Marker(header=header, ns=name, id=number, type=kind, action=Marker.ADD, color=colour)
+    marker.scale = Vector3(x=size, y=size, z=size)
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _points(values: Array) -> list[Point]:
+    return [Point(x=x, y=y, z=z) for x, y, z in values.tolist()]

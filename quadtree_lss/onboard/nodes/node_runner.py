@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Start a node, spin it, end it: the same for both nodes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
+
+import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from quadtree_lss.onboard.config.settings import ConfigError, parameters
+from quadtree_lss.onboard.errors import QuadtreeLssError
+from quadtree_lss.onboard.nodes.entry import stop_on_signal
+from quadtree_lss.onboard.nodes.executor import OneNodeExecutor
+
+ARGUMENT_ERRORS = (
+    rclpy_implementation.RCLInvalidROSArgsError,
+    rclpy_implementation.UnknownROSArgsError,
+    rclpy_implementation.RCLError,
+)
+
+WRONG_CONFIGURATION = 78
+"""Exit code after which another start ends the same way (EX_CONFIG of sysexits.h); so does 2."""
+
+STOP_PERIOD_S = 0.2
+"""How often an idle node looks whether it was asked to end."""
+
+TRANSPORTS = "UDPv4?sockets_size=16MB"
+"""Of Fast DDS, unless the environment says otherwise: no shared memory, and room for many scans.
+
+What a killed process leaves behind in shared memory can keep its successor, which gets the same
+port, from hearing the sensors for ten seconds or for good. The kernel cuts the size to what
+net.core.rmem_max allows; docs/onboard.md says what was measured.
+"""
+
+
+@runtime_checkable
+class Finishing(Protocol):
+    """A node that has something to do before it ends in good order."""
+
+    def finish(self) -> None:
+        """Called once, but not after an exception: what the node holds may be broken then."""
+
+
+def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | None = None) -> int:
+    """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown.
+
+    Args:
+        make_node: Called once ROS is initialised.
+        description: What ``--help`` prints first.
+        args: Command line with the program's name, ``sys.argv`` by default.
+
+    Returns:
+        Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong usage,
+        `WRONG_CONFIGURATION` if its parameters or names are wrong.
+    """
+    argv = list(sys.argv if args is None else args)
+    try:
+        own = remove_ros_args(argv)[1:]
+    except ARGUMENT_ERRORS as error:
+        return _wrong_arguments(error)
+    if "-h" in own or "--help" in own:
+        with contextlib.suppress(BrokenPipeError):  # the reader has gone, as with `| head`
+            print(_help(os.path.basename(argv[0]), description), flush=True)
+        return 0
+    if own:
+        print(f"unknown argument {own[0]!r}; ROS arguments follow --ros-args", file=sys.stderr)
+        return 2
+    if "ROS_LOG_DIR" not in os.environ and "HOME" not in os.environ:
+        os.environ["ROS_LOG_DIR"] = tempfile.gettempdir()
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)
+    return _spin(make_node, argv)
+
+
+def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
+    executor: OneNodeExecutor | None = None
+    node: Node | None = None
+    stop = stop_on_signal()
+    if stop.asked:
+        return 0
+    try:
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    except ARGUMENT_ERRORS as error:
+        return _wrong_arguments(error)
+    try:
+        node = _made(make_node)
+        executor = OneNodeExecutor()
+        executor.add_node(node)
+        with contextlib.suppress(ExternalShutdownException), stop.breaking():
+            while rclpy.ok() and not stop.asked:
+                executor.spin_once(timeout_sec=STOP_PERIOD_S)
+        if isinstance(node, Finishing):
+            node.finish()
+    except KeyboardInterrupt:  # what it had at work is half done, and is not written
+        print("asked to end once more: broken off", file=sys.stderr)
+    except QuadtreeLssError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return WRONG_CONFIGURATION if isinstance(error, ConfigError) else 1
+    finally:
+        if executor is not None:
+            executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _made(make_node: Callable[[], Node]) -> Node:
+    """The node.
+
+    Raises:
+        ConfigError: it cannot be made of these parameters, names and overrides.
+        QuadtreeLssError: the middleware fails.
+    """
+    try:
+        return make_node()
+    except (NameValidationException, ParameterException) as error:
+        raise ConfigError(_line(error)) from None
+    except rclpy_implementation.RCLError as error:
+        raise QuadtreeLssError(_line(error)) from None
+
+
+def _line(error: Exception) -> str:
+    """What rcl says, without where in its source."""
+    return " ".join(str(error).split(", at /")[0].split())
+
+
+def _wrong_arguments(error: Exception) -> int:
+    """One line of what rcl says to arguments or ROS_… variables it does not understand."""
+    if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+        text = f"unknown ROS arguments {error}"
+    else:
+        text = _line(error)
+    print(f"error: {text}", file=sys.stderr)
+    return 2
+
+
+def _help(program: str, description: str) -> str:
+    lines = [
+        description,
+        "",
+        f"usage: {program} [--ros-args --params-file FILE -p NAME:=VALUE -r FROM:=TO ...]",
+        "",
+        "parameters (live ones may be set while running):",
+    ]
+    for row in parameters():
+        unit = f" {row.unit}" if row.unit else ""
+        live = ", live" if row.live else ""
+        lines.append(f"  {row.name} ({row.type.__name__}, default {row.default}{unit}{live})")
+        lines.append(f"      {row.doc}")
+    return "\n".join(lines)

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameter table of ``config.settings`` declared on a node."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+
+from quadtree_lss.onboard.config.settings import (
+    Config,
+    ConfigError,
+    Parameter,
+    config_from_values,
+    nearest_key,
+    parameters,
+    values_from_config,
+)
+from quadtree_lss.onboard.nodes.files import is_below
+
+#: Parameters that every ROS node has, whatever its package.
+ROS_OWN = ("use_sim_time", "start_type_description_service")
+QOS = "qos_overrides."
+ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
+
+#: What may be overridden of a topic's QoS, and the words for it; none for a number.
+QOS_POLICIES: dict[str, list[str]] = {
+    "depth": [],
+    "durability": DurabilityPolicy.short_keys(),
+    "history": HistoryPolicy.short_keys(),
+    "reliability": ReliabilityPolicy.short_keys(),
+}
+
+
+def is_ros_own(name: str) -> bool:
+    """True for parameters that belong to ROS itself."""
+    return name in ROS_OWN or name.startswith(QOS)
+
+
+def descriptor(row: Parameter) -> ParameterDescriptor:
+    """What ``ros2 param describe`` shows of a row of the table."""
+    result = ParameterDescriptor(name=row.name, read_only=not row.live)
+    result.description = f"{row.doc} [{row.unit}]" if row.unit else row.doc
+    if row.choices:
+        result.additional_constraints = "one of " + ", ".join(row.choices)
+    if math.isfinite(row.low) and math.isfinite(row.high):
+        if row.type is int:
+            bounds = IntegerRange(from_value=int(row.low), to_value=int(row.high), step=1)
+            result.integer_range = [bounds]
+        elif row.type is float:
+            span = FloatingPointRange(from_value=float(row.low), to_value=float(row.high))
+            result.floating_point_range = [span]
+    return result
+
+
+def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Topics, each with ``publisher`` or ``subscription``, whose QoS is overridden.
+
+    Args:
+        values: Parameters by name: those that begin with ``qos_overrides.`` are looked at.
+
+    Raises:
+        ConfigError: not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an unknown policy
+            (names the nearest one) or an impossible value.
+    """
+    found = []
+    for name, value in values.items():
+        topic, _, ending = name.removeprefix(QOS).partition(".")
+        if not name.startswith(QOS) or topic in ROS_TOPICS:
+            continue
+        endings = [f"{end}.{p}" for end in ("subscription", "publisher") for p in QOS_POLICIES]
+        if ending not in endings:
+            near = difflib.get_close_matches(ending, endings, n=1, cutoff=0.0)[0]
+            msg = f"unknown parameter {name!r}; did you mean '{QOS}{topic}.{near}'?"
+            raise ConfigError(msg)
+        entity, _, policy = ending.partition(".")
+        words = [word for word in QOS_POLICIES[policy] if word != "unknown"]
+        if words and not (isinstance(value, str) and value.lower() in words):
+            msg = f"{name} = {value!r} is not one of {', '.join(words)}"
+            raise ConfigError(msg)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not words and not (whole and 0 <= value < 2**31):  # type: ignore[operator]
+            msg = f"{name} = {value!r} is not a number of messages"
+            raise ConfigError(msg)
+        found.append((topic, entity))
+    return found
+
+
+class NodeParameters:
+    """The configuration of a node, kept in step with its ROS parameters.
+
+    The node must have been made with ``automatically_declare_parameters_from_overrides=True``:
+    that is how the overrides of command line and parameter files can be seen at all, those of
+    unknown name included.
+
+    Args:
+        node: Its overrides are checked, then every row of the table is declared on it.
+        changed: Called with the new configuration after live parameters were set.
+
+    Attributes:
+        config: As it is now.
+        given: Names that the command line or a file set at the start.
+
+    Raises:
+        ConfigError: unknown key (names the nearest one), wrong type or range, values that
+            contradict one another.
+    """
+
+    def __init__(self, node: Node, changed: Callable[[Config], None] | None = None) -> None:
+        given = node.get_parameters_by_prefix("")
+        # Declared anew, with descriptors, by whoever they belong to.
+        for name in given:
+            if not is_ros_own(name) or name.startswith(QOS):
+                node.undeclare_parameter(name)
+        own = {name: item.value for name, item in given.items() if not is_ros_own(name)}
+        self.given = frozenset(own)
+        self.config = _checked(config_from_values(own))
+        overridden = checked_qos_overrides({name: item.value for name, item in given.items()})
+        values = values_from_config(self.config)
+        for row in parameters():
+            node.declare_parameter(
+                row.name, values[row.name], descriptor(row), ignore_override=True
+            )
+        self._changed = changed
+        node.add_pre_set_parameters_callback(_converted)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+        if overridden:
+            self._tell_unused_once(node, overridden)
+
+    def _tell_unused_once(self, node: Node, overridden: list[tuple[str, str]]) -> None:
+        """A warning for topics the node has not, once it has all; other nodes may share a file."""
+
+        def tell() -> None:
+            timer.cancel()
+            has = {
+                "subscription": sorted({item.topic_name for item in node.subscriptions}),
+                "publisher": sorted({item.topic_name for item in node.publishers}),
+            }
+            for topic, entity in sorted(set(overridden)):
+                if topic not in has[entity]:
+                    node.get_logger().warning(
+                        f"{QOS}{topic}.{entity}.* has no effect: this node has no {entity} of it,"
+                        f" but of {', '.join(has[entity])}"
+                    )
+
+        timer = node.create_timer(0.0, tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _check(self, changes: Iterable[RosParameter]) -> SetParametersResult:
+        try:
+            self._with(changes)
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, changes: Iterable[RosParameter]) -> None:
+        config = self._with(changes)
+        if config != self.config:
+            self.config = config
+            if self._changed is not None:
+                self._changed(config)
+
+    def _with(self, changes: Iterable[RosParameter]) -> Config:
+        own = {item.name: item.value for item in changes if not is_ros_own(item.name)}
+        return _checked(config_from_values(own, self.config))
+
+
+class _UnknownParameterError(ParameterNotDeclaredException):
+    """As rclpy's, whose services answer with its text, but with the name and the nearest one."""
+
+    def __init__(self, name: str) -> None:
+        Exception.__init__(self, f"unknown parameter '{name}'; did you mean '{nearest_key(name)}'?")
+
+
+def _converted(changes: list[RosParameter]) -> list[RosParameter]:
+    """New values before rclpy looks at names and types: whole numbers serve as floats.
+
+    Raises:
+        _UnknownParameterError: a name is neither in the table nor ROS's own.
+    """
+    types = {row.name: row.type for row in parameters()}
+    result = []
+    for item in changes:
+        if item.name not in types and not is_ros_own(item.name):
+            raise _UnknownParameterError(item.name)
+        if types.get(item.name) is float and item.type_ is RosParameter.Type.INTEGER:
+            item = RosParameter(item.name, value=float(item.value))
+        result.append(item)
+    return result
+
+
+def _checked(config: Config) -> Config:
+    """The same, if paths are those of files below ``files.root``.
+
+    Raises:
+        ConfigError: one is not.
+    """
+    root = config.files.root
+    if "\0" in root:
+        msg = f"files.root = {root!r} is not the name of a folder"
+        raise ConfigError(msg)
+    paths = {"map_file.path": config.map_file.path, "checkpoint.path": config.checkpoint.path}
+    for name, path in paths.items():
+        if path and (path.rpartition("/")[2] in ("", ".", "..") or "\0" in path):
+            msg = f"{name} = {path!r} is not the name of a file"
+            raise ConfigError(msg)
+        if path and root and not is_below(Path(path), root):
+            msg = f"{name} = {path!r} is not below files.root = {root!r}"
+            raise ConfigError(msg)
+    return config

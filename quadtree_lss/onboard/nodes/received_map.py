@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map as ``lss_node`` has it: the newest it could use, its age, and what was refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.maps import MapMessageError
+from quadtree_lss.onboard.messages.poses import check_frame
+from quadtree_lss.onboard.nodes.messages import map_from_messages
+from quadtree_lss.onboard.nodes.monitor import Arrivals
+from quadtree_lss.onboard.nodes.problems import Problems
+
+
+class ReceivedMap:
+    """Joins the two messages of a map and decodes them when asked to.
+
+    A map that cannot be used has not been received: the one before is kept, and its age runs on.
+
+    Args:
+        problems: Where refused maps are told.
+        frame: Map frame of the configuration.
+        lss: How landing is judged at present: maps too large for that are refused.
+        binding: True if maps of any other frame are refused.
+
+    Attributes:
+        cells: The newest map that could be used, None before the first.
+        frame: Its frame, or the configuration's.
+        arrivals: Maps that could be used, by the time at which they came.
+        refused: Why the newest that came cannot be used, empty if it can.
+        refusals: How many could not be used.
+    """
+
+    def __init__(
+        self, problems: Problems, frame: str, lss: Callable[[], LssConfig], *, binding: bool
+    ) -> None:
+        self.cells: CellMap | None = None
+        self.frame = self._configured = frame
+        self.arrivals = Arrivals()
+        self.refused = ""
+        self.refusals = 0
+        self._problems = problems
+        self._lss = lss
+        self._binding = binding
+        self._halves: dict[str, Any] = {}
+        self._whole: tuple[Any, Any, float] | None = None
+
+    def on_cells(self, message: Any) -> bool:
+        """Takes ``map/cells``; True if a map is complete now."""
+        return self._join("cells", message)
+
+    def on_observed(self, message: Any) -> bool:
+        """Takes ``map/observed``; True if a map is complete now."""
+        return self._join("observed", message)
+
+    def _join(self, half: str, message: Any) -> bool:
+        """A map is complete when both its messages carry the same stamp.
+
+        Neither is used twice: the next map may have the same stamp, and its cells must not be
+        joined with what was observed before. Only the newest map is kept and decoded when its
+        turn comes: maps are skipped, not queued.
+        """
+        self._halves[half] = message
+        cells, observed = self._halves.get("cells"), self._halves.get("observed")
+        if cells is None or observed is None or cells.header.stamp != observed.header.stamp:
+            return False
+        self._halves = {}
+        self._whole = (cells, observed, self.arrivals.now())
+        return True
+
+    def take(self) -> None:
+        """Decodes the newest complete map if that was not done yet."""
+        if self._whole is None:
+            return
+        (cells, observed, arrival), self._whole = self._whole, None
+        frame = cells.header.frame_id
+        try:
+            if self._binding:
+                check_frame(frame, self._configured, "map/cells")
+            self.cells = map_from_messages(cells, observed, self._lss())
+        except (MapMessageError, MessageError) as error:
+            self.refusals += 1
+            self.refused = f"the newest map cannot be used: {error}"
+            self._problems.report(f"map.{error.reason}", f"map not used: {error}")
+        else:
+            self.refused = ""
+            self.frame = frame
+            self.arrivals.add(arrival)
+
+    def too_old(self, limit: float) -> str:
+        """Why sites on the map are to be withdrawn, empty if they are not.
+
+        Args:
+            limit: ``lss.max_map_age``, s; 0 is none.
+        """
+        if self.cells is None or not limit or self.arrivals.age() <= limit:
+            return ""
+        self.take()  # one that waits for its turn counts if it can be used
+        if self.arrivals.age() <= limit:
+            return ""
+        text = f"no map that could be used came for {limit:g} s (lss.max_map_age)"
+        return f"{text}; {self.refused}" if self.refused else text

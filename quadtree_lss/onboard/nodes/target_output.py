@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``landing/selected`` and ``landing/status``, said again before anybody misses them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+
+from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
+from quadtree_lss.onboard.nodes.messages import target_messages
+from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, target
+
+if TYPE_CHECKING:
+    from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+
+
+class TargetOutput:
+    """Publishes the target with every answer, and between them while there is no new one.
+
+    Args:
+        node: Owner; a change of the target goes to its log.
+        age: Age of a map by its stamp, s; NaN if unknown.
+        release: Called when somebody asks for another target.
+    """
+
+    def __init__(
+        self, node: Node, age: Callable[[int], float], release: Callable[[], None]
+    ) -> None:
+        self._logger, self._age, self._release = node.get_logger(), age, release
+        self._publishers = {
+            SELECTED: advertise(node, PoseWithCovarianceStamped, SELECTED, target()),
+            STATUS: advertise(node, PointCloud2, STATUS, latched()),
+        }
+        self._answer: LandingAssessment | None = None
+        self._chosen = False
+        self._frame = ""
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._again = node.create_timer(0.4 * TARGET_S, self._say, clock=clock)
+        node.create_service(Trigger, "~/release", self._on_release)
+
+    def send(self, answer: LandingAssessment, frame: str) -> None:
+        """Publishes the target of an answer.
+
+        A node that has not decided yet says nothing of the target: "none" would withdraw the one
+        of the node before it, if that was killed.
+        """
+        self._tell(answer)
+        self._answer, self._frame = answer, frame
+        self._chosen = self._chosen or not answer.undecided
+        self._again.reset()
+        self._say()
+
+    def _say(self) -> None:
+        answer = self._answer
+        if answer is None:
+            return
+        messages = target_messages(answer, self._frame, self._age(answer.stamp_ns))
+        for topic, message in messages.items():
+            if topic == STATUS or self._chosen:
+                self._publishers[topic].publish(message)
+
+    def _tell(self, answer: LandingAssessment) -> None:
+        """A line of the log where the target is another one than before."""
+        selected = answer.selected
+        last = 0 if self._answer is None else self._answer.selected.id
+        if selected.id == last:
+            return
+        if selected.id:
+            x, y, z = selected.position
+            self._logger.info(
+                f"target {selected.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m"
+                f" ({selected.reason.key}): {selected.site.reasons[0]}"
+            )
+        else:
+            self._logger.warning(
+                f"target {last} is withdrawn ({selected.reason.key}): {answer.explanation}"
+            )
+
+    def _on_release(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        held = 0 if self._answer is None else self._answer.selected.id
+        response.success = held > 0
+        response.message = "there is no target"
+        if held:
+            response.message = f"target {held} is released; the next answer takes the best site"
+            self._release()
+        return response
