@@ -90,7 +90,7 @@ def test_links_lead_somewhere(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_files_that_are_named_exist(page):
-    """`core/tree/checkpoint.py`, as seen from the repository or the package."""
+    """`onboard/core/tree/checkpoint.py`, as seen from the repository or the package."""
     for name in re.findall(r"`([\w/]+\.(?:py|pxd|js|css))`", page.read_text()):
         assert any((folder / name).exists() for folder in (ROOT, ROOT / "quadtree_lss")), name
 

@@ -29,9 +29,9 @@ onboard.messages: onboard.config onboard.core
 onboard.nodes: build onboard.config onboard.core onboard.messages
 desk.report: onboard.config onboard.core
 desk.exchange: onboard.config onboard.core
-desk.plot: onboard.core desk.report
+plot: onboard.core desk.report
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
-desk.replay: desk.plot
+desk.replay: plot
 desk.player: onboard.messages onboard.nodes desk.replay
 desk.commands: onboard.config desk.exchange desk.replay desk.player
 lab.simulation: build

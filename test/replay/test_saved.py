@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 from replay.recordings import write_ros2
 
+from quadtree_lss import plot
 from quadtree_lss.api import (
     LandingSiteSelector,
     ResultsError,
@@ -16,7 +17,6 @@ from quadtree_lss.api import (
     replay,
     steps,
 )
-from quadtree_lss.desk import plot
 from quadtree_lss.onboard.messages.maps import known_probability
 
 CONFIG = load_config(

@@ -265,7 +265,7 @@ def _picture(result: Comparison) -> bytes:
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    from quadtree_lss.desk import plot
+    from quadtree_lss import plot
 
     grid, other = result.first.grid, result.second.grid
     row, column, inside = _nearest(other, grid.x, grid.y)

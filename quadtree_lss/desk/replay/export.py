@@ -98,8 +98,8 @@ def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:
 
 def _colours(results: Results) -> Bytes:
     """(ny, nx, 3): green where landing is allowed, else grey, shaded."""
-    from quadtree_lss.desk.plot import relief
     from quadtree_lss.desk.report.palette import SAFE_COLOUR
+    from quadtree_lss.plot import relief
 
     grid = results.grid
     green = np.array([int(SAFE_COLOUR[k : k + 2], 16) for k in (1, 3, 5)], np.float64)

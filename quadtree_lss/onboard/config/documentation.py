@@ -13,7 +13,8 @@ INTRODUCTION = """\
 # Parameters
 
 Written by `python -m quadtree_lss.onboard.config.documentation > docs/parameters.md` from the table
-in `onboard/config/sections.py`, which also declares and documents them; `settings.py` checks them.
+in `onboard/config/sections.py`, which also declares and documents them; the
+module `settings` beside it checks them.
 
 Both nodes accept all of them, so one parameter file serves both, and `quadtree-lss replay` as
 well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
