@@ -16,8 +16,8 @@ ROS := $(shell test -n "$${ROS_DISTRO-}" && $(PYTHON) -c 'import rclpy' 2>/dev/n
 # It holds the versions that are installed.
 DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
 PACKAGE := $(VENV)/.package
-EXTRAS_wheels := [wheels,exchange,guidance,campaign,test]
-EXTRAS_sourced := [exchange,guidance,campaign,test]
+EXTRAS_wheels := [desk,wheels,exchange,guidance,campaign,test]
+EXTRAS_sourced := [desk,exchange,guidance,campaign,test]
 SOURCES := $(shell find quadtree_lss launch rviz foxglove security config examples scripts resource -type f \
     -not -path '*/__pycache__/*' -not -name '*.so') package.xml pyproject.toml setup.py setup.cfg
 
@@ -36,27 +36,27 @@ help:
 	@echo 'make lint      ruff and mypy'
 	@echo 'make bench     print benchmark figures'
 	@echo 'make setup     only install into .venv'
-	@echo 'make lock      write requirements.lock anew: every wheel of constraints.txt with its hashes'
+	@echo 'make lock      write .ci/requirements.lock anew: every wheel of constraints.txt with its hashes'
 	@echo 'make audit     known vulnerabilities of what is locked, where their database can be reached'
 	@echo 'make clean     remove .venv and everything generated'
 
 setup: $(PACKAGE)
 
-# Nothing that is not in requirements.lock, byte for byte, where its wheels are for this Python and
+# Nothing that is not in .ci/requirements.lock, byte for byte, where its wheels are for this Python and
 # computer; elsewhere the versions of constraints.txt. LOCKED= goes without.
 LOCKED ?= $(shell $(PYTHON) -c 'import platform as p, sys; \
     print("yes" if (3, 10) <= sys.version_info < (3, 14) and p.system() == "Linux" \
     and p.machine() == "x86_64" and p.libc_ver()[0] == "glibc" else "")' 2>/dev/null)
 NO_INDEX_wheels := $(if $(LOCKED),--no-index)
 LOCK := $(BIN)/python -m pip --disable-pip-version-check install --quiet --require-hashes
-$(VENV)/.dependencies-wheels: constraints.txt requirements.lock
+$(VENV)/.dependencies-wheels: constraints.txt .ci/requirements.lock
 	@$(PYTHON) toolchain.py
 	@test -f $@ || { rm -rf $(VENV) && $(PYTHON) -m venv $(VENV); }
 ifneq ($(LOCKED),)
-	@echo 'installing what requirements.lock names into .venv (the first time a minute or two)'
-	@awk '/^(setuptools|wheel|cython)==/,/[^\\]$$/' requirements.lock > $@.part
+	@echo 'installing what .ci/requirements.lock names into .venv (the first time a minute or two)'
+	@awk '/^(setuptools|wheel|cython)==/,/[^\\]$$/' .ci/requirements.lock > $@.part
 	@$(LOCK) -r $@.part
-	@$(LOCK) --no-build-isolation -r requirements.lock
+	@$(LOCK) --no-build-isolation -r .ci/requirements.lock
 	@rm $@.part
 else
 	@$(PIP) install --quiet -c constraints.txt setuptools wheel cython
@@ -87,8 +87,8 @@ lock: $(TOOLS)/bin/python
 	@$(TOOL) uv==0.13.9
 	@{ echo '# Written by `make lock` from constraints.txt; `make setup` installs it.'; \
 	    $(TOOLS)/bin/uv pip compile constraints.txt --universal --no-deps --generate-hashes --quiet \
-	    --python-version 3.10 --no-python-downloads --no-header --no-annotate; } > requirements.lock.part
-	@mv requirements.lock.part requirements.lock
+	    --python-version 3.10 --no-python-downloads --no-header --no-annotate; } > .ci/requirements.lock.part
+	@mv .ci/requirements.lock.part .ci/requirements.lock
 
 VULNERABILITIES := api.osv.dev
 audit: $(TOOLS)/bin/python
@@ -97,7 +97,7 @@ audit: $(TOOLS)/bin/python
 	    echo 'known vulnerabilities not checked: $(VULNERABILITIES) cannot be reached from here'; \
 	else \
 	    $(TOOL) pip-audit==2.10.1 && \
-	    $(TOOLS)/bin/pip-audit -s osv --disable-pip --require-hashes -r requirements.lock; \
+	    $(TOOLS)/bin/pip-audit -s osv --disable-pip --require-hashes -r .ci/requirements.lock; \
 	fi
 
 $(TOOLS)/bin/python:
@@ -107,10 +107,10 @@ demo: setup
 	@$(BIN)/python -m quadtree_lss.lab.live.demo --out demo_output
 
 test: setup
-	$(BIN)/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS)
+	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
 
 test-all: setup
-	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/pytest -n 2 --dist loadgroup -m 'slow or not slow' $(PYTEST_ARGS)
 	$(MAKE) --no-print-directory test-checked
 
 # What Ubuntu 24.04 has, in an environment of its own. Other tests than all: VEHICLE_TESTS=test/core
@@ -125,7 +125,7 @@ test-vehicle:
 	    echo 'no Python 3.12 here: not tested with the versions of a vehicle'; \
 	else \
 	    $(MAKE) --no-print-directory $(VEHICLE)/.package && \
-	    $(VEHICLE)/bin/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS) $(VEHICLE_TESTS); \
+	    $(VEHICLE)/bin/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) $(VEHICLE_TESTS); \
 	fi
 
 $(VEHICLE)/.dependencies: constraints.txt Makefile
@@ -140,7 +140,7 @@ $(VEHICLE)/.dependencies: constraints.txt Makefile
 $(VEHICLE)/.package: $(VEHICLE)/.dependencies $(SOURCES)
 	@echo 'installing quadtree_lss and the versions of a vehicle into .venv-vehicle'
 	@rm -rf quadtree_lss.egg-info
-	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[wheels,exchange,guidance,campaign,test]'
+	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[desk,wheels,exchange,guidance,campaign,test]'
 	@rm -rf quadtree_lss.egg-info
 	@touch $@
 
@@ -149,7 +149,7 @@ CHECKED := $(VENV)/checked
 CHECKED_TESTS ?= test/core
 test-checked: setup $(CHECKED)/.package
 	PYTHONPATH=$(CHECKED) $(BIN)/python -c 'from quadtree_lss import build; print(build.name())' | grep checked
-	PYTHONPATH=$(CHECKED) $(BIN)/pytest -n 2 --dist loadgroup -m 'not slow' $(PYTEST_ARGS) $(CHECKED_TESTS)
+	PYTHONPATH=$(CHECKED) $(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) $(CHECKED_TESTS)
 
 $(CHECKED)/.package: $(PACKAGE)
 	@echo 'compiling the core with every index checked into .venv/checked'

@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""For all tests: one thread each for numerical libraries, since tests run side by side; signals as
-in a terminal, for whatever started the tests may ignore some (``nohup``, a job in the background)
-and programs inherit that."""
+"""For all tests. The package that is installed is tested, not the checkout, in which colcon starts
+them, unless PYTHONPATH names it. One thread each for numerical libraries, since tests run side by
+side. Signals as in a terminal, for whatever started the tests may ignore some (``nohup``, a job in
+the background) and programs inherit that."""
 
 import os
 import signal
+import sys
+from pathlib import Path
+
+_ROOT = Path(__file__).resolve().parents[1]
+if str(_ROOT) not in os.environ.get("PYTHONPATH", "").split(os.pathsep):
+    sys.path[:] = [folder for folder in sys.path if Path(folder or ".").resolve() != _ROOT]
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")

@@ -14,6 +14,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from installed import PREFIX
+
 
 class Record:
     """Keeps its arguments: positional ones in ``args``, others as attributes."""
@@ -71,7 +73,7 @@ class FindPackageShare(Record):
     """The share folder of an installed package."""
 
     def perform(self, context: Context) -> str:
-        return str(Path(sys.prefix) / "share" / self.args[0])
+        return str(PREFIX / "share" / self.args[0])
 
 
 class PathJoinSubstitution(Record):

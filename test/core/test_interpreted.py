@@ -101,7 +101,9 @@ def test_the_interpreted_core_maps_and_judges_to_the_same_bits(tmp_path: Path) -
     environment = {
         **os.environ,
         "QUADTREE_LSS_INTERPRETED": "1",
-        "PYTHONPATH": str(Path(__file__).parents[1]),
+        "PYTHONPATH": os.pathsep.join(
+            [str(Path(__file__).parents[1]), str(Path(build.__file__).parents[1])]
+        ),
     }
     command = [sys.executable, "-W", "error", __file__, str(path)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import shutil
 import subprocess
 import sys
@@ -27,7 +28,8 @@ def module_of(path: Path) -> str:
 
 def run(code: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Python with the packages of a folder before the installed ones."""
-    env = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(folder), **environment}
+    path = os.pathsep.join([str(folder), str(INSTALLED.parent)])
+    env = {"PATH": "/usr/bin:/bin", "PYTHONPATH": path, **environment}
     command = [sys.executable, "-c", code]
     return subprocess.run(command, env=env, cwd=folder, capture_output=True, text=True, check=False)
 

@@ -6,18 +6,17 @@ from __future__ import annotations
 import os
 import re
 import runpy
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from installed import PREFIX, SHARE
 from launch_stand_in import EmitEvent, Node, RegisterEventHandler, ShutdownProcess, built
 
 from quadtree_lss.onboard.config.settings import parameters
 from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
 
-SHARE = Path(sys.prefix) / "share" / "quadtree_lss"
 LAUNCH = SHARE / "launch" / "quadtree_lss.launch.py"
 CONTENT = "/**:\n  ros__parameters:\n    lss.margin: 1.0\n"
 INPUTS = ("lidar/points", "lidar/gimbal", "nav/pose", "landing/area", "landing/keep_out")
@@ -121,7 +120,7 @@ def test_the_readmes_vehicle_section_names_what_there_is(make):
             assert given.pop("params_file") == "vehicle.yaml"
             make(**given)
         elif kind == "ros2 run":
-            assert (Path(sys.prefix) / "lib" / words[2] / words[3]).exists()
+            assert (PREFIX / "lib" / words[2] / words[3]).exists()
             for option, value in zip(words, words[1:], strict=False):
                 assert option != "-p" or value.split(":=")[0] in names, value
         elif kind == "ros2 param":

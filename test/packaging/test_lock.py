@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""requirements.lock holds all of constraints.txt with hashes, and that is all that is needed."""
+"""The lock file holds all of constraints.txt with hashes, and that is all that is needed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def pinned(python):
 
 def locked(python):
     """The same of requirements.lock, of which each entry must have hashes."""
-    entries = re.split(r"\n(?=\S)", text("requirements.lock").partition("\n")[2])
+    entries = re.split(r"\n(?=\S)", text(".ci/requirements.lock").partition("\n")[2])
     requirements = []
     for entry in entries:
         requirement, *hashes = entry.replace("\\\n", "").split("--hash=")
@@ -56,7 +56,7 @@ def test_the_lock_is_up_to_date(python):
 def test_nothing_that_is_needed_is_missing():
     """What the package asks for, and what that asks for, as far as it is installed here."""
     wanted, seen, names = (
-        ["quadtree_lss[wheels,exchange,guidance,campaign,test]"],
+        ["quadtree_lss[desk,wheels,exchange,guidance,campaign,test]"],
         set(),
         set(pinned("3.10")) | set(pinned("3.13")),
     )

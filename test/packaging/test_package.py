@@ -11,20 +11,18 @@ import os
 import re
 import stat
 import subprocess
-import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
 
 import pytest
+from installed import PREFIX, SHARE
 
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import SITE_TABLE, STATUS, TOPIC_TYPES
 
 ROOT = Path(__file__).parents[2]
-PREFIX = Path(sys.prefix)
-SHARE = PREFIX / "share" / "quadtree_lss"
 NODES = ("mapping_node", "lss_node")
 EXECUTABLES = (*NODES, "replay_bag", "simulate", "evaluate", "quadtree-lss")
 

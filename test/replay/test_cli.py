@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+from installed import PREFIX
 from replay.recordings import storage_file, write_ros2
 
 from quadtree_lss.cli import main, main_replay_bag, without_ros_arguments
@@ -218,7 +218,7 @@ def test_a_missing_package_for_bags_is_told_with_its_remedy(module, tmp_path):
 
 def interrupted(bag, out, *signals_after):
     """Exit code, stdout, stderr of a replay that gets SIGINT when it maps."""
-    command = [str(Path(sys.executable).with_name("quadtree-lss")), "replay", str(bag)]
+    command = [str(PREFIX / "lib" / "quadtree_lss" / "quadtree-lss"), "replay", str(bag)]
     command += ["--out", str(out), *FAST]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not out.exists():  # until it maps
@@ -249,7 +249,7 @@ def test_interrupting_keeps_what_was_computed(tmp_path):
 def test_interrupting_a_simulation_keeps_what_was_flown(tmp_path):
     bag = tmp_path / "bag"
     command = [
-        str(Path(sys.executable).with_name("quadtree-lss")),
+        str(PREFIX / "lib" / "quadtree_lss" / "quadtree-lss"),
         "simulate",
         "descent",
         "--out",

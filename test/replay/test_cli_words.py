@@ -13,10 +13,10 @@ import struct
 import subprocess
 import sys
 import termios
-from pathlib import Path
 
 import numpy as np
 import pytest
+from installed import PREFIX
 from replay.recordings import write_ros2
 from replay.test_cli import FAST, run
 
@@ -126,7 +126,7 @@ def test_the_width_is_that_of_the_terminal(bag):
     """A pseudo-terminal of 40 columns."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 40, 0, 0))
-    command = [str(Path(sys.executable).with_name("quadtree-lss")), "info", str(bag)]
+    command = [str(PREFIX / "lib" / "quadtree_lss" / "quadtree-lss"), "info", str(bag)]
     plain = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
     with subprocess.Popen(command, stdout=theirs, stderr=subprocess.DEVNULL, env=plain) as process:
         os.close(theirs)

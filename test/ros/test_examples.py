@@ -7,11 +7,11 @@ import importlib.util
 import math
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped
+from installed import SHARE
 from rclpy.duration import Duration
 from ros_scene import pose
 from sensor_msgs.msg import NavSatFix
@@ -21,7 +21,7 @@ from quadtree_lss.onboard.nodes.messages import header_message
 from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros")
-FOLDER = Path(sys.prefix) / "share" / "quadtree_lss" / "examples"
+FOLDER = SHARE / "examples"
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 NORTHWARD = np.array([0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)])  # x axis to the north, in ENU
 

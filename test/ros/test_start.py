@@ -3,8 +3,14 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from importlib import metadata
+
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
 from ros.conftest import at_least, has
 from ros_scene import Sensors, cloud, last_scan_ns, pose
 
@@ -48,6 +54,45 @@ def test_the_first_scan_and_the_first_sites_are_told_once(ros):
         assert listener.wait_for(lambda: at_least(listener, "scans", 8)), mapping.output()
     assert mapping.output().count("first scan mapped: 1700000000.000000 s, ") == 1
     assert lss.output().count("first sites") == 1
+
+
+ONBOARD_ALONE = """
+import sys
+class Refused:
+    def find_spec(self, name, path=None, target=None):
+        if name.startswith(("quadtree_lss.desk", "quadtree_lss.lab")) or name in {lacking}:
+            raise ImportError(f"{{name}} is not on the vehicle")
+sys.meta_path.insert(0, Refused())
+"""
+
+
+def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
+    """Without the other wings, and without what any extra brings but rclpy and its messages."""
+    asked = (Requirement(line) for line in metadata.requires("quadtree_lss") or [])
+    of_extras = {item.name for item in asked if item.marker and "wheels" not in str(item.marker)}
+    names = {
+        name
+        for name, distributions in metadata.packages_distributions().items()
+        if of_extras & {distribution for distribution in distributions}
+    }
+    assert {"matplotlib", "rosbags", "argcomplete"} <= names
+    (ros.folder / "sitecustomize.py").write_text(ONBOARD_ALONE.format(lacking=sorted(names)))
+    ros.env["PYTHONPATH"] = os.pathsep.join([str(ros.folder), os.environ.get("PYTHONPATH", "")])
+    mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
+    with ros.listen() as listener:
+        sensors = Sensors(listener)
+        sensors.wait_for_subscribers()
+        sensors.publish(4)
+        ranked = lambda: "first sites: 3" in lss.output()  # noqa: E731
+        assert listener.wait_for(ranked), mapping.output() + lss.output()
+    refused = subprocess.run(
+        [sys.executable, "-c", "import quadtree_lss.desk.replay.replay"],
+        env=ros.env,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "is not on the vehicle" in refused.stderr
 
 
 def test_a_full_map_stays_full_whether_a_scan_wants_to_divide_or_not(ros):
