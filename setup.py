@@ -10,8 +10,11 @@ from pathlib import Path
 
 from setuptools import Extension, setup
 
-# Modules of the checkout, wherever it is built; colcon may build in a folder of links to it.
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+# The checkout, wherever it is built: colcon may build in a folder of links, which lacks pyproject.toml.
+ROOT = Path(__file__).resolve().parent
+if not Path("pyproject.toml").exists():
+    os.symlink(ROOT / "pyproject.toml", "pyproject.toml")
+sys.path.insert(0, str(ROOT))
 import toolchain
 from quadtree_lss import build
 
