@@ -25,8 +25,7 @@ CHECKED = os.environ.get("QUADTREE_LSS_CHECKED", "0") not in ("", "0")
 DIRECTIVES = {"language_level": 3, "wraparound": False, "cdivision": True, "boundscheck": True}
 DIRECTIVES |= {"initializedcheck": CHECKED, "show_performance_hints": False}
 COMPILE = ["-O3", "-ffp-contract=off", "-fno-math-errno", "-g0"]
-# C is written here, and of what it was made.
-GENERATED = Path("build", "cython")
+GENERATED = Path("build", "cython")  # C is written here, and of what it was made
 STATE = GENERATED / "state.json"
 
 
@@ -57,11 +56,9 @@ def extensions():
     options |= {"compiler_directives": DIRECTIVES, "build_dir": str(GENERATED)}
     kernels = cythonize(kernels, quiet=True, **options)  # not a word on stdout, which colcon reads
     STATE.write_text(json.dumps(state))
-    macros = {"SOURCES": f'"{build.digest(hashes)}"', "CYTHON": f'"{Cython.__version__}"'}
-    macros["CHECKED"] = str(int(CHECKED))
-    source, depends = [f"{NAME}/built.c"], [str(STATE)]
-    named = Extension(f"{NAME}.built", source, define_macros=[*macros.items()], depends=depends)
-    return [*kernels, named]
+    macros = [("SOURCES", f'"{build.digest(hashes)}"'), ("CYTHON", f'"{Cython.__version__}"')]
+    how = {"define_macros": [*macros, ("CHECKED", str(int(CHECKED)))], "depends": [str(STATE)]}
+    return [*kernels, Extension(f"{NAME}.built", [f"{NAME}/built.c"], **how)]
 
 
 def kernel(path, root=Path()):
@@ -80,8 +77,8 @@ def forget_what_changed(state):
     for path in changed:
         GENERATED.joinpath(NAME, path).with_suffix(".c").unlink(missing_ok=True)
     GENERATED.mkdir(parents=True, exist_ok=True)
-    base = sys.argv[sys.argv.index("--build-base") + 1] if "--build-base" in sys.argv else "build"
-    for folder in Path(base).glob("lib*"):
+    given = sys.argv[1:] if "--build-base" in sys.argv else ["--build-base", "build"]
+    for folder in Path(given[given.index("--build-base") + 1]).glob("lib*"):
         shutil.rmtree(folder)
     names = {f"{NAME}/shared", f"{NAME}/built", *(str(p)[:-3] for p in build.kernels(PACKAGE))}
     for binary in PACKAGE.rglob("*.so"):
