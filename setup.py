@@ -10,11 +10,8 @@ from pathlib import Path
 
 from setuptools import Extension, setup
 
-# The checkout, wherever it is built: colcon may build in a folder of links, which lacks pyproject.toml.
-ROOT = Path(__file__).resolve().parent
-if not Path("pyproject.toml").exists():
-    os.symlink(ROOT / "pyproject.toml", "pyproject.toml")
-sys.path.insert(0, str(ROOT))
+# Modules of the checkout, wherever it is built.
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 import toolchain
 from quadtree_lss import build
 
@@ -97,4 +94,7 @@ def checked_copy():
     return copy
 
 
-setup(python_requires=">=3.10", ext_modules=extensions())
+if not Path("pyproject.toml").exists():  # colcon --symlink-install builds in a folder of links
+    os.symlink(Path(__file__).resolve().with_name("pyproject.toml"), "pyproject.toml")
+# What colcon cannot read, or setuptools takes in another form from version to version.
+setup(python_requires=">=3.10", license="Apache-2.0", ext_modules=extensions())
