@@ -77,7 +77,8 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     }
     assert {"matplotlib", "rosbags", "argcomplete"} <= names
     (ros.folder / "sitecustomize.py").write_text(ONBOARD_ALONE.format(lacking=sorted(names)))
-    ros.env["PYTHONPATH"] = os.pathsep.join([str(ros.folder), os.environ.get("PYTHONPATH", "")])
+    path = [str(ros.folder), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    ros.env["PYTHONPATH"] = os.pathsep.join(path)
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:
         sensors = Sensors(listener)
