@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The build of the kernels: what it is made of, its name, whether it is of these sources.
 
-A kernel, a module of core or simulation with a ``.pxd`` beside it, is compiled; its source runs as
-it is too: ``QUADTREE_LSS_INTERPRETED=1`` takes the sources, for a debugger, a hundred times slower.
+A kernel, a module of core or simulation that says ``import cython``, is compiled; its source runs
+as it is too: ``QUADTREE_LSS_INTERPRETED=1`` takes the sources, for a debugger, a hundred times
+slower. What other kernels call stands in a ``.pxd`` beside it.
 """
 
 from __future__ import annotations
@@ -28,19 +29,19 @@ class BuildError(QuadtreeLssError, ImportError):
     """The core cannot be imported as it was built."""
 
 
-def declarations(package: Path = PACKAGE) -> list[Path]:
-    """The ``.pxd`` files, sorted."""
-    return sorted([*package.glob("onboard/core/*/*.pxd"), *package.glob("lab/simulation/*.pxd")])
-
-
 def kernels(package: Path = PACKAGE) -> list[Path]:
-    """The sources that are compiled, sorted: ``.py`` with a ``.pxd`` of the same name."""
-    return [path for pxd in declarations(package) if (path := pxd.with_suffix(".py")).exists()]
+    """The sources that are compiled, sorted."""
+    return [path for path in _files(package, "py") if is_kernel(path)]
+
+
+def is_kernel(path: Path) -> bool:
+    """Whether a source is to be compiled."""
+    return b"\nimport cython\n" in path.read_bytes()
 
 
 def source_hashes(package: Path = PACKAGE) -> dict[str, str]:
     """Hash of every file that the binaries are made of, by its path in the package."""
-    files = [*declarations(package), *kernels(package)]
+    files = [*_files(package, "pxd"), *kernels(package)]
     return {
         path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in files
@@ -97,6 +98,11 @@ def check() -> None:
             raise BuildError(msg)
 
 
+def _files(package: Path, suffix: str) -> list[Path]:
+    folders = package.glob("onboard/core/*"), package.glob("lab/simulation")
+    return sorted(path for of in folders for folder in of for path in folder.glob(f"*.{suffix}"))
+
+
 def _built() -> ModuleType | None:
     try:
         return importlib.import_module("quadtree_lss.built")
@@ -111,6 +117,7 @@ class _Sources:
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         source = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
-        if not name.startswith(f"{quadtree_lss.__name__}.") or source not in kernels():
+        own = name.startswith(f"{quadtree_lss.__name__}.") and source in _files(PACKAGE, "py")
+        if not own or not is_kernel(source):
             return None
         return importlib.util.spec_from_file_location(name, source)

@@ -16,12 +16,11 @@ from quadtree_lss.onboard.config.risk import RiskModel
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.heights import height_by_error
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.lander import Limits
 from quadtree_lss.onboard.core.landing.lattice import grown
 from quadtree_lss.onboard.core.landing.probability import RiskTable
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
+from quadtree_lss.onboard.core.landing.touchdown import Limits, TouchdownCheck
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 RULES = ("paper", "touchdown", "probability")

@@ -10,7 +10,7 @@ import pytest
 from core.builders import configured, make_pose, mapped, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.geometry import sphere
-from quadtree_lss.onboard.core.landing.ancestors import fuse_to_level
+from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 

@@ -11,7 +11,7 @@ from core.builders import configured, flat, mapped, slope, strip, upward_normals
 
 from quadtree_lss.onboard.core.geometry.feature import height
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.ancestors import fuse_to_level
+from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 

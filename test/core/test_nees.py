@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.geometry.rotations import exp
-from quadtree_lss.onboard.core.landing.ancestors import fuse_to_level
+from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 GRADIENT = (0.12, -0.07)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.config.risk import RiskModel, risk_model, risk_model_text
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.lander import Limits
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     Remainder,
@@ -26,7 +25,7 @@ from quadtree_lss.onboard.core.landing.probability import (
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstRest
+from quadtree_lss.onboard.core.landing.touchdown import Limits, TouchdownCheck, WorstContact
 
 Array = NDArray[np.float64]
 
@@ -113,7 +112,7 @@ def test_the_fit_is_looked_up_as_its_equations_say(most, noise, steepest):
     slope = rng.uniform(0.05, 0.3, shape).astype(np.float32)
     judged = rng.random(shape) < 0.8
     ground = np.where(judged, rng.uniform(0.0, steepest, shape), np.nan)
-    found = RiskTable(MODEL, lss, noise).risk(WorstRest(rise, slope), judged, ground)
+    found = RiskTable(MODEL, lss, noise).risk(WorstContact(rise, slope), judged, ground)
     expected = by_hand(rise.astype(float), slope.astype(float), judged, ground, lss, noise)
     odds, wanted = (np.log(p[judged] / (1.0 - p[judged])) for p in (found, expected))
     np.testing.assert_allclose(odds, wanted, atol=0.1)

@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.core.geometry import sphere
-from quadtree_lss.onboard.core.landing.covariance import ground_covariance
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.target import Choice, Ground, Reason, TargetKeeper
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
+from quadtree_lss.onboard.core.landing.target import Candidates, Choice, Reason, TargetKeeper
 
 NAN = np.nan
 AXIS = np.arange(4.0)
@@ -25,12 +24,12 @@ AXIS = np.arange(4.0)
 def ground(merit, safe=None, axis=AXIS):
     """A grid of one row."""
     merit = np.array([merit], dtype=np.float64)
-    return Ground(
+    return Candidates(
         axis, np.zeros(1), np.isfinite(merit) if safe is None else np.array([safe]), -merit
     )
 
 
-def choose(keeper: TargetKeeper, *seen: Ground, margin: float = 0.5) -> Choice:
+def choose(keeper: TargetKeeper, *seen: Candidates, margin: float = 0.5) -> Choice:
     """The last choice over some assessments."""
     for each in seen:
         choice = keeper.choose(
@@ -168,7 +167,7 @@ def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground
     assert len(set(found.sites.id.tolist())) == len(found.sites.id)
     again = selector.assess(level_ground)
     assert again.selected.reason is Reason.HOLDS
-    assert (found.answer, again.answer) == (2, 3) and found.stamp_ns == again.stamp_ns
+    assert (found.number, again.number) == (2, 3) and found.stamp_ns == again.stamp_ns
     np.testing.assert_array_equal(again.sites.id, found.sites.id)
 
 
@@ -279,7 +278,7 @@ def test_covariance_is_that_of_drawn_maps():
         at = int(y / 0.5), int(x / 0.5)
         drawn.append([planes.elevation[at], planes.slope_y[at], -planes.slope_x[at]])
     pose_free = dataclasses.replace(cells, covariance_pose=np.zeros_like(cells.covariance_pose))
-    claimed = ground_covariance(pose_free, rasterise(cells, 1.0), x, y, radius)
+    claimed = ground_covariance(rasterise(pose_free, 1.0), x, y, radius)
     np.testing.assert_allclose(
         np.cov(np.array(drawn).T).diagonal(), claimed[2:5, 2:5].diagonal(), rtol=0.15
     )
@@ -295,7 +294,7 @@ def test_an_error_of_the_poses_moves_the_whole_ground():
     cells = dataclasses.replace(
         cells, covariance_pose=common, covariance_range=np.zeros_like(common)
     )
-    claimed = ground_covariance(cells, rasterise(cells, 1.0), 7.0, 7.0, 1.5)
+    claimed = ground_covariance(rasterise(cells, 1.0), 7.0, 7.0, 1.5)
     assert claimed[2, 2] == pytest.approx(0.2**2, rel=0.1)
     assert claimed[4, 4] == pytest.approx(0.01**2, rel=0.1)
     assert claimed[3, 3] < 1e-8

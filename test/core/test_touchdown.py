@@ -15,7 +15,7 @@ from quadtree_lss.onboard.core.geometry.feature import height
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
+from quadtree_lss.onboard.core.landing.touchdown import Limits, TouchdownCheck
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SMALL = {"size": 8.0, "min_level": 1, "max_level": 4}
@@ -84,6 +84,12 @@ class SlowLander:
                 over = tops[:, 2] - tops[:, :2] @ plane[:2] - plane[2]
                 highest = max(highest, float(over.max()))
         return steepest, highest
+
+
+def unsafe(config, raster: TerrainRaster, candidates: np.ndarray) -> np.ndarray:
+    """Grid points at which some heading is over the touchdown limits."""
+    check = TouchdownCheck(config.lss)
+    return candidates & check.over(check.worst(raster, candidates))
 
 
 def touchdown_bits(cells: CellMap, config) -> np.ndarray:
@@ -243,8 +249,7 @@ def test_how_grid_points_fall_into_blocks_changes_nothing(yaws, diameter, shift)
     moved = np.zeros((129, 129), dtype=np.bool_)
     there = np.s_[shift[0] : shift[0] + 65, shift[1] : shift[1] + 65]
     moved[there] = candidates
-    found = TouchdownCheck(config.lss).unsafe(raster, candidates)
-    again = TouchdownCheck(config.lss).unsafe(placed(raster, *shift), moved)
+    found, again = unsafe(config, raster, candidates), unsafe(config, placed(raster, *shift), moved)
     np.testing.assert_array_equal(again[there], found)
     assert found.any()
     assert not found[candidates].all()
@@ -256,27 +261,35 @@ def test_far_from_sea_level_the_verdict_is_the_same():
     raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
     high = dataclasses.replace(raster, elevation=raster.elevation + 3000.0)
     everywhere = np.ones((65, 65), dtype=np.bool_)
-    low, found = (TouchdownCheck(config.lss).unsafe(r, everywhere) for r in (raster, high))
+    low, found = (unsafe(config, ground, everywhere) for ground in (raster, high))
     np.testing.assert_array_equal(found, low)
 
 
 @pytest.mark.parametrize("layer", ["elevation", "slope_x", "slope_y", "subscale"])
 def test_a_cell_that_changes_is_judged_again(layer):
-    """Whatever changes in it, and wherever: who follows the map says what a new checker does."""
+    """Whatever changes in it, and wherever in a block: who follows the map says what a new checker
+    does, to the bit."""
     config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, 3)
-    raster = rasterise(mapped(config, flat(), density=60.0, scans=1).snapshot(), 0.6)
+    ground = uneven(np.random.default_rng(9), 16.0, 40)
+    raster = rasterise(mapped(config, ground, density=60.0, scans=1).snapshot(), 0.6)
     candidates = np.zeros((65, 65), dtype=np.bool_)
     candidates[6:-6, 6:-6] = True
-    follower = TouchdownCheck(config.lss)
-    assert not follower.unsafe(raster, candidates).any()
-    for row, column in [(6, 6), (20, 41), (58, 30)]:
+    wide = Limits((0.0, 9.0), (0.0, 9.0))
+    follower = TouchdownCheck(config.lss, wide)
+    before = follower.worst(raster, candidates).rise.copy()
+    for k in range(18):
+        row, column = 22 + k, 40 - k  # each row and each column of the blocks
         values = getattr(raster, layer).copy()
         values[row, column] += 4.0 if layer.startswith("slope") else 0.4
         raster = dataclasses.replace(raster, **{layer: values})
-        found = follower.unsafe(raster, candidates)
-        np.testing.assert_array_equal(found, TouchdownCheck(config.lss).unsafe(raster, candidates))
-        assert found[row, column]
-    more = np.ones_like(candidates)  # others become due
-    np.testing.assert_array_equal(
-        follower.unsafe(raster, more), TouchdownCheck(config.lss).unsafe(raster, more)
-    )
+        if k == 9:
+            candidates = np.ones_like(candidates)  # others become due
+        found = follower.worst(raster, candidates)
+        anew = TouchdownCheck(config.lss, wide).worst(raster, candidates)
+        np.testing.assert_array_equal(found.rise[candidates], anew.rise[candidates])
+        np.testing.assert_array_equal(found.slope[candidates], anew.slope[candidates])
+        assert (
+            found.rise[row - 5 : row + 7, column - 5 : column + 7]
+            != before[row - 5 : row + 7, column - 5 : column + 7]
+        ).any()
+        before = found.rise.copy()

@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.onboard.core.landing.lattice import disc
-from quadtree_lss.onboard.core.landing.zones import greatest_in_zones, lower_room
+from quadtree_lss.onboard.core.landing.score import lower_room
 
 SIDE, N = 0.5, 24
 
@@ -27,19 +26,3 @@ def test_room_ends_at_the_nearest_mark(half, share):
         dy = np.maximum(np.abs(y[k] / SIDE - row - half) - half, 0.0)
         nearest = SIDE * np.min(np.hypot(dx, dy), initial=np.inf)
         assert room[k] == pytest.approx(min(3.0, nearest - 0.7), abs=1e-12)
-
-
-@pytest.mark.parametrize("radius", [0.1, 1.3, 4.0])
-def test_greatest_is_that_of_the_cells_in_the_disc(radius):
-    rng = np.random.default_rng(6)
-    cells, of_leaf = rng.random((N, N)), rng.random(30)
-    leaf = rng.integers(0, 30, (N, N), dtype=np.int32)
-    places = np.array([[0, 5, N, 12, N], [0, 7, N, 23, 3]])
-    over, out = disc(radius, SIDE), np.empty((2, 5))
-    greatest_in_zones(cells, leaf, of_leaf, over.half, places, out)
-    for k in range(5):
-        row, column = places[0, k] + over.row, places[1, k] + over.column
-        within = (row >= 0) & (row < N) & (column >= 0) & (column < N)
-        row, column = row[within], column[within]
-        assert out[0, k] == cells[row, column].max()
-        assert out[1, k] == of_leaf[leaf[row, column]].max()

@@ -32,8 +32,8 @@ from quadtree_lss.onboard.config.loading import load_config, shipped_names
 from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.risk import doubt, risk_model, risk_model_text
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.probability import RiskTable, hats
-from quadtree_lss.onboard.core.landing.touchdown import WorstRest
+from quadtree_lss.onboard.core.landing.probability import RiskTable, interpolation_weights
+from quadtree_lss.onboard.core.landing.touchdown import WorstContact
 
 
 def test_landings_are_counted_in_the_nearest_bin():
@@ -77,8 +77,9 @@ def test_tables_are_found_again_and_ascend():
         odds = odds + noise * (0.5 + 0.1 * own) + steep * (0.3 * about - 0.2)
         risk = 1.0 / (1.0 + np.exp(-odds))
         counts.append([np.ones(risk.shape), risk])
-        by_rock = hats(np.array([rock]), ROCKS)[0]
-        shares.append([*by_rock, *hats(np.array([slope]), UNDULATION)[0, 1:], noise])
+        by_rock = interpolation_weights(np.array([rock]), ROCKS)[0]
+        by_slope = interpolation_weights(np.array([slope]), UNDULATION)[0, 1:]
+        shares.append([*by_rock, *by_slope, noise])
     found = fit_tables(np.array(shares), np.array(counts))
     tables, (first, second, noisy) = np.split(found, [len(ROCKS)])
     expected = 0.9 * np.array(OWN)[:, None] + 0.4 * np.array(ABOUT)
@@ -107,7 +108,7 @@ def test_a_model_of_made_up_landings_is_calibrated():
     true = np.clip(rng.gamma(2.0, 0.1, shape), 0.0, 0.9)
     rise = true + rng.normal(0.0, 0.03, shape)
     slope = np.full(shape, 0.02)
-    worst = WorstRest(rise.astype(np.float32), slope.astype(np.float32))
+    worst = WorstContact(rise.astype(np.float32), slope.astype(np.float32))
     judged = np.ones(shape, dtype=bool)
     failed = (true > lss.max_roughness).ravel()
     landings = Landings(worst, judged, judged, slope, failed, config.lidar.range_noise)

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array, kron
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import RiskModel, Row
-from quadtree_lss.onboard.core.landing.probability import hats
+from quadtree_lss.onboard.core.landing.probability import interpolation_weights
 
 #: Knots of r, m; of s, rise over run; of l, d and g; of h, rad (see ``RiskModel``).
 RISE = (-0.15, -0.12, -0.09, -0.06, -0.04, -0.02, 0.0) + (
@@ -84,9 +84,10 @@ def fit_curves(counts: Array) -> tuple[Row, Row]:
         counts: (2, R, S) weights of the landings tried and failed, over the bins of r and s.
     """
     tried, failed = counts / counts[0].sum()
-    hats_r, hats_s = hats(RISE_BINS, RISE), hats(SLOPE_BINS, SLOPE)
+    by_rise = interpolation_weights(RISE_BINS, RISE)
+    by_slope = interpolation_weights(SLOPE_BINS, SLOPE)
     # What is sought are steps from knot to knot, none of them down.
-    up_r, up_s = hats_r @ _sums(len(RISE)), hats_s @ _sums(len(SLOPE))
+    up_r, up_s = by_rise @ _sums(len(RISE)), by_slope @ _sums(len(SLOPE))
     bend_r = np.diff(_sums(len(RISE)), 2, axis=0)
     bend_s = np.diff(_sums(len(SLOPE)), 2, axis=0)
 
@@ -126,7 +127,7 @@ def fit_tables(shares: Array, counts: Array) -> Array:
     tried, failed = np.swapaxes(counts, 0, 1).reshape(2, maps, -1) / counts[:, 0].sum()
     here = tried > 0.0
     tried, failed = tried[here], failed[here]
-    place = np.kron(hats(OWN_BINS, OWN), hats(ABOUT_BINS, ABOUT))
+    place = np.kron(interpolation_weights(OWN_BINS, OWN), interpolation_weights(ABOUT_BINS, ABOUT))
     tables = np.eye(shares.shape[1])
     alike = np.vstack(
         [np.sqrt(ALIKE) * np.diff(tables[:kinds], axis=0), np.sqrt(SMALL) * tables[kinds:]]

@@ -37,8 +37,8 @@ from quadtree_lss.onboard.config.risk import RiskModel
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.probability import RiskTable, limits
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.score import planes_below, seen_about
-from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstRest
+from quadtree_lss.onboard.core.landing.score import look_around
+from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstContact
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip
@@ -153,15 +153,15 @@ class Landings:
     """Landings at the grid points of a map.
 
     Attributes:
-        worst: The worst rests on the map.
+        worst: The worst contacts on the map.
         judged: (n + 1, n + 1) where all ground under the lander is seen.
         counts: (n + 1, n + 1) of these, where the truth is known.
         slope: (n + 1, n + 1) of the ground at the lander's scale, rad.
         failed: (K,) of ``counts``: whether the lander fails there.
-        noise: Range noise that the mapping was told, m.
+        noise: Configured range noise of the mapping, m.
     """
 
-    worst: WorstRest
+    worst: WorstContact
     judged: Mask
     counts: Mask
     slope: Array
@@ -173,11 +173,11 @@ def land(mapped: Mapped, model: RiskModel, config: Config) -> Landings:
     """Sets the lander down on a map at every grid point, with the limits of a model."""
     lss = config.lss
     raster = rasterise(mapped.cells, lss.max_gap)
-    judged = seen_about(raster, lss) >= 0.5 * lss.vehicle_diameter - 1e-9
-    worst = TouchdownCheck(lss, limits(model, lss)).worst(raster, judged)
-    counts = judged & mapped.known
-    slope, noise = planes_below(raster, lss).slope, config.lidar.range_noise
-    return Landings(worst, judged, counts, slope, ~mapped.safe[counts], noise)
+    around = look_around(raster, lss)
+    worst = TouchdownCheck(lss, limits(model, lss)).worst(raster, around.judged)
+    counts, noise = around.judged & mapped.known, config.lidar.range_noise
+    failed = ~mapped.safe[counts]
+    return Landings(worst, around.judged, counts, around.planes.slope, failed, noise)
 
 
 Progress = Callable[[int, int], None]

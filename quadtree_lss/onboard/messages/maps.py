@@ -292,7 +292,7 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
     out["score"], out["slope"] = sites.score, np.radians(sites.slope_deg)
     out["roughness"], out["hazard_distance"] = sites.roughness, sites.hazard_distance
     out["subscale_height"] = sites.subscale_height
-    out["id"], out["answer"] = sites.id, assessment.answer
+    out["id"], out["answer"] = sites.id, assessment.number
     out["probability"] = sites.probability
     return out
 
@@ -311,7 +311,7 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     out["hazard_distance"] = selected.site.hazard_distance if selected.id else np.nan
     out["age"] = age
     out["offset_z"], out["offset_variance"] = assessment.offset_z, assessment.offset_variance
-    out["id"], out["answer"], out["reason"] = selected.id, assessment.answer, selected.reason
+    out["id"], out["answer"], out["reason"] = selected.id, assessment.number, selected.reason
     return out
 
 

@@ -206,7 +206,7 @@ class LssNode(Node):
             {
                 "map.refused": self._map.refusals,
                 "map.publishers": self._map_publishers.number,
-                "assessments": 0 if self._result is None else self._result.answer,
+                "assessments": 0 if self._result is None else self._result.number,
                 "lss_ms": self._lss_ms.take(),
                 "latency_ms": latency,
             }

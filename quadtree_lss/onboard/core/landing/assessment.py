@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an assessment of a map says: sites, the target, and the grid they were found on."""
+"""What an assessment of a map finds: sites, the target, and the grid they were found on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Numbers
-from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.grid import GridSampler
-from quadtree_lss.onboard.core.landing.probability import Remainder
-from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -97,7 +94,7 @@ class LandingAssessment:
 
     Attributes:
         stamp_ns: The map's stamp.
-        answer: Number of the assessment, from 1: no two of a selector have the same.
+        number: Of the assessment, from 1: no two of a selector have the same.
         selected: The target that holds from assessment to assessment.
         pending: There is no target, but another assessment, be it of the same map, would give one.
         sites: Ranked sites, none if no ground is safe.
@@ -116,7 +113,7 @@ class LandingAssessment:
     """
 
     stamp_ns: int
-    answer: int
+    number: int
     selected: Selected
     pending: bool
     sites: Sites
@@ -130,7 +127,7 @@ class LandingAssessment:
     explanation: str
     offset_z: float
     offset_variance: float
-    ground: tuple[GridSampler, TerrainRaster, PointAssessment] | None = None
+    ground: tuple[GridSampler, PointAssessment] | None = None
 
     @property
     def undecided(self) -> bool:
@@ -150,34 +147,17 @@ class LandingAssessment:
     @cached_property
     def elevation(self) -> Array:
         """(ny, nx) height of the map's own planes at the grid point, m, NaN if unseen."""
-        return self._layer(lambda at, raster, _: at.ground(raster))
+        return self._layer(lambda at, points: at.ground(points.raster))
 
     @cached_property
     def plane_elevation(self) -> Array:
         """(ny, nx) height of the plane at the lander's scale there, m, NaN if unseen."""
-        return self._layer(lambda at, _, points: at.linear(points.planes.elevation))
+        return self._layer(lambda at, points: at.linear(points.around.planes.elevation))
 
     @cached_property
     def slope_deg(self) -> Array:
         """(ny, nx) slope at the lander's scale, NaN if unseen."""
-        return self._layer(lambda at, _, points: np.degrees(at.nearest(points.planes.slope)))
-
-
-def with_reasons(sites: Sites, lss: LssConfig, remainders: Sequence[Remainder]) -> Sites:
-    """A sentence for each site: how safe it is and what is left, then its figures."""
-    lines = []
-    limit = lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
-    for k in range(len(sites.score)):
-        clear = sites.hazard_distance[k]
-        nearest = f"{clear:.1f} m clear of hazards and unseen ground"
-        feature = sites.subscale_height[k]
-        lines.append(
-            (f"{remainders[k].words()}; " if remainders else "")
-            + f"slope {sites.slope_deg[k]:.1f} deg of {limit:g}, {nearest}, "
-            f"roughness {sites.roughness[k]:.3f} m, "
-            + (f"features up to {feature:.2f} m" if feature >= 0.005 else "no subscale feature")
-        )
-    return replace(sites, reasons=tuple(lines))
+        return self._layer(lambda at, points: np.degrees(at.nearest(points.around.planes.slope)))
 
 
 def no_target(reason: Reason) -> Selected:
@@ -193,13 +173,13 @@ def no_sites() -> Sites:
 
 
 def nothing_mapped(
-    cells: CellMap, answer: int, reason: Reason, x: Array, y: Array, hazard: Bytes
+    cells: CellMap, number: int, reason: Reason, x: Array, y: Array, hazard: Bytes
 ) -> LandingAssessment:
     """The assessment of a map of which nothing is known."""
     shape = (len(y), len(x))
     return LandingAssessment(
         stamp_ns=cells.stamp_ns,
-        answer=answer,
+        number=number,
         selected=no_target(reason),
         pending=False,
         sites=no_sites(),

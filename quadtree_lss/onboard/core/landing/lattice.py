@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lattice of grid points, the corners of finest cells, and the ground in a disc about each."""
+"""The lattice of grid points, the corners of finest cells: discs about them, and distances."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import isqrt, sqrt
 
+import cython
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
-from quadtree_lss.onboard.core.landing.sweeps import disc_moments, find_distances, find_nearest
 
-FAR = 16
-"""Beyond so many steps one distance transform takes less than a step at a time."""
-
+#: Distances of so many steps fit `find_distances`; beyond, SciPy's transform takes less time.
 NEAR = 126
-"""Distances of so many steps fit ``sweeps.find_distances``."""
+#: Points of a row of which distances are looked for together.
+SPAN = cython.declare(cython.Py_ssize_t, 64)
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Disc:
             north-east).
         x, y: (K,) offset of each cell's centre from the grid point, m.
         to_plane: (3, K) what the height of each cell weighs in the height, dz/dx and dz/dy of their
-            least-squares plane (see ``ground_planes``).
+            least-squares plane (see `ground_planes`).
         half: (2 reach,) half width of the disc in each row, from the southernmost, in cells.
     """
 
@@ -47,7 +47,7 @@ def disc(radius: float, side: float) -> Disc:
     """Cells of side ``side`` (m) within ``radius`` (m) of a grid point, four at the least."""
     reach = max(int(np.ceil(radius / side)), 1)
     offset = np.arange(-reach, reach)
-    row, column = (grid.ravel() for grid in np.meshgrid(offset, offset, indexing="ij"))
+    row, column = np.repeat(offset, 2 * reach), np.tile(offset, 2 * reach)
     x, y = (column + 0.5) * side, (row + 0.5) * side
     inside = np.hypot(x, y) <= max(radius, 0.75 * side)
     half = np.count_nonzero(inside.reshape(2 * reach, 2 * reach), axis=1) // 2
@@ -58,9 +58,9 @@ def disc(radius: float, side: float) -> Disc:
 
 def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
     """Means over the disc of each grid point at the ``seen`` ones of the cells (n, n)."""
-    out, none = np.empty((len(values) + 1,) * 2), np.empty((0, 0))
-    disc_moments(values, 0.0, over.half, seen.view(np.uint8), 1.0, out, *(none,) * 3)
-    return out
+    out = np.empty((1, len(values) + 1, len(values) + 1))
+    disc_moments(values, 0.0, over.half, seen.view(np.uint8), 1.0, out)
+    return np.asarray(out[0])
 
 
 @dataclass(frozen=True)
@@ -82,19 +82,18 @@ class GroundPlanes:
 def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> GroundPlanes:
     """Planes at the lander's scale, of the height (n, n) of finest cells of side ``side`` m.
 
-    They are those of the ground at grid points at ``seen`` cells.
+    They are those of the ground at grid points at ``seen`` cells; elsewhere all is 0.
 
     A disc about a grid point is symmetric, so the normal equations are diagonal:
     slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z). Outside the domain the ground
     at its edge goes on.
     """
     over = disc(radius, side)
-    level = float(np.mean(elevation))
     square = side * float(np.mean((over.x / side) ** 2))
-    height, along_x, along_y, steep = np.empty((4, len(elevation) + 1, len(elevation) + 1))
-    found = height, along_x, along_y, steep
-    disc_moments(elevation, level, over.half, seen.view(np.uint8), square, *found)
-    return GroundPlanes(height, along_x, along_y, np.arctan(steep, out=steep))
+    out = np.empty((3, len(elevation) + 1, len(elevation) + 1))
+    disc_moments(elevation, np.mean(elevation), over.half, seen.view(np.uint8), square, out)
+    height, slope_x, slope_y = out
+    return GroundPlanes(height, slope_x, slope_y, np.arctan(np.sqrt(slope_x**2 + slope_y**2)))
 
 
 def touching(cells: Bytes) -> Bytes:
@@ -116,32 +115,9 @@ def distance_from(marked: Mask, side: float, limit: float = np.inf) -> Array:
     Args:
         marked: (ny, nx).
         side: Of the lattice, m.
-        limit: What is farther than this may be told to be infinitely far, m.
+        limit: What is farther than this may be said to be infinitely far, m.
     """
-    if not marked.any():
-        return np.full(marked.shape, np.inf)
-    if limit >= NEAR * side:
-        return np.asarray(np.sqrt(nearest_marked(marked)[0]) * side)
-    far = int(limit / side) + 1
-    lengths = np.sqrt(np.arange(far**2 + 1)) * side
-    lengths[-1] = np.inf
-    out = np.empty(marked.shape)
-    find_distances(np.ascontiguousarray(marked).view(np.uint8), lengths, far, out)
-    return out
-
-
-def nearest_marked(marked: Mask) -> tuple[Ints, Ints]:
-    """Square of the distance of each point to the nearest marked one, in steps, and its place.
-
-    Args:
-        marked: (ny, nx), somewhere True.
-
-    Returns:
-        (ny, nx) squares and (ny, nx) flat indices.
-    """
-    square, place = np.empty((2, *marked.shape), dtype=np.int32)
-    find_nearest(np.ascontiguousarray(marked).view(np.uint8), square, place)
-    return square, place
+    return _lengths(marked, lambda steps: steps * side, limit / side)
 
 
 def grown(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mask:
@@ -153,23 +129,262 @@ def grown(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mas
         side: Of the lattice, m.
         short: Steps by which distances are taken to be shorter.
     """
+    limit = distance / side + short
+    away = _lengths(marked, lambda steps: (steps - short) * side, limit + 1e-9 * limit)
+    return marked | (away <= distance)
+
+
+def _lengths(marked: Mask, length: Callable[[Array], Array], limit: float) -> Array:
+    """What a function makes of distances in steps; infinite beyond ``limit`` steps."""
     if not marked.any():
-        return marked.copy()
-    longest = sum(marked.shape)
-    square = int(min(distance / side + short, longest) ** 2) + 2
-    while square > 0 and (sqrt(square) - short) * side > distance:
-        square -= 1
-    if square > FAR**2:
-        return np.asarray(nearest_marked(marked)[0] <= square)
-    out: Mask = marked.copy()
-    run = marked.copy()
-    reach, width = min(isqrt(square), len(marked) - 1), 0
-    # A disc is a stack of centred runs: the farthest row has the shortest.
-    for row in range(reach, -1, -1):
-        while width < isqrt(square - row * row) and width < marked.shape[1] - 1:
-            width += 1
-            run[:, width:] |= marked[:, :-width]
-            run[:, :-width] |= marked[:, width:]
-        out[row:] |= run[: len(run) - row]
-        out[: len(run) - row] |= run[row:]
+        return np.full(marked.shape, np.inf)
+    if limit >= NEAR:
+        return length(distance_transform_edt(~marked))
+    far = int(limit) + 1
+    lengths = length(np.sqrt(np.arange(far**2 + 1)))
+    lengths[far**2] = np.inf
+    out = np.empty(marked.shape)
+    find_distances(np.ascontiguousarray(marked).view(np.uint8), lengths, far, out)
     return out
+
+
+def nearest_marked(marked: Mask) -> Ints:
+    """Flat index (ny, nx) of the marked point nearest to each; of two alike the southern one.
+
+    SciPy's distance transform finds the same ones and takes six times as long.
+
+    Args:
+        marked: (ny, nx), somewhere True.
+    """
+    place = np.empty(marked.shape, dtype=np.int32)
+    find_nearest(np.ascontiguousarray(marked).view(np.uint8), place)
+    return place
+
+
+@cython.boundscheck(False)
+@cython.locals(cells=cython.double[:, ::1], half=cython.Py_ssize_t[::1], seen=cython.uchar[:, ::1])
+@cython.locals(out=cython.double[:, :, ::1])
+def disc_moments(
+    cells: Array, level: float, half: Index, seen: Bytes, square: float, out: Array
+) -> None:
+    """Means over the disc of each grid point of z, and of x z and y z over ``square``.
+
+    Here x and y are those from the grid point, in cells.
+
+    A disc is a stack of centred runs of cells, and the sum of a run is a difference of sums from
+    the west. Outside the lattice the cells at its edge go on.
+
+    Args:
+        cells: (n, n).
+        level: Sums are of z over this, which keeps them small.
+        half: (2 reach,) half width of the disc in each row, in cells.
+        seen: (n, n), the points from the first to the last at such cells in a row need means.
+        square: What moments are divided by, beside the number of cells.
+        out: (3, n + 1, n + 1), set to the means of z, x z and y z, 0 where none are needed; or
+            (1, n + 1, n + 1) for the first alone.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(row=cython.Py_ssize_t, east=cython.Py_ssize_t, west=cython.Py_ssize_t)
+    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
+    n: cython.Py_ssize_t = cells.shape[0]
+    rows: cython.Py_ssize_t = half.shape[0]
+    reach: cython.Py_ssize_t = rows // 2
+    slopes: cython.bint = out.shape[0] > 1
+    mean = cython.declare(cython.double[:, ::1], out[0])
+    along_x = cython.declare(cython.double[:, ::1], out[1 if slopes else 0])
+    along_y = cython.declare(cython.double[:, ::1], out[2 if slopes else 0])
+    share: cython.double = 0.5 / np.sum(half)
+    moment: cython.double = share / square
+    # Of the rows in reach alone: each takes the place of the one that went out of it.
+    sums = cython.declare(cython.double[:, :, ::1], np.zeros((2, rows, n + rows + 1)))
+    with cython.nogil:
+        for i in range(n + rows):
+            row = min(max(i - reach, 0), n - 1)
+            k = i % rows
+            so_far, so_far_x = 0.0, 0.0
+            for j in range(n + rows):
+                z = cells[row, min(max(j - reach, 0), n - 1)] - level
+                so_far += z
+                so_far_x += (j + 0.5) * z
+                sums[0, k, j + 1], sums[1, k, j + 1] = so_far, so_far_x
+            row = i + 1 - rows
+            if row < 0:
+                continue
+            mean[row, :] = 0.0
+            along_x[row, :] = 0.0
+            along_y[row, :] = 0.0
+            first, after = n, 0
+            for k in range(max(row - 1, 0), min(row + 1, n)):
+                j = 0
+                while j < first and not seen[k, j]:
+                    j += 1
+                first, j = j, n
+                while j > after and not seen[k, j - 1]:
+                    j -= 1
+                after = j
+            after = after + 1 if first < n else first
+            # The row as far to the north has a run as wide.
+            for k in range(reach):
+                east, west = reach + half[k], reach - half[k]
+                if east == west:
+                    continue
+                south: cython.Py_ssize_t = (row + k) % rows
+                north: cython.Py_ssize_t = (row + rows - 1 - k) % rows
+                y = reach - k - 0.5
+                if not slopes:
+                    for j in range(first, after):
+                        z = sums[0, south, j + east] - sums[0, south, j + west]
+                        mean[row, j] += z + (sums[0, north, j + east] - sums[0, north, j + west])
+                    continue
+                # Two loops: the compiler leaves one over all arrays as it is.
+                for j in range(first, after):
+                    z = sums[0, south, j + east] - sums[0, south, j + west]
+                    up = sums[0, north, j + east] - sums[0, north, j + west]
+                    mean[row, j] += z + up
+                    along_y[row, j] += y * (up - z)
+                for j in range(first, after):
+                    z = sums[1, south, j + east] - sums[1, south, j + west]
+                    along_x[row, j] += z + (sums[1, north, j + east] - sums[1, north, j + west])
+            if slopes:
+                for j in range(first, after):
+                    along_x[row, j] -= (j + reach) * mean[row, j]
+                    along_x[row, j] *= moment
+                for j in range(first, after):
+                    along_y[row, j] *= moment
+            for j in range(first, after):
+                mean[row, j] = level + share * mean[row, j]
+
+
+@cython.boundscheck(False)
+@cython.locals(marked=cython.uchar[:, ::1], place=cython.int[:, ::1])
+def find_nearest(marked: Bytes, place: Ints) -> None:
+    """Nearest marked points in two sweeps (Meijster, Roerdink and Hesselink 2000).
+
+    First the nearest marked point in each column; then along each row the lower envelope of the
+    parabolas (x - column)^2 + (distance in the column)^2.
+
+    Args:
+        marked: (ny, nx).
+        place: (ny, nx), set to flat indices; one outside the lattice if none is marked.
+    """
+    cython.declare(i=cython.int, j=cython.int, k=cython.int, top=cython.int, last=cython.int)
+    cython.declare(x=cython.int, first=cython.int)
+    rows: cython.int = marked.shape[0]
+    columns: cython.int = marked.shape[1]
+    far: cython.int = 2 * (rows + columns)
+    near = cython.declare(cython.int[:, ::1], np.empty((rows, columns), dtype=np.int32))
+    height = cython.declare(cython.int[::1], np.empty(columns, dtype=np.int32))
+    vertex = cython.declare(cython.int[::1], np.empty(columns, dtype=np.int32))
+    begin = cython.declare(cython.int[::1], np.empty(columns, dtype=np.int32))
+    with cython.nogil:
+        for j in range(columns):
+            near[0, j] = 0 if marked[0, j] else -far
+        for i in range(1, rows):
+            for j in range(columns):
+                near[i, j] = i if marked[i, j] else near[i - 1, j]
+        for i in range(rows - 2, -1, -1):
+            for j in range(columns):
+                last = near[i + 1, j]
+                k = near[i, j]
+                # Of two alike the southern one; far ones lie below the lattice.
+                near[i, j] = last if last >= i and last - i < i - k else k
+        for i in range(rows):
+            for j in range(columns):
+                height[j] = (i - near[i, j]) * (i - near[i, j])
+                place[i, j] = i * columns + j
+            last = -1
+            while True:
+                first = last + 1
+                while first < columns and height[first] == 0:
+                    first += 1
+                if first == columns:
+                    break
+                # From a column that is marked in this row to the next: none beyond is nearer.
+                last = first
+                while last < columns - 1 and height[last] != 0:
+                    last += 1
+                first = max(first - 1, 0)
+                top, vertex[0], begin[0] = 0, first, first
+                for j in range(first + 1, last + 1):
+                    while top >= 0:
+                        k = vertex[top]
+                        x = begin[top]
+                        if (x - k) * (x - k) + height[k] <= (x - j) * (x - j) + height[j]:
+                            break
+                        top -= 1
+                    if top < 0:
+                        top, vertex[0] = 0, j
+                        continue
+                    k = vertex[top]
+                    x = 1 + (j + k) // 2  # where both are as high, without a long division
+                    if height[j] != height[k]:
+                        x = 1 + (j * j - k * k + height[j] - height[k]) // (2 * (j - k))
+                    if x <= last:
+                        top += 1
+                        vertex[top], begin[top] = j, x
+                for j in range(last, first - 1, -1):
+                    k = vertex[top]
+                    place[i, j] = near[i, k] * columns + k
+                    if j == begin[top]:
+                        top -= 1
+
+
+@cython.boundscheck(False)
+@cython.locals(marked=cython.uchar[:, ::1], lengths=cython.double[::1], out=cython.double[:, ::1])
+def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array) -> None:
+    """Distances to marked points that are near, in two sweeps that take eight points at a time.
+
+    Along a row it looks as far as some point of a ``SPAN`` needs it.
+
+    Args:
+        marked: (ny, nx).
+        lengths: (far^2 + 1,) the distance for each square of one in steps, of those of
+            ``far`` and more the last.
+        far: Steps, 127 at the most: the sum of two squares fits into 16 bits.
+        out: (ny, nx), set.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t, z=cython.short)
+    cython.declare(east=cython.short, away=cython.short, widest=cython.short)
+    cython.declare(nearest=cython.short, west=cython.Py_ssize_t, count=cython.Py_ssize_t)
+    most: cython.short = far
+    rows: cython.Py_ssize_t = marked.shape[0]
+    columns: cython.Py_ssize_t = marked.shape[1]
+    near = cython.declare(cython.short[:, ::1], np.full((rows, columns), far, dtype=np.int16))
+    height = cython.declare(cython.short[::1], np.full(columns + 2 * far, far**2, dtype=np.int16))
+    least = cython.declare(cython.short[::1], np.empty(SPAN, dtype=np.int16))
+    with cython.nogil:
+        for i in range(rows):
+            for j in range(columns):
+                z = near[max(i - 1, 0), j] + 1
+                z = z if z < most else most
+                near[i, j] = 0 if marked[i, j] else z
+        for i in range(rows - 2, -1, -1):
+            for j in range(columns):
+                z = near[i + 1, j] + 1
+                near[i, j] = z if z < near[i, j] else near[i, j]
+        for i in range(rows):
+            for j in range(columns):
+                height[j + most] = near[i, j] * near[i, j]
+            west = 0
+            while west < columns:
+                count = min(SPAN, columns - west)
+                nearest, widest = most * most, 0
+                for j in range(count + 2 * most):
+                    z = height[west + j]
+                    nearest = z if z < nearest else nearest
+                for j in range(count):
+                    z = least[j] = height[west + most + j]
+                    widest = z if z > widest else widest
+                k = 1
+                # Columns so far away are no nearer than what is found, or as far as all others.
+                while k * k < widest and nearest < most * most:
+                    away, widest = k * k, 0
+                    for j in range(count):
+                        z, east = height[west + most + j - k], height[west + most + j + k]
+                        z = (z if z < east else east) + away
+                        z = least[j] = z if z < least[j] else least[j]
+                        widest = z if z > widest else widest
+                    k += 1
+                for j in range(count):
+                    out[i, west + j] = lengths[least[j]]
+                west += SPAN

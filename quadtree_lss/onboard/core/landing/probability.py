@@ -2,8 +2,9 @@
 """How probable a safe touchdown is: at a place, and where the lander aims at it.
 
 The lander is set down on the map at all headings, or at the one that guidance gives. The true
-ground is not the map: how often a lander fails whose worst rest on the map is this was fitted (see
-``config.risk.RiskModel``). Where the lander comes down about its aim is normally distributed, and
+ground is not the map: how often a lander fails whose worst contact on the map is this was fitted
+(see ``config.risk.RiskModel``). Where the lander comes down about its aim is normally distributed,
+and
 
     P(safe | aim) = sum over grid points of N(point - aim; dispersion) P(safe at the point).
 
@@ -13,25 +14,25 @@ is safe.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, exp, isnan, log, radians, tan
+from math import ceil, exp, isnan, radians, tan
 
+import cython
 import numpy as np
+from cython.cimports.libc.math import log
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.lander import Limits
-from quadtree_lss.onboard.core.landing.risks import blur, look_up, set_odds
-from quadtree_lss.onboard.core.landing.touchdown import WorstRest
+from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 
 #: Ground that rises by so much less than the limit still rises, m; what is added to g's share.
 LOWER, NO_ROCKS = 0.12, 3e-5
 #: Steps between entries of the tables, in m, rise over run, and of the log odds.
-FINE, FINE_ODDS = 2e-4, 0.04
+FINE = cython.declare(cython.double, 2e-4)
+FINE_ODDS = cython.declare(cython.double, 0.04)
 #: A normal distribution is cut off at so many deviations.
 TAIL = 4.0
 #: The greatest deviation that is taken, m.
@@ -75,12 +76,12 @@ class Dispersion:
 
 
 def limits(model: RiskModel, lss: LssConfig) -> Limits:
-    """Between what rests the model, and the touchdown check, tell apart."""
+    """Between what contacts the model, and the touchdown check, tell apart."""
     rise, slope = lss.max_roughness, tan(radians(lss.max_slope_deg))
     own, steep = lss.touchdown_roughness, tan(radians(lss.touchdown_slope_deg))
     return Limits(
-        (min(rise + model.rise[0], own), max(rise + model.rise[-1], own)),
-        (min(slope + model.slope[0], steep), max(slope + model.slope[-1], steep)),
+        (min(rise + model.rise[0], own), max(rise + max(model.rise), own)),
+        (min(slope + model.slope[0], steep), max(slope + max(model.slope), steep)),
     )
 
 
@@ -90,7 +91,7 @@ class RiskTable:
     Args:
         model: The fit.
         lss: Limits of the lander.
-        noise: Range noise that the mapping is told, one deviation, m.
+        noise: Configured range noise of the mapping, one deviation, m.
     """
 
     def __init__(self, model: RiskModel, lss: LssConfig, noise: float) -> None:
@@ -101,31 +102,34 @@ class RiskTable:
         # Odds that it does not stand, and that it is too steep.
         self._rise_odds = np.exp(np.interp(rise, model.rise, model.rise_odds))
         self._slope_odds = np.exp(np.interp(slope, model.slope, model.slope_odds))
-        self._within = np.array([model.own[0], model.own[-1]])
+        self._within = np.array([min(model.own), max(model.own)])
         own, about = _steps(model.own, FINE_ODDS), _steps((0.0, *model.about[1:]), FINE_ODDS)
-        self._hats = hats(own, model.own), hats(about, model.about)
+        self._weights = (
+            interpolation_weights(own, model.own),
+            interpolation_weights(about, model.about),
+        )
         self._tables, self._knots = np.array(model.tables), (model.rocks, model.undulation)
         self._noisy = float(np.interp(noise, model.noise, (0.0, 1.0)))
         self._limits = lss.max_roughness, tan(radians(lss.max_slope_deg))
 
-    def risk(self, worst: WorstRest, judged: Mask, slope: Array) -> Array:
+    def risk(self, worst: WorstContact, judged: Mask, slope: Array) -> Array:
         """P(unsafe) of landing at each grid point, (n + 1, n + 1); 1 where it is not judged.
 
         Args:
-            worst: The lander's worst rests on the map.
+            worst: The lander's worst contacts on the map.
             judged: (n + 1, n + 1) grid points of which these are known.
             slope: (n + 1, n + 1) of the ground at the lander's scale, rad.
         """
         own, about = self.log_odds(worst, judged)
-        out, least = np.empty(own.shape), float(self._within[0])
         # Not by BLAS: its threads go on waiting for more, and take a core for as long.
         odds = np.einsum("k,kij->ij", self.shares(worst, judged, slope), self._tables)
-        at_own = np.einsum("ni,ij->nj", self._hats[0], odds)
-        table = 1.0 / (1.0 + np.exp(-np.einsum("nj,mj->nm", at_own, self._hats[1])))
-        look_up(own, about, judged.view(np.uint8), table, least, FINE_ODDS, out)
+        at_own = np.einsum("ni,ij->nj", self._weights[0], odds)
+        table = 1.0 / (1.0 + np.exp(-np.einsum("nj,mj->nm", at_own, self._weights[1])))
+        out = np.ones(judged.shape)
+        look_up(own, about, judged.view(np.uint8), table, float(self._within[0]), out)
         return out
 
-    def shares(self, worst: WorstRest, judged: Mask, slope: Array) -> Array:
+    def shares(self, worst: WorstContact, judged: Mask, slope: Array) -> Array:
         """What the tables of ``RiskModel`` weigh on this ground, (G + H,); arguments as of `risk`.
 
         Of the judged grid points at which the lander rests level enough, u is the share at which
@@ -140,25 +144,16 @@ class RiskTable:
         g = log(much / count * (much / max(some, 1)) ** 3 + NO_ROCKS)
         h = float(np.sum(slope, where=level)) / count
         by_g, by_h = (
-            hats(np.array([at]), knots)[0] for at, knots in zip((g, h), self._knots, strict=True)
+            interpolation_weights(np.array([at]), knots)[0]
+            for at, knots in zip((g, h), self._knots, strict=True)
         )
         return np.concatenate([by_g, by_h[1:], [self._noisy]])
 
-    def log_odds(self, worst: WorstRest, judged: Mask) -> tuple[Array, Array]:
+    def log_odds(self, worst: WorstContact, judged: Mask) -> tuple[Array, Array]:
         """What the second step goes by, (n + 1, n + 1) each: l and d of ``RiskModel``."""
         own, about = np.empty((2, *judged.shape))
-        set_odds(
-            worst.rise,
-            worst.slope,
-            judged.view(np.uint8),
-            self._rise_odds,
-            self._slope_odds,
-            self._low,
-            FINE,
-            self._within,
-            own,
-            about,
-        )
+        marks, odds = judged.view(np.uint8), (self._rise_odds, self._slope_odds)
+        set_odds(worst.rise, worst.slope, marks, *odds, self._low, self._within, own, about)
         return own, about
 
     def by_slope(self, rise: float, slope: float) -> bool:
@@ -174,10 +169,10 @@ class RiskTable:
 
 def _steps(knots: Row, step: float) -> Array:
     """From the first knot to the last."""
-    return np.arange(0.0, knots[-1] - knots[0] + step, step) + knots[0]
+    return np.arange(0.0, max(knots) - knots[0] + step, step) + knots[0]
 
 
-def hats(values: Array, knots: Row) -> Array:
+def interpolation_weights(values: Array, knots: Row) -> Array:
     """(N, K) what the values at knots weigh at (N,) places, in the straight lines between them."""
     ones = np.eye(len(knots))
     return np.column_stack([np.interp(values, knots, one) for one in ones])
@@ -258,35 +253,181 @@ def heading_word(bearing: float) -> str:
     return names[round(bearing / (0.25 * np.pi)) % 8]
 
 
-def remainder(
+def remaining_risks(
+    places: tuple[Index, Index],
     risk: Array,
     judged: Mask,
-    worst: WorstRest,
+    unmapped: Mask,
+    worst: WorstContact,
     table: RiskTable,
     side: float,
     dispersion: Dispersion,
-    place: tuple[int, int],
-    unmapped: Callable[[int, int], bool],
-) -> Remainder:
-    """What speaks against an aim point, given by row and column of the lattice.
+) -> list[str]:
+    """What most of the risk comes from at aim points, as `Remainder.words` has it.
 
-    ``unmapped`` tells of such a place whether its ground was seen but is not yet mapped.
+    Args:
+        places: Rows and columns (K,) of the lattice.
+        risk: (n + 1, n + 1) P(unsafe) of landing at each grid point.
+        judged: (n + 1, n + 1) where it follows from ``worst`` by ``table``.
+        unmapped: (n + 1, n + 1) where the lander meets ground that is seen but not yet mapped.
+        worst, table: As of `RiskTable.risk`.
+        side: Between grid points, m.
+        dispersion: Of the touchdown about the aim.
     """
     across, along = normal_weights(dispersion.y, side), normal_weights(dispersion.x, side)
     up, right = len(across) // 2, len(along) // 2
-    south, west = max(place[0] - up, 0), max(place[1] - right, 0)
-    known = risk[south : place[0] + up + 1, west : place[1] + right + 1]
-    share = across[:, None] * along
-    south, west = south - place[0] + up, west - place[1] + right
-    share[south : south + known.shape[0], west : west + known.shape[1]] *= known
-    row, column = divmod(int(np.argmax(share)), len(along))
-    y, x = (row - up) * side, (column - right) * side
-    row, column = row + place[0] - up, column + place[1] - right
-    inside = 0 <= row < risk.shape[0] and 0 <= column < risk.shape[1]
-    kind = "unseen"
-    if inside and judged[row, column]:
-        steep = table.by_slope(float(worst.rise[row, column]), float(worst.slope[row, column]))
-        kind = "slope" if steep else "obstacle"
-    elif inside and unmapped(row, column):
-        kind = "unmapped"
-    return Remainder(1.0 - float(share.sum()), float(np.hypot(x, y)), float(np.arctan2(y, x)), kind)
+    found = []
+    for at_row, at_column in zip(*(of.tolist() for of in places), strict=True):
+        south, west = max(at_row - up, 0), max(at_column - right, 0)
+        known = risk[south : at_row + up + 1, west : at_column + right + 1]
+        share = across[:, None] * along
+        south, west = south - at_row + up, west - at_column + right
+        share[south : south + known.shape[0], west : west + known.shape[1]] *= known
+        row, column = divmod(int(np.argmax(share)), len(along))
+        y, x = (row - up) * side, (column - right) * side
+        here = row + at_row - up, column + at_column - right
+        inside = 0 <= here[0] < risk.shape[0] and 0 <= here[1] < risk.shape[1]
+        kind = "unseen"
+        if inside and judged[here]:
+            steep = table.by_slope(float(worst.rise[here]), float(worst.slope[here]))
+            kind = "slope" if steep else "obstacle"
+        elif inside and unmapped[here]:
+            kind = "unmapped"
+        away, bearing = float(np.hypot(x, y)), float(np.arctan2(y, x))
+        found.append(Remainder(1.0 - float(share.sum()), away, bearing, kind).words())
+    return found
+
+
+@cython.boundscheck(False)
+@cython.locals(rise=cython.float[:, ::1], slope=cython.float[:, ::1], judged=cython.uchar[:, ::1])
+@cython.locals(rise_odds=cython.double[::1], slope_odds=cython.double[::1], low=cython.double[::1])
+@cython.locals(within=cython.double[::1], own=cython.double[:, ::1], about=cython.double[:, ::1])
+def set_odds(
+    rise: Single,
+    slope: Single,
+    judged: Bytes,
+    rise_odds: Array,
+    slope_odds: Array,
+    low: Array,
+    within: Array,
+    own: Array,
+    about: Array,
+) -> None:
+    """Log odds that the lander fails at grid points, and how much greater they are beside them.
+
+    Args:
+        rise, slope: (ny, nx) of the worst contact, m and rise over run.
+        judged: (ny, nx) where they are known; elsewhere the odds are the least.
+        rise_odds, slope_odds: Odds that it fails by the one and by the other, from ``low`` (2,) in
+            steps of ``FINE``: 1 + the odds that it fails is (1 + the one's) (1 + the other's).
+        within: (2,) least and greatest log odds.
+        own: (ny, nx), set.
+        about: (ny, nx), set: how much greater those of the worst of the four neighbours are.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(m=cython.Py_ssize_t)
+    k_last: cython.Py_ssize_t = -1
+    m_last: cython.Py_ssize_t = -1
+    rows: cython.Py_ssize_t = own.shape[0]
+    columns: cython.Py_ssize_t = own.shape[1]
+    rise_last: cython.double = rise_odds.shape[0] - 1.0
+    slope_last: cython.double = slope_odds.shape[0] - 1.0
+    odds, least, greatest = 0.0, within[0], within[1]
+    per = 1.0 / FINE
+    with cython.nogil:
+        for i in range(rows):
+            for j in range(columns):
+                if not judged[i, j]:
+                    own[i, j] = least
+                    continue
+                place = min(max((rise[i, j] - low[0]) * per + 0.5, 0.0), rise_last)
+                k = cython.cast(cython.Py_ssize_t, place)
+                place = min(max((slope[i, j] - low[1]) * per + 0.5, 0.0), slope_last)
+                m = cython.cast(cython.Py_ssize_t, place)
+                if k != k_last or m != m_last:  # level ground is all alike
+                    odds = log(rise_odds[k] + slope_odds[m] + rise_odds[k] * slope_odds[m])
+                    odds = min(max(odds, least), greatest)
+                    k_last, m_last = k, m
+                own[i, j] = odds
+        for i in range(rows):
+            for j in range(columns):
+                worst = own[i, j]
+                if i > 0:
+                    worst = max(worst, own[i - 1, j])
+                if i < rows - 1:
+                    worst = max(worst, own[i + 1, j])
+                if j > 0:
+                    worst = max(worst, own[i, j - 1])
+                if j < columns - 1:
+                    worst = max(worst, own[i, j + 1])
+                about[i, j] = worst - own[i, j]
+
+
+@cython.boundscheck(False)
+@cython.locals(own=cython.double[:, ::1], about=cython.double[:, ::1], judged=cython.uchar[:, ::1])
+@cython.locals(table=cython.double[:, ::1], out=cython.double[:, ::1])
+def look_up(
+    own: Array, about: Array, judged: Bytes, table: Array, least: float, out: Array
+) -> None:
+    """Set P(unsafe) at grid points (ny, nx) where it is ``judged``.
+
+    ``table`` (K, M) has it by the log odds that `set_odds` gives: of ``own`` from ``least`` and of
+    ``about`` from 0, in steps of ``FINE_ODDS``.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(m=cython.Py_ssize_t)
+    per = 1.0 / FINE_ODDS
+    with cython.nogil:
+        for i in range(out.shape[0]):
+            for j in range(out.shape[1]):
+                if judged[i, j]:
+                    k = cython.cast(cython.Py_ssize_t, (own[i, j] - least) * per + 0.5)
+                    m = cython.cast(cython.Py_ssize_t, about[i, j] * per + 0.5)
+                    out[i, j] = table[min(k, table.shape[0] - 1), min(m, table.shape[1] - 1)]
+
+
+@cython.boundscheck(False)
+@cython.locals(risk=cython.double[:, ::1], across=cython.double[::1], along=cython.double[::1])
+@cython.locals(out=cython.double[:, ::1])
+def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
+    """Weighted means of P(unsafe) about each grid point; beyond the lattice it is 1.
+
+    Args:
+        risk: (ny, nx).
+        across, along: (K + 1,), (L + 1,) weights of rows and columns so far from the grid point;
+            on both sides they are alike. K and L are even.
+        out: (ny, nx), set.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    rows: cython.Py_ssize_t = risk.shape[0]
+    columns: cython.Py_ssize_t = risk.shape[1]
+    up: cython.Py_ssize_t = across.shape[0] - 1
+    right: cython.Py_ssize_t = along.shape[0] - 1
+    # Of P(safe): beyond the lattice there is none.
+    safe = cython.declare(cython.double[:, ::1], np.zeros((rows + 2 * up, columns)))
+    line = cython.declare(cython.double[::1], np.zeros(columns + 2 * right))
+    with cython.nogil:
+        for i in range(rows):
+            for j in range(columns):
+                line[right + j] = 1.0 - risk[i, j]
+            for j in range(columns):
+                safe[up + i, j] = along[0] * line[right + j]
+            for k in range(1, right, 2):
+                near, far = along[k], along[k + 1]
+                for j in range(right, right + columns):
+                    z = near * (line[j - k] + line[j + k])
+                    z += far * (line[j - k - 1] + line[j + k + 1])
+                    safe[up + i, j - right] += z
+        for i in range(rows):
+            for j in range(columns):
+                out[i, j] = 1.0 - across[0] * safe[up + i, j]
+            for k in range(1, up, 2):
+                near, far = across[k], across[k + 1]
+                south: cython.Py_ssize_t = up + i - k
+                north: cython.Py_ssize_t = up + i + k
+                for j in range(columns):
+                    z = near * (safe[south, j] + safe[north, j])
+                    z += far * (safe[south - 1, j] + safe[north + 1, j])
+                    out[i, j] -= z
+            for j in range(columns):
+                out[i, j] = min(max(out[i, j], 0.0), 1.0)

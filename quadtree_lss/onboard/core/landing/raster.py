@@ -7,22 +7,16 @@ from dataclasses import dataclass
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import erf, exp, fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array, Index, Ints, Mask
 from quadtree_lss.onboard.core.landing.lattice import grown, nearest_marked
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
-if not cython.compiled:
-    from math import erf, exp, fabs, pi, sqrt
-
-    from quadtree_lss.onboard.core.geometry.bounds import within
-
-    M_PI = pi
-
-
 #: Lower tails of a feature are no feature, m.
 NEGLIGIBLE = cython.declare(cython.double, 0.005)
+TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
 
 
 @dataclass(frozen=True)
@@ -75,19 +69,9 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     elevation, slope_x, slope_y, subscale, peak = layers = np.empty((5, n, n))
     layers[3:] = 0.0
     down = domain.max_level - cells.level.astype(np.intp)
-    lay_out(
-        cells.iy.astype(np.intp) << down,
-        cells.ix.astype(np.intp) << down,
-        np.left_shift(1, down),
-        cells.z,
-        cells.low,
-        cells.high,
-        cells.normal,
-        cells.feature,
-        side,
-        leaf,
-        layers,
-    )
+    place = np.stack([cells.iy, cells.ix, np.ones_like(cells.ix)], axis=1).astype(np.intp)
+    planes = np.column_stack([cells.z, cells.normal, cells.low, cells.high])
+    lay_out(place << down[:, None], planes, cells.feature, side, leaf, layers)
     known = cells.observed & cells.known & ~np.isnan(elevation)
     bridged = ~known
     unmapped = cells.observed & ~known
@@ -96,84 +80,81 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     if not known.any():
         elevation[:] = np.nan
     elif bridged.any():
-        elevation[bridged] = elevation.take(nearest_marked(known)[1][bridged])
+        elevation[bridged] = elevation.take(nearest_marked(known)[bridged])
         slope_x[bridged] = slope_y[bridged] = 0.0
     found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged)
     return TerrainRaster(domain, leaf, *found, cells)
 
 
 @cython.boundscheck(False)
+@cython.locals(place=cython.Py_ssize_t[:, ::1], planes=cython.double[:, ::1])
+@cython.locals(feature=cython.double[:, ::1], leaf=cython.int[:, ::1])
+@cython.locals(layers=cython.double[:, :, ::1])
 def lay_out(
-    row: Index,
-    column: Index,
-    width: Index,
-    z: Array,
-    low: Array,
-    high: Array,
-    normal: Array,
-    feature: Array,
-    side: float,
-    leaf: Ints,
-    layers: Array,
+    place: Index, planes: Array, feature: Array, side: float, leaf: Ints, layers: Array
 ) -> None:
     """Fill the finest cells under leaves (M).
 
     Args:
-        row, column: (M,) of each leaf's first finest cell.
-        width: (M,) finest cells along its side.
-        z: (M,) plane's elevation at the centre, NaN if there is none, m.
-        low, high: (M,) what the plane's heights keep to, m; NaN for no bound.
-        normal, feature: (M, 3), (M, 5).
+        place: (M, 3) row and column of each leaf's first finest cell, and cells along its side.
+        planes: (M, 6) elevation at the centre, m, NaN if there is none; normal; lowest and highest
+            that heights keep to, m, NaN for no bound.
+        feature: (M, 5).
         side: Of the finest cells, m.
         leaf: (n, n), set to the row of the leaf.
         layers: (5, n, n), set to elevation, slopes in x and y; where there is a feature, the last
             two to its mean and its greatest height.
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t, width=cython.Py_ssize_t)
     cython.declare(beyond=cython.bint)
     half = 0.5 * side
     # Of a feature, column by column: its share, and the square of the distance.
     shares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
     squares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
     with cython.nogil:
-        for k in range(z.shape[0]):
-            middle = 0.5 * (width[k] - 1)
+        for k in range(place.shape[0]):
+            row, column, width = place[k, 0], place[k, 1], place[k, 2]
+            level, low, high = planes[k, 0], planes[k, 4], planes[k, 5]
+            middle = 0.5 * (width - 1)
             slope_x, slope_y = 0.0, 0.0
-            if z[k] == z[k]:
-                slope_x, slope_y = -normal[k, 0] / normal[k, 2], -normal[k, 1] / normal[k, 2]
+            if level == level:
+                slope_x, slope_y = -planes[k, 1] / planes[k, 3], -planes[k, 2] / planes[k, 3]
             rise = (fabs(slope_x) + fabs(slope_y)) * middle * side
-            beyond = z[k] - rise < low[k] or z[k] + rise > high[k]
-            for i in range(row[k], row[k] + width[k]):
-                y = (i - row[k] - middle) * side
-                for j in range(column[k], column[k] + width[k]):
-                    x = (j - column[k] - middle) * side
-                    leaf[i, j] = k
-                    layers[0, i, j] = z[k] + slope_x * x + slope_y * y
+            beyond = level - rise < low or level + rise > high
+            for i in range(row, row + width):
+                y = (i - row - middle) * side
+                for j in range(column, column + width):
+                    z = level + slope_x * ((j - column - middle) * side) + slope_y * y
                     if beyond:
-                        layers[0, i, j] = within(layers[0, i, j], low[k], high[k])
-                    layers[1, i, j] = slope_x
-                    layers[2, i, j] = slope_y
+                        z = low if z < low else z
+                        z = high if z > high else z
+                    leaf[i, j] = k
+                    layers[0, i, j], layers[1, i, j], layers[2, i, j] = z, slope_x, slope_y
             if not feature[k, 1] == feature[k, 1]:
                 continue
             # Eq. 57: a bell is a product of two normal densities times its volume k^2.
             sigma, volume = feature[k, 4], feature[k, 1] * feature[k, 1]
-            top = volume / (2.0 * M_PI * sigma * sigma)
-            for j in range(width[k]):
+            top = volume / (TWO_PI * sigma * sigma)
+            for j in range(width):
                 x = (j - middle) * side - feature[k, 2]
                 shares[j] = bell_share(x, half, sigma)
                 squares[j] = max(max(x - half, -x - half), 0.0) ** 2
-            for i in range(width[k]):
+            for i in range(width):
                 y = (i - middle) * side - feature[k, 3]
                 share = bell_share(y, half, sigma) * volume / (side * side)
                 square = max(max(y - half, -y - half), 0.0) ** 2
-                for j in range(width[k]):
-                    layers[3, row[k] + i, column[k] + j] = share * shares[j]
+                for j in range(width):
+                    layers[3, row + i, column + j] = share * shares[j]
                     raised = top * exp(-0.5 * (squares[j] + square) / (sigma * sigma))
                     if raised >= NEGLIGIBLE:
-                        layers[4, row[k] + i, column[k] + j] = raised
+                        layers[4, row + i, column + j] = raised
 
 
-def bell_share(x: float, half: float, sigma: float) -> float:
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def bell_share(x: cython.double, half: cython.double, sigma: cython.double) -> cython.double:
     """Of a normal density about 0 between x - half and x + half."""
     scale = 1.0 / (sqrt(2.0) * sigma)
     return 0.5 * (erf((x + half) * scale) - erf((x - half) * scale))

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Safety and score of every grid point of the finest lattice (paper V.D)."""
+"""The risk and the score of every grid point of the finest lattice (paper V.D)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import radians, tan
 
+import cython
 import numpy as np
+from cython.cimports.libc.math import fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.lattice import (
-    Disc,
     GroundPlanes,
     disc,
     disc_means,
@@ -20,125 +22,28 @@ from quadtree_lss.onboard.core.landing.lattice import (
     grown,
     touching,
 )
+from quadtree_lss.onboard.core.landing.probability import RiskTable
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
-from quadtree_lss.onboard.core.landing.sweeps import score_density
-from quadtree_lss.onboard.core.landing.zones import greatest_in_zones, lower_room
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstContact
 
 
 @dataclass(frozen=True)
-class PointAssessment:
-    """What the assessment finds at the grid points of the finest lattice, (n + 1, n + 1).
+class Surroundings:
+    """What lies about the grid points of the finest lattice, (n + 1, n + 1).
 
     Attributes:
-        planes: Ground at the lander's scale.
-        hazard: Bits of ``hazards``.
-        safe: Landing there is allowed by the ground.
-        score: Eq. 59.
-        roughness: (M,) of the leaves, Eq. 55's volume over the area, m.
-        raster: The map.
-        zone: Which finest cells a zone covers.
-        spoiled: What the zone must keep off: finest cells (n, n) by the paper's rules, grid points
-            at which the lander fails with the touchdown check ...
-        reach: ... and how near the zone's centre may come to them, m.
-        unseen: (n, n) finest cells the zone must keep off ...
-        pad_radius: ... and by how much more of those that are seen but not yet mapped, m.
+        planes: The ground at the lander's scale.
+        room: Distance to ground that is unseen or outside, where that matters, m. Something was
+            hit on ground that is seen but not yet mapped: pads must not reach over it either, so
+            it is nearer by their radius.
+        to_unmapped: Distance to such ground, where that matters, m.
+        judged: All ground under the lander is seen and mapped.
     """
 
     planes: GroundPlanes
-    hazard: Bytes
-    safe: Mask
-    score: Array
-    roughness: Array
-    raster: TerrainRaster
-    zone: Disc
-    spoiled: Mask
-    reach: float
-    unseen: Mask
-    pad_radius: float
-
-
-def assess_points(
-    cells: CellMap,
-    raster: TerrainRaster,
-    planes: GroundPlanes,
-    features: Bytes,
-    inside: Array,
-    fails: Mask,
-    lss: LssConfig,
-) -> PointAssessment:
-    """Safety and score on the finest lattice.
-
-    Args:
-        cells, raster: The map.
-        planes: Of ``planes_below``.
-        features: (M,) of ``hazards.avoided_features``.
-        inside: (n + 1, n + 1) of ``seen_about``.
-        fails: (n + 1, n + 1) of the touchdown check, or where the risk is too great.
-        lss: Limits and weights.
-    """
-    side = cells.domain.finest_size
-    radius = 0.5 * lss.vehicle_diameter
-    zone = radius + lss.margin
-    bits = features.take(raster.leaf)
-    bits *= raster.seen.view(np.uint8)
-    bits |= unknown_bits(raster)
-    # No zone fits a domain smaller than itself: none needs sums over more than that.
-    widest = 0.5 * cells.domain.size
-    hazard = touching(bits)
-    if lss.assessment != "paper":
-        landable = inside >= radius - 1e-9
-        excepted = hazard & hazards.EXCEPTION > 0
-        spoiled = fails | (landable & grown(excepted, radius, side))
-        if lss.assessment == "touchdown":
-            # Rounded outwards: a map that may be off at all is off by a grid point.
-            steps = np.ceil(lss.hazard_growth / side - 1e-9)
-            spoiled |= landable & grown(spoiled, steps * side, side)
-        hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
-        safe = ~grown(spoiled, lss.margin, side)
-        # Ground that spoils a landing lies about a radius from the points it makes unsafe.
-        near, reach = distance_from(spoiled, side, lss.hazard_distance_cap), lss.margin
-        near += radius
-        of_slope, of_leaves = lss.weight_slope, np.zeros(len(cells.level))
-    else:
-        spoiled = bits & hazards.FEATURE > 0
-        near_feature = hazard & hazards.FEATURE > 0
-        safe = ~grown(near_feature, zone, side)
-        near, reach = distance_from(near_feature, side, lss.hazard_distance_cap), zone
-        of_slope, of_leaves = 0.0, np.nan_to_num(lss.weight_slope * hazards.slope(cells.normal))
-    safe &= inside >= zone - 1e-9
-    over = disc(min(zone, widest), side)
-    # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
-    rough = cells.roughness / cells.size**2
-    rough[np.isnan(rough)] = 0.0
-    of_leaves += lss.weight_roughness * rough
-    # Eq. 58 on the finest cells; Eq. 56's integral as Eq. 59's mean over the disc of each point.
-    density = np.empty(raster.leaf.shape)
-    weights = of_slope, lss.weight_hazard_distance, lss.weight_subscale, lss.hazard_distance_cap
-    score_density(
-        planes.slope,
-        near,
-        inside,
-        raster.subscale,
-        raster.leaf,
-        of_leaves,
-        np.array(weights),
-        density,
-    )
-    return PointAssessment(
-        planes,
-        hazard,
-        safe,
-        disc_means(density, over, raster.seen),
-        rough,
-        raster,
-        over,
-        spoiled,
-        reach,
-        ~raster.firm,
-        lss.pad_radius,
-    )
+    room: Array
+    to_unmapped: Array
+    judged: Mask
 
 
 def ground_radius(lss: LssConfig) -> float:
@@ -146,11 +51,126 @@ def ground_radius(lss: LssConfig) -> float:
     return 0.75 * 0.5 * lss.vehicle_diameter
 
 
-def planes_below(raster: TerrainRaster, lss: LssConfig) -> GroundPlanes:
-    """The ground at the lander's scale, at all grid points of the finest lattice."""
+def zone_radius(lss: LssConfig) -> float:
+    """Radius of the landing zone, m."""
+    return 0.5 * lss.vehicle_diameter + lss.margin
+
+
+def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
+    """What lies about the grid points of a map."""
     domain = raster.domain
+    n, side = domain.finest_count, domain.finest_size
     radius = min(ground_radius(lss), 0.5 * domain.size)
-    return ground_planes(raster.elevation, raster.seen, domain.finest_size, radius)
+    planes = ground_planes(raster.elevation, raster.seen, side, radius)
+    limit = max(zone_radius(lss), lss.hazard_distance_cap)
+    room = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
+    unmapped = touching(raster.unmapped.view(np.uint8)) > 0
+    to_unmapped = distance_from(unmapped, side, limit + lss.pad_radius)
+    np.minimum(room, to_unmapped - lss.pad_radius, out=room)
+    border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
+    np.minimum(room, border, out=room)
+    np.minimum(room, border[:, None], out=room)
+    return Surroundings(planes, room, to_unmapped, room >= 0.5 * lss.vehicle_diameter - 1e-9)
+
+
+@dataclass(frozen=True)
+class PointAssessment:
+    """What the assessment finds at the grid points of the finest lattice, (n + 1, n + 1).
+
+    Attributes:
+        raster, around: The map, and what lies about each.
+        worst: The lander's worst contacts; None if nobody asked for them.
+        risk: P(unsafe) of landing there; NaN if nobody asked for it.
+        hazard: Bits of ``hazards``.
+        safe: Landing there is allowed by the ground.
+        score: Eq. 59.
+        roughness: (M,) of the leaves, Eq. 55's volume over the area, m.
+        spoiled: What the zone must keep off: finest cells (n, n) by the paper's rules, grid points
+            at which the lander fails with the touchdown check ...
+        reach: ... and how near the zone's centre may come to them, m.
+    """
+
+    raster: TerrainRaster
+    around: Surroundings
+    worst: WorstContact | None
+    risk: Array
+    hazard: Bytes
+    safe: Mask
+    score: Array
+    roughness: Array
+    spoiled: Mask
+    reach: float
+
+
+def assess_points(
+    raster: TerrainRaster,
+    around: Surroundings,
+    worst: WorstContact | None,
+    check: TouchdownCheck,
+    table: RiskTable | None,
+    lss: LssConfig,
+) -> PointAssessment:
+    """Risk, safety and score on the finest lattice.
+
+    Args:
+        raster, around: The map, and what lies about the grid points.
+        worst: The lander's worst contacts; the paper's rules need none.
+        check: Whose limits decide if ``lss.assessment`` is ``touchdown``.
+        table: Fit of the risk; None if nobody asks for it.
+        lss: Limits and weights.
+    """
+    cells, n, side = raster.cells, raster.domain.finest_count, raster.domain.finest_size
+    radius, zone = 0.5 * lss.vehicle_diameter, zone_radius(lss)
+    bits = hazards.avoided_features(cells, lss).take(raster.leaf)
+    bits *= raster.seen.view(np.uint8)
+    bits |= unknown_bits(raster)
+    hazard = touching(bits)
+    risk = np.full(around.room.shape, np.nan)
+    if worst is not None and table is not None:
+        risk = table.risk(worst, around.judged, around.planes.slope)
+    if worst is None or lss.assessment == "paper":
+        spoiled = bits & hazards.FEATURE > 0
+        near_feature = hazard & hazards.FEATURE > 0
+        safe = ~grown(near_feature, zone, side)
+        near, reach = distance_from(near_feature, side, lss.hazard_distance_cap), zone
+        of_slope, of_leaves = 0.0, np.nan_to_num(lss.weight_slope * hazards.slope(cells.normal))
+    else:
+        excepted = grown(hazard & hazards.EXCEPTION > 0, radius, side)
+        if lss.assessment == "touchdown":
+            spoiled = around.judged & (check.over(worst) | excepted)
+            # Rounded outwards: a map that may be off at all is off by a grid point.
+            steps = np.ceil(lss.hazard_growth / side - 1e-9)
+            spoiled |= around.judged & grown(spoiled, steps * side, side)
+        else:
+            fails = around.judged & (risk > lss.max_risk)
+            spoiled = fails | (around.judged & excepted)
+            stands = worst.rise <= lss.max_roughness
+            stands &= worst.slope <= tan(radians(lss.max_slope_deg))
+            hazard |= (fails & stands) * np.uint8(hazards.UNCERTAIN)
+        hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
+        safe = ~grown(spoiled, lss.margin, side)
+        # Ground that spoils a landing lies about a radius from the points it makes unsafe.
+        near, reach = distance_from(spoiled, side, lss.hazard_distance_cap), lss.margin
+        near += radius
+        of_slope, of_leaves = lss.weight_slope, np.zeros(len(cells.level))
+    safe &= around.room >= zone - 1e-9
+    # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
+    rough = cells.roughness / cells.size**2
+    rough[np.isnan(rough)] = 0.0
+    # Eq. 58, of the four grid points of each finest cell and of its leaf.
+    free = np.minimum(near, around.room, out=near)
+    np.minimum(free, lss.hazard_distance_cap, out=free)
+    free *= lss.weight_hazard_distance
+    line = of_slope * around.planes.slope - free
+    line = line[:n] + line[1:]
+    density = 0.25 * (line[:, :n] + line[:, 1:])
+    density += (of_leaves + lss.weight_roughness * rough).take(raster.leaf)
+    density += lss.weight_subscale * raster.subscale
+    # Eq. 56's integral as Eq. 59's mean over the disc of each point. No zone fits a domain smaller
+    # than itself: none needs sums over more than that.
+    over = disc(min(zone, 0.5 * cells.domain.size), side)
+    score = disc_means(density, over, raster.seen)
+    return PointAssessment(raster, around, worst, risk, hazard, safe, score, rough, spoiled, reach)
 
 
 def unknown_bits(raster: TerrainRaster) -> Bytes:
@@ -160,56 +180,71 @@ def unknown_bits(raster: TerrainRaster) -> Bytes:
     return bits
 
 
-def seen_about(raster: TerrainRaster, lss: LssConfig) -> Array:
-    """Distance of grid points to ground that is unseen or outside, where that matters, m.
-
-    Something was hit on ground that is seen but not yet mapped: pads must not reach over it
-    either, so it is nearer by their radius.
-    """
-    limit = max(0.5 * lss.vehicle_diameter + lss.margin, lss.hazard_distance_cap)
-    n, side = raster.domain.finest_count, raster.domain.finest_size
-    border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
-    out = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
-    if raster.unmapped.any():
-        marked = touching(raster.unmapped.view(np.uint8)) > 0
-        near = distance_from(marked, side, limit + lss.pad_radius)
-        np.minimum(out, near - lss.pad_radius, out=out)
-    np.minimum(out, border, out=out)
-    return np.minimum(out, border[:, None], out=out)
-
-
-def room_about(points: PointAssessment, domain: Domain, zone: float, x: Array, y: Array) -> Array:
-    """How far a zone of radius ``zone`` centred at x, y (K,) may move in any direction, (K,), m.
+def room_about(points: PointAssessment, x: Array, y: Array, lss: LssConfig) -> Array:
+    """How far a zone centred at x, y (K,) may move in any direction, (K,), m.
 
     That is until it touches a hazard (or, with the touchdown check, until the lander fails within
     the margin), unseen ground or the domain's border. 0 where it does.
     """
+    raster, domain, zone = points.raster, points.raster.domain, zone_radius(lss)
     x, y, side = x - domain.xmin, y - domain.ymin, domain.finest_size
     out = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
-    unmapped = (points.raster.unmapped, zone + points.pad_radius)
-    for marked, reach in ((points.spoiled, points.reach), (points.unseen, zone), unmapped):
+    unmapped = (raster.unmapped, zone + lss.pad_radius)
+    for marked, reach in ((points.spoiled, points.reach), (~raster.firm, zone), unmapped):
         # Cells have an extent, points of the lattice have none.
         half = 0.5 * (domain.finest_count + 1 - len(marked))
         lower_room(marked.view(np.uint8), half, x, y, side, reach, out)
     return np.asarray(np.maximum(out, 0.0))
 
 
-def meets_unmapped(
-    raster: TerrainRaster, row: int, column: int, radius: float, lss: LssConfig
-) -> bool:
-    """Whether pads on a circle (m) about a grid point of the lattice meet ground not yet mapped."""
-    if not raster.unmapped.any():
-        return False
-    side, room = raster.domain.finest_size, np.zeros(1)
-    place = np.array([column * side]), np.array([row * side])
-    marked = raster.unmapped.view(np.uint8)
-    lower_room(marked, 0.5, *place, side, radius + lss.pad_radius - 1e-9, room)
-    return bool(room[0] < 0.0)
-
-
-def greatest_about(points: PointAssessment, rows: Index, columns: Index) -> tuple[Array, Array]:
+def greatest_about(
+    points: PointAssessment, rows: Index, columns: Index, lss: LssConfig
+) -> tuple[Array, Array]:
     """Greatest roughness and height of a subscale feature in zones about grid points (K,), m."""
-    out = np.empty((2, len(rows)))
-    peak, leaf, half = points.raster.subscale_peak, points.raster.leaf, points.zone.half
-    greatest_in_zones(peak, leaf, points.roughness, half, np.stack([rows, columns]), out)
-    return out[1], out[0]
+    raster, domain = points.raster, points.raster.domain
+    over = disc(min(zone_radius(lss), 0.5 * domain.size), domain.finest_size)
+    row, column = rows[:, None] + over.row, columns[:, None] + over.column
+    last = domain.finest_count - 1
+    outside = (row < 0) | (row > last) | (column < 0) | (column > last)
+    row, column = np.clip(row, 0, last), np.clip(column, 0, last)
+    rough, raised = points.roughness[raster.leaf[row, column]], raster.subscale_peak[row, column]
+    rough[outside] = raised[outside] = 0.0
+    return rough.max(axis=1, initial=0.0), raised.max(axis=1, initial=0.0)
+
+
+@cython.boundscheck(False)
+@cython.locals(marked=cython.uchar[:, ::1], x=cython.double[::1], y=cython.double[::1])
+@cython.locals(room=cython.double[::1])
+def lower_room(
+    marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, room: Array
+) -> None:
+    """How far a zone at each of some places may move until it comes too near to what is marked.
+
+    Args:
+        marked: (ny, nx) cells, or points of the lattice.
+        half: Half the side of those, in steps: 0.5 for cells and 0 for points.
+        x, y: (K,) of the places, from the lattice's first point, m.
+        side: Of the lattice, m.
+        reach: How near the zone's centre may come, m.
+        room: (K,) m, lowered.
+    """
+    cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    with cython.nogil:
+        for k in range(x.shape[0]):
+            u, v = x[k] / side, y[k] / side
+            column, row = cython.cast(cython.Py_ssize_t, u), cython.cast(cython.Py_ssize_t, v)
+            ring = 0
+            # What lies beyond a ring of places is at least as many steps away.
+            while (ring - 1) * side - reach < room[k]:
+                for i in range(row - ring, row + ring + 1):
+                    if not 0 <= i < marked.shape[0]:
+                        continue
+                    j = column - ring
+                    while j <= column + ring:
+                        if 0 <= j < marked.shape[1] and marked[i, j]:
+                            dx = max(fabs(u - j - half) - half, 0.0)
+                            dy = max(fabs(v - i - half) - half, 0.0)
+                            room[k] = min(room[k], sqrt(dx * dx + dy * dy) * side - reach)
+                        j += 1 if i == row - ring or i == row + ring else 2 * ring
+                ring += 1

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
+from quadtree_lss.onboard.core.geometry.heights import height_by_error
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.assessment import (
     LandingAssessment,
@@ -17,39 +20,42 @@ from quadtree_lss.onboard.core.landing.assessment import (
     Sites,
     no_target,
     nothing_mapped,
-    with_reasons,
 )
-from quadtree_lss.onboard.core.landing.covariance import ground_covariance
 from quadtree_lss.onboard.core.landing.grid import GridSampler, best_points, users_grid
-from quadtree_lss.onboard.core.landing.lattice import touching
-from quadtree_lss.onboard.core.landing.probability import Dispersion
+from quadtree_lss.onboard.core.landing.lattice import disc, touching
+from quadtree_lss.onboard.core.landing.probability import (
+    Dispersion,
+    RiskTable,
+    aimed,
+    limits,
+    remaining_risks,
+)
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
-from quadtree_lss.onboard.core.landing.restrictions import Restrictions
-from quadtree_lss.onboard.core.landing.safety import Judgement, SafetyJudge
 from quadtree_lss.onboard.core.landing.score import (
     PointAssessment,
     assess_points,
     greatest_about,
     ground_radius,
-    meets_unmapped,
-    planes_below,
+    look_around,
     room_about,
-    seen_about,
     unknown_bits,
+    zone_radius,
 )
 from quadtree_lss.onboard.core.landing.target import (
+    Candidates,
     Choice,
-    Ground,
     Reason,
+    Restrictions,
     TargetKeeper,
-    WhyNot,
     grid_point,
 )
+from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: The most that the score weighs against a probability: it decides where these are the same.
 TIE = 1e-5
+#: Any heading is as good as another: variance of an angle of which nothing is known, rad^2.
+ANY_HEADING = np.pi**2 / 3.0
 
 __all__ = ["LandingAssessment", "LandingSiteSelector", "Selected", "Sites"]
 
@@ -58,13 +64,12 @@ class LandingSiteSelector:
     """Assesses maps.
 
     Keeps the target (see ``target.TargetKeeper``), the last ranking, for ``lss.hysteresis``, and
-    the verdicts of the touchdown check, to repeat only what changed.
+    the lander's contacts with the ground, to find only those anew where it changed.
     """
 
     def __init__(self, config: Config) -> None:
         self._target = TargetKeeper()
-        self._answers = 0
-        self._wish: tuple[object, ...] | None = None
+        self._number = 0
         self._last_ranked: list[tuple[float, float]] = []
         # What glibc has freed once in this size it keeps: the arrays of a map need not be got
         # from the system, page by page, for every map.
@@ -73,8 +78,13 @@ class LandingSiteSelector:
 
     def configure(self, config: Config) -> None:
         """Go by these limits from now on; what was found by others is forgotten."""
-        self.config = config
-        self._judge = SafetyJudge(config.lss, config.lidar.range_noise)
+        self.config, lss = config, config.lss
+        self._table, within = None, None
+        if "probability" in (lss.assessment, lss.ranking):
+            model = risk_model(lss.risk_model)
+            self._table = RiskTable(model, lss, config.lidar.range_noise)
+            within = limits(model, lss)
+        self._check = TouchdownCheck(lss, within)
 
     def release(self) -> None:
         """Give the target up: the next assessment chooses as if none had been held."""
@@ -106,41 +116,49 @@ class LandingSiteSelector:
         times. With one of fewer than three or not finite vertices, or a target that is not finite,
         nobody knows where landing is wanted: no site is given out and the explanation says why.
         """
-        lss, domain = self.config.lss, cells.domain
-        at = users_grid(domain, lss.grid_spacing)
-        x, y = at.x, at.y
+        lss = self.config.lss
+        at = users_grid(cells.domain, lss.grid_spacing)
         wanted = Restrictions(area, keep_out, target, withheld)
-        self._answers += 1
+        self._number += 1
         spread = Dispersion.of(dispersion, lss)
-        self._look_at(wanted)
+        self._target.heed(wanted, self._reach(), lss)
         raster = rasterise(cells, lss.max_gap)
         if not raster.seen.any():
-            reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
-            nowhere = np.full((len(y), len(x)), np.nan)
-            nothing = Ground(x, y, np.isfinite(nowhere), nowhere)
-            self._choose(nothing, lambda row, column: reason, reason)
-            bits = at.any(touching(unknown_bits(raster)))
-            return nothing_mapped(cells, self._answers, reason, x, y, bits)
-        features = hazards.avoided_features(cells, lss)
-        inside = seen_about(raster, lss)
-        planes = planes_below(raster, lss)
-        judged = self._judge.judge(raster, inside, planes.slope, spread)
-        points = assess_points(cells, raster, planes, features, inside, judged.fails, lss)
-        bits = points.hazard
-        bits |= judged.uncertain * np.uint8(hazards.UNCERTAIN)
-        safe = at.everywhere(points.safe)
-        unsafe = at.linear(judged.aimed)
-        score = np.where(safe, at.nearest(points.score), np.nan)
+            return self._nothing_mapped(raster, at, withheld)
+        around, worst = look_around(raster, lss), None
+        if self._table is not None or lss.assessment != "paper":
+            worst = self._check.worst(raster, around.judged, spread.heading)
+        points = assess_points(raster, around, worst, self._check, self._table, lss)
+        return self._choose_sites(points, at, spread, wanted)
+
+    def _nothing_mapped(
+        self, raster: TerrainRaster, at: GridSampler, withheld: str
+    ) -> LandingAssessment:
+        reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
+        nowhere = np.full((len(at.y), len(at.x)), np.nan)
+        self._choose(
+            Candidates(at.x, at.y, np.isfinite(nowhere), nowhere), lambda *_: reason, reason
+        )
+        bits = at.any(touching(unknown_bits(raster)))
+        return nothing_mapped(raster.cells, self._number, reason, at.x, at.y, bits)
+
+    def _choose_sites(
+        self, points: PointAssessment, at: GridSampler, spread: Dispersion, wanted: Restrictions
+    ) -> LandingAssessment:
+        """The aims on the user's grid, and the best of them."""
+        lss, cells, ranks = self.config.lss, points.raster.cells, self.config.lss.ranking
+        safe, side = at.everywhere(points.safe), cells.domain.finest_size
+        at_aim = points.risk if self._table is None else aimed(points.risk, side, spread)
+        unsafe, score = at.linear(at_aim), np.where(safe, at.nearest(points.score), np.nan)
         # What sites are ranked by: the less the better.
-        cost = unsafe + TIE * score / (1.0 + score) if judged.ranks else score
-        unknown = wanted.apply(cost, x, y, lss)
-        if judged.ranks:
+        cost = unsafe + TIE * score / (1.0 + score) if ranks == "probability" else score
+        unknown = wanted.apply(cost, at.x, at.y, lss)
+        if ranks == "probability":
             np.copyto(score, np.nan, where=np.isnan(cost))
         landable = bool(np.isfinite(cost).any())
-        probability = 1.0 - unsafe
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
         if not safe.any():
-            explanation = _why_none(points, raster, lss)
+            explanation = _why_none(points, lss)
         elif not landable:
             explanation = "no safe ground within the landing area and outside the keep-out"
         if unknown:
@@ -150,57 +168,41 @@ class LandingSiteSelector:
             if unknown:
                 return Reason.WITHHELD
             if safe[row, column]:
-                return wanted.why_not(x[column], y[row], lss)
-            room = at.nearest(inside)[row, column] - lss.margin
-            if room >= 0.5 * lss.vehicle_diameter - 1e-9:
+                held = wanted.area_holds(at.x[column], at.y[row], lss)
+                return Reason.KEEP_OUT if held else Reason.OUTSIDE_AREA
+            if at.nearest(points.around.room)[row, column] >= zone_radius(lss) - 1e-9:
                 return Reason.HAZARD
-            place = int(at.near[0][row]), int(at.near[1][column])
-            unmapped = meets_unmapped(raster, *place, 0.5 * lss.vehicle_diameter + lss.margin, lss)
-            return Reason.UNMAPPED if unmapped else Reason.UNSEEN
+            away = at.nearest(points.around.to_unmapped)[row, column]
+            reach = zone_radius(lss) + lss.pad_radius - 1e-9
+            return Reason.UNMAPPED if away < reach else Reason.UNSEEN
 
         none = Reason.WITHHELD if unknown else Reason.NO_SITE
-        choice = self._choose(Ground(x, y, safe, cost), why_not, none)
-        ranked = self._rank(cost, x, y)
+        choice = self._choose(Candidates(at.x, at.y, safe, cost), why_not, none)
+        probability, ranked = 1.0 - unsafe, self._rank(cost, at.x, at.y)
         places = ranked if choice.place is None else [*ranked, choice.place]
-        found = self._describe(points, judged, domain, at, (score, probability), places)
-        hazard = at.any(bits)
+        found = self._describe(points, at, (score, probability), spread, places)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
-            answer=self._answers,
-            selected=self._selected(choice, found, cells, raster),
+            number=self._number,
+            selected=self._selected(choice, found, points.raster),
             pending=choice.place is None and landable,
             sites=found.of(slice(len(ranked))),
-            x=x,
-            y=y,
-            hazard=hazard,
+            x=at.x,
+            y=at.y,
+            hazard=at.any(points.hazard),
             safe=safe,
             score=score,
             probability=probability,
-            risk=at.linear(judged.risk),
+            risk=at.linear(points.risk),
             explanation=explanation,
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
-            ground=(at, raster, points),
+            ground=(at, points),
         )
 
-    def _look_at(self, wanted: Restrictions) -> None:
-        """Another landing area without the target, or another place to be near to, elsewhere than
-        the target is, asks for another one: guidance tells what it can still reach, and where it
-        is going, again and again."""
-        wish, before = wanted.wish(), self._wish
-        self._wish = wish
-        if before is None or wish == before:
-            return
-        held, lss = self._target.held, self.config.lss
-        kept = held is not None
-        if held is not None and wish[0] != before[0]:
-            kept = wanted.area_holds(*held, lss)
-        if held is not None and wish[1] != before[1]:
-            kept &= wanted.is_near(*held, self._reach())
-        if not kept:
-            self.release()
-
-    def _choose(self, ground: Ground, why_not: WhyNot, why_none: Reason) -> Choice:
+    def _choose(
+        self, ground: Candidates, why_not: Callable[[int, int], Reason], why_none: Reason
+    ) -> Choice:
         margin, reach = self.config.lss.switch_margin, self._reach()
         return self._target.choose(
             ground, margin=margin, reach=reach, why_not=why_not, why_none=why_none
@@ -211,16 +213,13 @@ class LandingSiteSelector:
         lss = self.config.lss
         return 0.49 * min(lss.vehicle_diameter, lss.min_separation)
 
-    def _selected(
-        self, choice: Choice, found: Sites, cells: CellMap, raster: TerrainRaster
-    ) -> Selected:
+    def _selected(self, choice: Choice, found: Sites, raster: TerrainRaster) -> Selected:
         """The target, described in the last row of ``found``."""
         if choice.place is None:
             return no_target(choice.reason)
         site = replace(found.of(slice(-1, None)), id=np.array([choice.id], dtype=np.uint32))
         place_x, place_y, _ = site.position[0]
-        radius = ground_radius(self.config.lss)
-        covariance = ground_covariance(cells, raster, place_x, place_y, radius)
+        covariance = ground_covariance(raster, place_x, place_y, ground_radius(self.config.lss))
         return Selected(choice.reason, site, covariance)
 
     def _rank(self, cost: Array, x: Array, y: Array) -> list[tuple[int, int]]:
@@ -238,47 +237,104 @@ class LandingSiteSelector:
     def _describe(
         self,
         points: PointAssessment,
-        judged: Judgement,
-        domain: Domain,
         at: GridSampler,
         layers: tuple[Array, Array],
+        spread: Dispersion,
         places: list[tuple[int, int]],
     ) -> Sites:
         """What is known of landing at grid points, given by row and column."""
-        lss = self.config.lss
+        lss, around = self.config.lss, points.around
         where = tuple(np.array(places, dtype=np.intp).reshape(-1, 2).T)
         place = np.column_stack([at.x[where[1]], at.y[where[0]]])
         centre = at.lattice(*where)
-        rough, raised = greatest_about(points, *centre)
-        planes, zone = points.planes, 0.5 * lss.vehicle_diameter + lss.margin
-        along_x, along_y = planes.slope_x[centre], planes.slope_y[centre]
+        rough, raised = greatest_about(points, *centre, lss)
+        along_x, along_y = around.planes.slope_x[centre], around.planes.slope_y[centre]
         normal = np.column_stack([-along_x, -along_y, np.ones_like(along_x)])
-        sites = Sites(
-            position=np.column_stack([place, at.linear(planes.elevation)[where]]),
+        slope_deg = np.degrees(around.planes.slope[centre])
+        room = room_about(points, place[:, 0], place[:, 1], lss)
+        risks = [""] * len(places)
+        if points.worst is not None and self._table is not None:
+            unmapped = around.to_unmapped < 0.5 * lss.vehicle_diameter + lss.pad_radius - 1e-9
+            judged = around.judged, unmapped, points.worst, self._table
+            side = points.raster.domain.finest_size
+            risks = [
+                f"{of}; " for of in remaining_risks(centre, points.risk, *judged, side, spread)
+            ]
+        limit = lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
+        reasons = (
+            f"{risk}slope {slope:.1f} deg of {limit:g}, {clear:.1f} m clear of hazards and unseen "
+            f"ground, roughness {roughness:.3f} m, "
+            + (f"features up to {feature:.2f} m" if feature >= 0.005 else "no subscale feature")
+            for risk, slope, clear, roughness, feature in zip(
+                risks, slope_deg, room, rough, raised, strict=True
+            )
+        )
+        return Sites(
+            position=np.column_stack([place, at.linear(around.planes.elevation)[where]]),
             normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
             score=layers[0][where],
             probability=layers[1][where],
-            slope_deg=np.degrees(planes.slope[centre]),
+            slope_deg=slope_deg,
             roughness=rough,
-            hazard_distance=room_about(points, domain, zone, place[:, 0], place[:, 1]),
+            hazard_distance=room,
             subscale_height=raised,
             id=self._target.places.numbers(place, self._reach()),
-            reasons=(),
+            reasons=tuple(reasons),
         )
-        raster, radius = points.raster, 0.5 * lss.vehicle_diameter
-
-        def unmapped(row: int, column: int) -> bool:
-            return meets_unmapped(raster, row, column, radius, lss)
-
-        return with_reasons(sites, lss, judged.remainders(*centre, unmapped))
 
 
-def _why_none(points: PointAssessment, raster: TerrainRaster, lss: LssConfig) -> str:
+def _why_none(points: PointAssessment, lss: LssConfig) -> str:
+    raster = points.raster
     seen, unmapped = float(np.mean(raster.seen)), float(np.mean(raster.unmapped))
     hazardous = (points.hazard & hazards.IDENTIFIED > 0) & (points.hazard & hazards.UNSEEN == 0)
     return (
         f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
         + (f"{100.0 * unmapped:.0f} % seen but not yet mapped, " if unmapped > 0.0 else "")
         + f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
-        f"{0.5 * lss.vehicle_diameter + lss.margin:.2f} m radius is both seen and safe"
+        f"{zone_radius(lss):.2f} m radius is both seen and safe"
     )
+
+
+def ground_covariance(raster: TerrainRaster, x: float, y: float, radius: float) -> Array:
+    """Covariance (6, 6) of the ground's plane at the lander's scale, about a place of the map.
+
+    Order and axes are those of ``PoseWithCovariance``: x, y, z in m, rotations about the map's
+    fixed axes in rad. The place in x and y is one of the map, and has no error of its own: its rows
+    are 0. Height and tilt are those of the least-squares plane over the leaves' planes in a disc
+    (see `lattice.ground_planes`). Range noise is another one in each leaf; the error of the poses
+    is common to all of the map nearby, and enters as that of one plane. Slopes are taken for small.
+
+    Args:
+        raster: The map.
+        x, y: The place, map frame, m.
+        radius: Of the disc, m.
+    """
+    cells, domain = raster.cells, raster.domain
+    side, last = domain.finest_size, domain.finest_count - 1
+    over = disc(radius, side)
+    at_x, at_y = (x - domain.xmin) / side, (y - domain.ymin) / side
+    row = (round(at_y) + over.row).clip(0, last)
+    column = (round(at_x) + over.column).clip(0, last)
+    leaf, of_cell = np.unique(raster.leaf[row, column], return_inverse=True)
+    known = cells.measured[leaf]
+    if not known.any():
+        return np.full((6, 6), np.nan)
+    size = domain.cell_size(cells.level[leaf])
+    middle_x = domain.xmin + (cells.ix[leaf] + 0.5) * size
+    middle_y = domain.ymin + (cells.iy[leaf] + 0.5) * size
+    normal = cells.normal[leaf]
+    heights = height_by_error(
+        normal[of_cell], x + over.x - middle_x[of_cell], y + over.y - middle_y[of_cell]
+    )
+    of_leaf = (of_cell == np.flatnonzero(known)[:, None])[:, None] * over.to_plane @ heights
+    out = np.sum(of_leaf @ cells.covariance_range[leaf[known]] @ of_leaf.swapaxes(1, 2), axis=0)
+    nearest = of_cell[np.argmin(np.where(known[of_cell], np.hypot(over.x, over.y), np.inf))]
+    across = x + over.x - middle_x[nearest], y + over.y - middle_y[nearest]
+    common = over.to_plane @ height_by_error(normal[nearest, None], *across)
+    out += common @ cells.covariance_pose[leaf[nearest]] @ common.T
+    # Ground that rises along y is turned about x, ground that rises along x about -y.
+    turn = np.zeros((6, 3))
+    turn[2, 0], turn[3, 2], turn[4, 1] = 1.0, 1.0, -1.0
+    covariance = turn @ out @ turn.T
+    covariance[5, 5] = ANY_HEADING
+    return np.asarray(covariance)

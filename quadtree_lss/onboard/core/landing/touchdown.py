@@ -1,7 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Touchdown check on the estimated map: how badly the lander rests at each grid point.
+"""The lander's four pads set down on the leaf planes, block by block of grid points.
 
-It is set down where ground changed since the map before (see ``lander``).
+At every grid point the lander stands on its pads at a number of headings. Four rigid pads on
+uneven ground rock about the diagonal that carries: the plane through the higher diagonal and
+either of the other two pads. Each such plane must be level enough, and no ground under the lander
+may rise above it by more than the roughness limit.
+
+Grid points are judged in blocks, whose ground is taken over a plane near it: small numbers for
+single precision, and bounds that leave few cells to compare. Over that plane let all pads of a
+grid point stand between ``low`` and ``high``, h apart. A resting plane holds both ends of a
+diagonal, at c on average and not lower than the other two, and one pad of the other. At a point of
+the circle, alpha and beta radii along the two diagonals, it stands at c (1 - alpha - beta) +
+alpha e + beta n, with e one end and n a pad or the mirror image of one. As c <= (e + high) / 2 and
+alpha + beta <= sqrt 2,
+
+    plane >= low - h (sqrt 2 - 1) / 2 =: floor    and    its slope <= h / radius.
+
+Ground that is not higher over the floor than the limit is in the way at no heading.
 """
 
 from __future__ import annotations
@@ -9,18 +24,52 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import radians, tan
 
+import cython
 import numpy as np
+from cython.cimports.libc.math import fabs, sqrt
 
-from quadtree_lss.onboard.arrays import Mask, Single
+from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Single
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.lander import Lander, Limits
+from quadtree_lss.onboard.core.geometry import feature
+from quadtree_lss.onboard.core.landing.lattice import disc
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.tree.domain import Domain
 
+if cython.compiled:
+    from cython.cimports.cpython.exc import PyErr_CheckSignals
+else:  # otherwise from the .pxd
+    BLOCK, BINS, FAR = 8, 32, 1e9
+
+    def PyErr_CheckSignals() -> None:
+        """Python sees to signals by itself."""
+
+
+#: Between the heights of cells that are told apart in their order, m.
+STEP = cython.declare(cython.double, 0.02)
+#: Bounds settle nothing by less than single precision can err, m.
+ROUNDING = cython.declare(cython.double, 1e-4)
+#: Where a resting plane may sink below the lowest pad, as a share of the pads' spread.
+SAG = cython.declare(cython.double, 0.5 * (2.0**0.5 - 1.0))
+SHAPE = cython.declare(cython.double, feature.SHAPE)
+NAN = cython.declare(cython.double, float("nan"))
+
 
 @dataclass(frozen=True)
-class WorstRest:
-    """How badly the lander rests at its worst heading, (n + 1, n + 1), within ``Limits``.
+class Limits:
+    """Between what worst contacts of a lander are told apart: beyond, less or more is all the same.
+
+    Attributes:
+        rise: Least and greatest rise of ground over a resting plane, m.
+        slope: Least and greatest slope of a resting plane, rise over run.
+    """
+
+    rise: tuple[float, float]
+    slope: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class WorstContact:
+    """How badly the lander stands at its worst heading, (n + 1, n + 1), within `Limits`.
 
     Attributes:
         rise: Greatest rise of ground under the lander over a resting plane, m; NaN where nobody
@@ -35,51 +84,494 @@ class WorstRest:
 class TouchdownCheck:
     """Sets the lander down on maps of a growing terrain.
 
-    How it rests in a block of grid points depends on the cells that its landers can meet alone, so
+    How it stands in a block of grid points depends on the cells that its landers can meet alone, so
     blocks where none of them changed are as before, bit for bit.
 
     Args:
         config: The lander.
-        limits: Between what rests to tell apart; by default the touchdown limits alone.
-        heading: Of the lander, about z from x, rad; None for all of ``touchdown_yaws``.
+        limits: Between what contacts to tell apart; by default the touchdown limits alone.
     """
 
-    def __init__(
-        self, config: LssConfig, limits: Limits | None = None, heading: float | None = None
-    ) -> None:
-        self.config, self.heading = config, heading
-        rise, slope = config.touchdown_roughness, tan(radians(config.touchdown_slope_deg))
-        self.limits = limits or Limits((rise, rise), (slope, slope))
-        self._domain: Domain | None = None
+    def __init__(self, config: LssConfig, limits: Limits | None = None) -> None:
+        self.config = config
+        self.steepest = tan(radians(config.touchdown_slope_deg))
+        within = (config.touchdown_roughness,) * 2, (self.steepest,) * 2
+        self.limits = limits or Limits(*within)
+        self._set_for: tuple[object, ...] = ()
 
-    def worst(self, raster: TerrainRaster, candidates: Mask) -> WorstRest:
-        """The worst rest at grid points.
+    def worst(
+        self, raster: TerrainRaster, candidates: Mask, heading: float | None = None
+    ) -> WorstContact:
+        """The worst contact at grid points.
 
-        A rest that is too steep for the limits is not looked at for what rises over it.
+        One that is too steep for the limits is not looked at for what rises over it.
 
         Args:
             raster: The map on its finest cells.
             candidates: (n + 1, n + 1) points to check; their lander circle lies inside the domain.
+            heading: Of the lander, about z from x, rad; None for all of ``touchdown_yaws``.
         """
         if not candidates.any():  # of a lander wider than the domain the window would be wider, too
-            return WorstRest(*np.full((2, *candidates.shape), np.nan, dtype=np.float32))
-        if raster.domain != self._domain:
-            self._domain = raster.domain
-            self._lander = Lander(self.config, self.limits, raster.domain, self.heading)
-            self._rest = np.full((2, *candidates.shape), np.nan, dtype=np.float32)
-        due, changed = candidates.view(np.uint8), np.zeros(raster.leaf.shape, dtype=np.uint8)
+            return WorstContact(*np.full((2, *candidates.shape), np.nan, dtype=np.float32))
+        if self._set_for != (raster.domain, heading):
+            self._set_for = raster.domain, heading
+            self._blocks = Blocks(self.config, self.limits, raster.domain, heading)
+            self._worst = np.full((2, *candidates.shape), np.nan, dtype=np.float32)
+        changed = np.zeros(raster.leaf.shape, dtype=np.uint8)
         layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
-        self._lander.stand_on(*layers, changed)
-        for block in range(self._lander.blocks):  # between them a signal can end it
-            self._lander.judge(due, changed, self._rest, block)
-        return WorstRest(*self._rest)
+        self._blocks.take(*layers, changed)
+        self._blocks.judge(candidates.view(np.uint8), changed, self._worst)
+        return WorstContact(*self._worst)
 
-    def unsafe(self, raster: TerrainRaster, candidates: Mask) -> Mask:
-        """Grid points (n + 1, n + 1) at which some heading is over the touchdown limits."""
-        return np.asarray(candidates & self.over(self.worst(raster, candidates)))
-
-    def over(self, worst: WorstRest) -> Mask:
-        """Where a rest is over the touchdown limits."""
-        steepest = tan(radians(self.config.touchdown_slope_deg))
+    def over(self, worst: WorstContact) -> Mask:
+        """Where a contact is over the touchdown limits."""
         high = worst.rise > np.float32(self.config.touchdown_roughness)
-        return np.asarray(high | (worst.slope > np.float32(steepest)))
+        return np.asarray(high | (worst.slope > np.float32(self.steepest)))
+
+
+@cython.final
+@cython.cclass
+@cython.boundscheck(False)
+class Blocks:
+    """The lander, and the ground about one block of grid points at a time.
+
+    Attributes:
+        ground: (4, N, N) finest cells, those at the border repeated outside so that blocks fit:
+            height of a pad at the cell's centre (it stands on the highest ground within its
+            radius), slopes in x and y, and the highest ground: plane, its rise to the corner,
+            subscale feature (a bell fitted to part of a rock is low, so its own height counts and
+            not the rock's).
+        reach: Cells from a grid point to the farthest that the lander at it can meet.
+        width: Cells along the window of a block.
+        offset: (width,) of their centres from the window's, m.
+        pad_place: (4 yaws,) place in the window of the cell that a pad stands on, from that of the
+            cell north-east of the grid point; four pads around the circle, heading by heading.
+        pad_x, pad_y: (4 yaws,) of the pad from that cell's centre, m.
+        half: (2 reach,) half width of the disc of cells under the lander in each row, in cells.
+        top, pad, slope_x, slope_y: (width^2,) window over the block's plane: highest ground of
+            each cell, height of a pad at its centre, slopes.
+        stand: (4 yaws, BLOCK^2) heights of the pads at each grid point, over the plane, m.
+        floor: (BLOCK^2,) below every resting plane of a grid point, over the plane, m.
+        spread: (BLOCK^2,) of the pads' heights, m.
+        roof: (BLOCK^2,) highest ground under the lander, over the plane, m.
+        high, height: Row and column in the window of the cells, ``highs`` of them, that may be in
+            the way of some grid point, and their highest ground over the plane, m.
+        most: Greatest height of such a cell and those after it, m.
+        resting_x, resting_y, resting_z: (2 yaws,) resting planes at the grid point at
+            hand: slopes and height there, over the block's plane.
+        along, across: (2 yaws,) their rise over a radius in the heading and across it, m.
+        cos, sin: (2 yaws,) of the headings, over the radius.
+        least_x, most_x, least_y, most_y, least_z: Bounds of the planes.
+        above: (2 yaws,) rise of a cell over them, m.
+        worst_rise, worst_slope: Worst found there.
+        base_x, base_y: Slopes of the block's plane.
+    """
+
+    cython.declare(side=cython.double, radius=cython.double, pad_radius=cython.double)
+    cython.declare(low_rise=cython.double, high_rise=cython.double, worst_rise=cython.double)
+    cython.declare(low_slope=cython.double, high_slope=cython.double, worst_slope=cython.double)
+    cython.declare(base_x=cython.double, base_y=cython.double, bounded=cython.bint)
+    cython.declare(least_x=cython.float, most_x=cython.float, least_y=cython.float)
+    cython.declare(most_y=cython.float, least_z=cython.float)
+    cython.declare(yaws=cython.Py_ssize_t, reach=cython.Py_ssize_t, width=cython.Py_ssize_t)
+    cython.declare(blocks=cython.Py_ssize_t, highs=cython.Py_ssize_t, spoiler=cython.Py_ssize_t)
+    cython.declare(ground=cython.double[:, :, ::1], offset=cython.double[::1])
+    cython.declare(pad_place=cython.Py_ssize_t[::1], half=cython.Py_ssize_t[::1])
+    cython.declare(begin=cython.Py_ssize_t[::1], high=cython.Py_ssize_t[:, ::1])
+    cython.declare(pad_x=cython.float[::1], pad_y=cython.float[::1], stand=cython.float[:, ::1])
+    cython.declare(top=cython.float[::1], pad=cython.float[::1], run=cython.float[::1])
+    cython.declare(slope_x=cython.float[::1], slope_y=cython.float[::1], roof=cython.float[::1])
+    cython.declare(floor=cython.float[::1], spread=cython.float[::1], height=cython.float[::1])
+    cython.declare(most=cython.float[::1], above=cython.float[::1], along=cython.float[::1])
+    cython.declare(across=cython.float[::1], cos=cython.float[::1], sin=cython.float[::1])
+    cython.declare(resting_x=cython.float[::1], resting_y=cython.float[::1])
+    cython.declare(resting_z=cython.float[::1])
+
+    def __init__(
+        self, config: LssConfig, limits: Limits, domain: Domain, heading: float | None
+    ) -> None:
+        side = domain.finest_size
+        under = disc(0.5 * config.vehicle_diameter, side)
+        self.side, self.radius = side, 0.5 * config.vehicle_diameter
+        self.pad_radius = config.pad_radius
+        self.low_rise, self.high_rise = limits.rise
+        self.low_slope, self.high_slope = limits.slope
+        self.yaws = config.touchdown_yaws if heading is None else 1
+        self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
+        self.width = BLOCK - 1 + 2 * self.reach
+        self.offset = (np.arange(self.width) - 0.5 * (self.width - 1)) * side
+        self.blocks = domain.finest_count // BLOCK + 1
+        around = self.blocks * BLOCK - 1 + 2 * self.reach
+        self.ground = np.full((4, around, around), np.nan)
+        # Cells beyond the circle may stand under the floor: then every one is compared.
+        self.bounded = float(np.hypot(under.x, under.y).max()) <= self.radius
+        yaw = (heading or 0.0) + np.arange(self.yaws) * (0.5 * np.pi / self.yaws)
+        c, s = np.cos(yaw), np.sin(yaw)
+        self.cos, self.sin = (np.tile(v / self.radius, 2).astype(np.float32) for v in (c, s))
+        x = self.radius * np.stack([c, -s, -c, s], axis=1).ravel()
+        y = self.radius * np.stack([s, c, -s, -c], axis=1).ravel()
+        column, row = np.floor(x / side).astype(np.intp), np.floor(y / side).astype(np.intp)
+        self.pad_place = row * self.width + column
+        self.pad_x = (x - (column + 0.5) * side).astype(np.float32)
+        self.pad_y = (y - (row + 0.5) * side).astype(np.float32)
+        half = np.zeros(2 * self.reach, dtype=np.intp)
+        np.maximum.at(half, under.row + self.reach, under.column + 1)
+        self.half = half
+        self.top, self.pad, self.slope_x, self.slope_y = np.zeros(
+            (4, self.width**2), dtype=np.float32
+        )
+        self.run = np.zeros(self.width * BLOCK, dtype=np.float32)
+        self.stand = np.zeros((4 * self.yaws, BLOCK**2), dtype=np.float32)
+        self.floor, self.spread, self.roof = np.zeros((3, BLOCK**2), dtype=np.float32)
+        self.high = np.zeros((2, self.width**2), dtype=np.intp)
+        self.height, self.most = np.zeros((2, self.width**2), dtype=np.float32)
+        self.begin = np.zeros(BINS + 1, dtype=np.intp)
+        self.resting_x, self.resting_y, self.resting_z, self.above, self.along, self.across = (
+            np.zeros((6, 2 * self.yaws), dtype=np.float32)
+        )
+        self.highs = self.spoiler = 0
+        self.worst_rise = self.worst_slope = 0.0
+        self.least_x = self.most_x = self.least_y = self.most_y = self.least_z = 0.0
+        self.base_x = self.base_y = 0.0
+
+    @cython.locals(elevation=cython.double[:, ::1], slope_x=cython.double[:, ::1])
+    @cython.locals(slope_y=cython.double[:, ::1], subscale=cython.double[:, ::1])
+    @cython.locals(changed=cython.uchar[:, ::1], ground=cython.double[:, :, ::1])
+    def take(
+        self, elevation: Array, slope_x: Array, slope_y: Array, subscale: Array, changed: Bytes
+    ) -> None:
+        """Take the ground of a map, (n, n) each: height, slopes and features of finest cells.
+
+        Marks in ``changed`` (n, n) where it is not that of the map before.
+        """
+        cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, r=cython.Py_ssize_t)
+        cython.declare(c=cython.Py_ssize_t, same=cython.bint)
+        n: cython.Py_ssize_t = elevation.shape[0]
+        first: cython.Py_ssize_t = self.reach
+        after: cython.Py_ssize_t = self.reach + n
+        half, ground = 0.5 * self.side, self.ground
+        with cython.nogil:
+            for i in range(ground.shape[1]):
+                r = min(max(i - first, 0), n - 1)
+                for c in range(n):
+                    k = first + c
+                    x, y, z = slope_x[r, c], slope_y[r, c], elevation[r, c]
+                    pad = z + self.pad_radius * sqrt(x * x + y * y)
+                    top = z + half * (fabs(x) + fabs(y)) + SHAPE * subscale[r, c]
+                    same = ground[0, i, k] == pad and ground[3, i, k] == top
+                    if not (same and ground[1, i, k] == x and ground[2, i, k] == y):
+                        ground[0, i, k], ground[3, i, k] = pad, top
+                        ground[1, i, k], ground[2, i, k] = x, y
+                        changed[r, c] = True
+                for k in range(4):
+                    ground[k, i, :first] = ground[k, i, first]
+                    ground[k, i, after:] = ground[k, i, after - 1]
+
+    @cython.locals(due=cython.uchar[:, ::1], changed=cython.uchar[:, ::1])
+    @cython.locals(worst=cython.float[:, :, ::1])
+    def judge(self, due: Bytes, changed: Bytes, worst: Single) -> None:
+        """Bring the worst contacts up to date after `take`.
+
+        Args:
+            due: (n + 1, n + 1) points that need one.
+            changed: (n, n) cells whose ground is not that of the map before.
+            worst: (2, n + 1, n + 1) worst rise and slope there, NaN if unknown, changed in place.
+        """
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+        cython.declare(south=cython.Py_ssize_t, west=cython.Py_ssize_t, block=cython.Py_ssize_t)
+        cython.declare(forget=cython.bint)
+        n: cython.Py_ssize_t = changed.shape[0]
+        columns = cython.declare(cython.uchar[::1], np.zeros(n, dtype=np.uint8))
+        for block in range(self.blocks):
+            south = block * BLOCK - self.reach
+            with cython.nogil:
+                columns[:] = 0
+                for i in range(max(south, 0), min(south + self.width, n)):
+                    for j in range(n):
+                        columns[j] |= changed[i, j]
+                for k in range(self.blocks):
+                    west = k * BLOCK - self.reach
+                    forget = False
+                    for j in range(max(west, 0), min(west + self.width, n)):
+                        forget |= columns[j]
+                    self.judge_block(due, forget, worst, block * BLOCK, k * BLOCK)
+            PyErr_CheckSignals()  # one can end it
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def judge_block(
+        self,
+        due: cython.uchar[:, ::1],
+        forget: cython.bint,
+        worst: cython.float[:, :, ::1],
+        row: cython.Py_ssize_t,
+        column: cython.Py_ssize_t,
+    ) -> cython.void:
+        """`judge` for the grid points of the block that begins at one."""
+        cython.declare(r=cython.Py_ssize_t, c=cython.Py_ssize_t)
+        loaded: cython.bint = False
+        for r in range(row, min(row + BLOCK, due.shape[0])):
+            for c in range(column, min(column + BLOCK, due.shape[1])):
+                if forget:
+                    worst[1, r, c] = NAN
+                if not due[r, c] or worst[1, r, c] == worst[1, r, c]:
+                    continue
+                if not loaded:
+                    self.load(row, column)
+                    self.set_down()
+                    self.cover()
+                    loaded = True
+                self.set_worst(r - row, c - column)
+                worst[0, r, c], worst[1, r, c] = self.worst_rise, self.worst_slope
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def load(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.void:
+        """Take the ground of the window that begins at a cell.
+
+        The plane is one of least squares, through every other cell; any would do.
+        """
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+        w: cython.Py_ssize_t = self.width
+        count, level, along_x, along_y, square = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(0, w, 2):
+            for j in range(0, w, 2):
+                z = self.ground[0, row + i, column + j]
+                count += 1.0
+                level += z
+                along_x += self.offset[j] * z
+                along_y += self.offset[i] * z
+                square += self.offset[j] * self.offset[j]
+        level /= count
+        slope_x, slope_y = along_x / square, along_y / square
+        for i in range(w):
+            base = level + self.offset[i] * slope_y
+            for j in range(w):
+                z = base + self.offset[j] * slope_x
+                self.pad[i * w + j] = self.ground[0, row + i, column + j] - z
+                self.top[i * w + j] = self.ground[3, row + i, column + j] - z
+            for j in range(w):
+                self.slope_x[i * w + j] = self.ground[1, row + i, column + j] - slope_x
+                self.slope_y[i * w + j] = self.ground[2, row + i, column + j] - slope_y
+        self.base_x, self.base_y = slope_x, slope_y
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def set_down(self) -> cython.void:
+        """Heights of the pads about every grid point of the block, and their bounds."""
+        cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+        cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
+        for k in range(4 * self.yaws):
+            x, y = self.pad_x[k], self.pad_y[k]
+            for i in range(BLOCK):
+                here = i * BLOCK
+                place = (self.reach + i) * self.width + self.reach + self.pad_place[k]
+                for j in range(BLOCK):
+                    z = self.pad[place + j] + self.slope_x[place + j] * x
+                    self.stand[k, here + j] = z + self.slope_y[place + j] * y
+        self.floor[:] = self.stand[0]
+        self.spread[:] = self.stand[0]
+        for k in range(1, 4 * self.yaws):
+            for i in range(BLOCK * BLOCK):
+                z = self.stand[k, i]
+                self.floor[i] = z if z < self.floor[i] else self.floor[i]
+                self.spread[i] = z if z > self.spread[i] else self.spread[i]
+        for i in range(BLOCK * BLOCK):
+            self.spread[i] -= self.floor[i]
+            self.floor[i] -= SAG * self.spread[i] + ROUNDING if self.bounded else FAR
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def cover(self) -> cython.void:
+        """Highest ground under the lander at every grid point, and the cells that matter.
+
+        A disc is a stack of centred runs of cells.
+        """
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+        cython.declare(half=cython.Py_ssize_t, place=cython.Py_ssize_t)
+        self.run[:] = -FAR
+        self.roof[:] = -FAR
+        for half in range(1, self.reach + 1):
+            for i in range(self.width):
+                place = i * self.width + self.reach
+                k = i * BLOCK
+                for j in range(BLOCK):
+                    west, east = self.top[place - half + j], self.top[place + half - 1 + j]
+                    z = west if west > east else east
+                    self.run[k + j] = z if z > self.run[k + j] else self.run[k + j]
+            for i in range(2 * self.reach):
+                if self.half[i] == half:
+                    for k in range(BLOCK * BLOCK):
+                        z = self.run[i * BLOCK + k]
+                        self.roof[k] = z if z > self.roof[k] else self.roof[k]
+        lowest = 1.0 * FAR
+        for k in range(BLOCK * BLOCK):
+            if self.roof[k] > self.floor[k] + self.low_rise and self.floor[k] < lowest:
+                lowest = self.floor[k]
+        self.list_highs(lowest + self.low_rise)
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def list_highs(self, above: cython.double) -> cython.void:
+        """List the cells of the window that are higher than ``above``, the higher ones first.
+
+        They are in order of height to a ``STEP``: more would not pay.
+        """
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+        self.begin[:] = 0
+        for i in range(self.width * self.width):
+            if self.top[i] > above:
+                self.begin[bin_of(self.top[i] - above) + 1] += 1
+        for i in range(BINS):
+            self.begin[i + 1] += self.begin[i]
+        self.highs, self.spoiler = self.begin[BINS], 0
+        for i in range(self.width):
+            for j in range(self.width):
+                z = self.top[i * self.width + j]
+                if z > above:
+                    k = self.begin[bin_of(z - above)]
+                    self.begin[bin_of(z - above)] += 1
+                    self.high[0, k], self.high[1, k], self.height[k] = i, j, z
+        highest: cython.float = -FAR
+        for k in range(self.highs - 1, -1, -1):
+            highest = max(highest, self.height[k])
+            self.most[k] = highest
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def set_worst(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.void:
+        """Find the worst rest of the lander at a grid point of the block."""
+        place: cython.Py_ssize_t = row * BLOCK + column
+        lowest = self.floor[place] + self.low_rise
+        bound = sqrt(self.base_x**2 + self.base_y**2) + self.spread[place] / self.radius
+        self.worst_rise, self.worst_slope = self.low_rise, self.low_slope
+        under: cython.bint = self.roof[place] > lowest
+        if bound <= self.low_slope - ROUNDING and not under:
+            return
+        self.settle(place)
+        if self.worst_slope > self.high_slope or not under:
+            return
+        self.bound_rests()
+        # What is in the way of one grid point mostly is of the next.
+        self.gather(row, column, self.spoiler, self.spoiler + 1)
+        if self.worst_rise <= self.high_rise:
+            self.gather(row, column, 0, self.highs)
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def settle(self, place: cython.Py_ssize_t) -> cython.void:
+        """Planes that the lander rests on at a grid point, two for each heading.
+
+        Sets their slopes in x and y and height at the grid point, over the block's plane, and the
+        steepest slope.
+        """
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self.yaws
+        east_up: cython.float = self.base_x
+        north_up: cython.float = self.base_y
+        steepest: cython.float = 0.0
+        for k in range(n):
+            east, north = self.stand[4 * k, place], self.stand[4 * k + 1, place]
+            west, south = self.stand[4 * k + 2, place], self.stand[4 * k + 3, place]
+            # One end of the diagonal that carries is as far over its middle as the other is under:
+            # the rise over a radius, in the heading and across it, of the one plane and the other.
+            centre: cython.float = 0.5 * max(east + west, north + south)
+            self.along[k], self.across[k] = east - centre, north - centre
+            self.along[n + k], self.across[n + k] = centre - west, centre - south
+            self.resting_z[k] = self.resting_z[n + k] = centre
+        for k in range(2 * n):
+            self.resting_x[k] = self.along[k] * self.cos[k] - self.across[k] * self.sin[k]
+            self.resting_y[k] = self.along[k] * self.sin[k] + self.across[k] * self.cos[k]
+        for k in range(2 * n):
+            x, y = self.resting_x[k] + east_up, self.resting_y[k] + north_up
+            self.above[k] = x * x + y * y
+        for k in range(n):
+            steepest = max(steepest, max(self.above[k], self.above[n + k]))
+        self.worst_slope = max(self.worst_slope, sqrt(steepest))
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def bound_rests(self) -> cython.void:
+        """Bounds of the resting planes."""
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self.yaws
+        least_x, least_y, least_z = self.resting_x[0], self.resting_y[0], self.resting_z[0]
+        most_x, most_y = least_x, least_y
+        for k in range(n):
+            least_x = min(least_x, min(self.resting_x[k], self.resting_x[n + k]))
+            most_x = max(most_x, max(self.resting_x[k], self.resting_x[n + k]))
+            least_y = min(least_y, min(self.resting_y[k], self.resting_y[n + k]))
+            most_y = max(most_y, max(self.resting_y[k], self.resting_y[n + k]))
+            least_z = min(least_z, self.resting_z[k])
+        self.least_x, self.most_x, self.least_y, self.most_y = least_x, most_x, least_y, most_y
+        self.least_z = least_z
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def gather(
+        self,
+        row: cython.Py_ssize_t,
+        column: cython.Py_ssize_t,
+        first: cython.Py_ssize_t,
+        last: cython.Py_ssize_t,
+    ) -> cython.void:
+        """Set the lander at a grid point over some of the cells that may be in its way.
+
+        Until one rises over the limit: by how much, nobody asks.
+        """
+        cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+        floor: cython.float = self.floor[row * BLOCK + column]
+        above: cython.float = floor + self.worst_rise
+        for k in range(first, last):
+            if self.most[k] <= above:
+                return
+            if self.height[k] > above:
+                i, j = self.high[0, k] - row, self.high[1, k] - column - self.reach
+                if 0 <= i < 2 * self.reach and -self.half[i] <= j < self.half[i]:
+                    if self.rise_at(k, (j + 0.5) * self.side, (i - self.reach + 0.5) * self.side):
+                        above = floor + self.worst_rise
+                        if self.worst_rise > self.high_rise:
+                            return
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def rise_at(self, k: cython.Py_ssize_t, east: cython.float, north: cython.float) -> cython.bint:
+        """Whether a cell of the list, at a place from the grid point, rises higher than others."""
+        i: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self.yaws
+        worst: cython.float = self.worst_rise
+        height: cython.float = self.height[k]
+        # No plane stands lower there than the least of all their heights and slopes would.
+        lowest = self.least_z + (self.least_x if east > 0.0 else self.most_x) * east
+        lowest += (self.least_y if north > 0.0 else self.most_y) * north
+        if height - lowest <= worst - ROUNDING:
+            return False
+        for i in range(2 * n):
+            self.above[i] = (
+                height - self.resting_x[i] * east - self.resting_y[i] * north - self.resting_z[i]
+            )
+        for i in range(n):
+            worst = max(worst, max(self.above[i], self.above[n + i]))
+        if worst <= self.worst_rise:
+            return False
+        self.worst_rise, self.spoiler = worst, k
+        return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def bin_of(height: cython.double) -> cython.Py_ssize_t:
+    """Number of the bin for a height over the least, the highest ones first."""
+    number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, min(height / STEP, BINS - 1.0))
+    return BINS - 1 - number
