@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the worst rest of a lander on the map tells of the true one: fitted, and read from a file."""
+"""What a lander's worst contact with the map says of the true one: fitted, read from a file."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ NEAR = 0.3
 
 @dataclass(frozen=True)
 class RiskModel:
-    """Probability that a lander fails, from its worst rest on the map, in two steps.
+    """Probability that a lander fails, from its worst contact on the map, in two steps.
 
-    First the rest at the place itself. With a and b straight between their knots, r how far the
+    First the contact at the place itself. With a and b straight between their knots, r how far the
     ground rises over a resting plane beyond ``lss.max_roughness`` and s how much steeper such a
     plane is than ``lss.max_slope_deg``, it fails with
 
@@ -34,7 +34,7 @@ class RiskModel:
 
     Then what lies about it, for a map misplaces things: d is by how much l is greater at the worst
     of the four neighbours. And what ground it is, for where rocks are seen there are some that are
-    not. Of the ground that is judged and on which the lander rests level enough let u be the share
+    not. Of the ground that is judged and on which the lander stands level enough let u be the share
     where something rises under it by more than ``lss.max_roughness``, and v that where it rises by
     more than 0.12 m less. Rocks rise much or not at all, the rims of craters mostly a little:
 

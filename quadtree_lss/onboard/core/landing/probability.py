@@ -76,7 +76,7 @@ class Dispersion:
 
 
 def limits(model: RiskModel, lss: LssConfig) -> Limits:
-    """Between what contacts the model, and the touchdown check, tell apart."""
+    """Between which contacts the model, and the touchdown check, differ."""
     rise, slope = lss.max_roughness, tan(radians(lss.max_slope_deg))
     own, steep = lss.touchdown_roughness, tan(radians(lss.touchdown_slope_deg))
     return Limits(
@@ -132,7 +132,7 @@ class RiskTable:
     def shares(self, worst: WorstContact, judged: Mask, slope: Array) -> Array:
         """What the tables of ``RiskModel`` weigh on this ground, (G + H,); arguments as of `risk`.
 
-        Of the judged grid points at which the lander rests level enough, u is the share at which
+        Of the judged grid points at which the lander stands level enough, u is the share at which
         something rises under it beyond the limit, and v at which it nearly does:
         g = log(u (u / v)^3 + 0.00003); h is the mean slope there.
         """

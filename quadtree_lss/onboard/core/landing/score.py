@@ -106,7 +106,7 @@ def assess_points(
     raster: TerrainRaster,
     around: Surroundings,
     worst: WorstContact | None,
-    check: TouchdownCheck,
+    check: TouchdownCheck | None,
     table: RiskTable | None,
     lss: LssConfig,
 ) -> PointAssessment:
@@ -128,7 +128,7 @@ def assess_points(
     risk = np.full(around.room.shape, np.nan)
     if worst is not None and table is not None:
         risk = table.risk(worst, around.judged, around.planes.slope)
-    if worst is None or lss.assessment == "paper":
+    if worst is None or check is None or lss.assessment == "paper":
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0
         safe = ~grown(near_feature, zone, side)

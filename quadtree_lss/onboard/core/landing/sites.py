@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -60,6 +60,25 @@ ANY_HEADING = np.pi**2 / 3.0
 __all__ = ["LandingAssessment", "LandingSiteSelector", "Selected", "Sites"]
 
 
+@dataclass(frozen=True)
+class Aims:
+    """The points of the user's grid as aims, (ny, nx).
+
+    Attributes:
+        at: The grid.
+        score: Eq. 59, NaN where excluded.
+        probability: Of a safe touchdown; NaN if nobody asked for it.
+        candidates: What sites are chosen from.
+        withheld: Why no site may be given out and all is excluded; empty if that is not so.
+    """
+
+    at: GridSampler
+    score: Array
+    probability: Array
+    candidates: Candidates
+    withheld: str
+
+
 class LandingSiteSelector:
     """Assesses maps.
 
@@ -79,12 +98,15 @@ class LandingSiteSelector:
     def configure(self, config: Config) -> None:
         """Go by these limits from now on; what was found by others is forgotten."""
         self.config, lss = config, config.lss
-        self._table, within = None, None
+        self._table: RiskTable | None
+        self._check: TouchdownCheck | None
+        self._table, self._check, within = None, None, None
         if "probability" in (lss.assessment, lss.ranking):
             model = risk_model(lss.risk_model)
             self._table = RiskTable(model, lss, config.lidar.range_noise)
             within = limits(model, lss)
-        self._check = TouchdownCheck(lss, within)
+        if within is not None or lss.assessment != "paper":
+            self._check = TouchdownCheck(lss, within)
 
     def release(self) -> None:
         """Give the target up: the next assessment chooses as if none had been held."""
@@ -104,17 +126,12 @@ class LandingSiteSelector:
 
         Args:
             cells: The map message's content; points are never needed.
-            area: (V, 2) polygon that the landing zone must lie in, map frame, m.
-            keep_out: (V, 2) polygon that the zone must not touch.
-            target: (2,) or (3,) place to be near to.
+            area, keep_out, target, withheld: As of `Restrictions`: where landing is wanted.
             dispersion: Deviations of the touchdown from its aim along x and y, m, and the lander's
                 heading, rad, NaN for any; None for ``lss.dispersion``, and any.
-            withheld: Why no site may be given out, however safe the ground, such as a keep-out
-                that cannot be read; empty if nothing speaks against it.
 
-        A polygon that crosses itself is inside where a ray to it crosses it an odd number of
-        times. With one of fewer than three or not finite vertices, or a target that is not finite,
-        nobody knows where landing is wanted: no site is given out and the explanation says why.
+        Raises:
+            ValueError: the dispersion is none.
         """
         lss = self.config.lss
         at = users_grid(cells.domain, lss.grid_spacing)
@@ -125,11 +142,13 @@ class LandingSiteSelector:
         raster = rasterise(cells, lss.max_gap)
         if not raster.seen.any():
             return self._nothing_mapped(raster, at, withheld)
-        around, worst = look_around(raster, lss), None
-        if self._table is not None or lss.assessment != "paper":
+        around = look_around(raster, lss)
+        worst = None
+        if self._check is not None:
             worst = self._check.worst(raster, around.judged, spread.heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
-        return self._choose_sites(points, at, spread, wanted)
+        aims = self._aim(points, at, spread, wanted)
+        return self._choose_sites(points, aims, spread, wanted)
 
     def _nothing_mapped(
         self, raster: TerrainRaster, at: GridSampler, withheld: str
@@ -142,30 +161,39 @@ class LandingSiteSelector:
         bits = at.any(touching(unknown_bits(raster)))
         return nothing_mapped(raster.cells, self._number, reason, at.x, at.y, bits)
 
-    def _choose_sites(
+    def _aim(
         self, points: PointAssessment, at: GridSampler, spread: Dispersion, wanted: Restrictions
-    ) -> LandingAssessment:
-        """The aims on the user's grid, and the best of them."""
-        lss, cells, ranks = self.config.lss, points.raster.cells, self.config.lss.ranking
-        safe, side = at.everywhere(points.safe), cells.domain.finest_size
+    ) -> Aims:
+        """The points of the user's grid as aims: the risk over where the lander comes down."""
+        lss, side = self.config.lss, points.raster.domain.finest_size
         at_aim = points.risk if self._table is None else aimed(points.risk, side, spread)
-        unsafe, score = at.linear(at_aim), np.where(safe, at.nearest(points.score), np.nan)
-        # What sites are ranked by: the less the better.
-        cost = unsafe + TIE * score / (1.0 + score) if ranks == "probability" else score
-        unknown = wanted.apply(cost, at.x, at.y, lss)
-        if ranks == "probability":
+        unsafe, safe = at.linear(at_aim), at.everywhere(points.safe)
+        score = np.where(safe, at.nearest(points.score), np.nan)
+        cost = score
+        if lss.ranking == "probability":
+            cost = unsafe + TIE * score / (1.0 + score)
+        withheld = wanted.apply(cost, at.x, at.y, lss)
+        if lss.ranking == "probability":
             np.copyto(score, np.nan, where=np.isnan(cost))
+        return Aims(at, score, 1.0 - unsafe, Candidates(at.x, at.y, safe, cost), withheld)
+
+    def _choose_sites(
+        self, points: PointAssessment, aims: Aims, spread: Dispersion, wanted: Restrictions
+    ) -> LandingAssessment:
+        """The best aims, and the target."""
+        lss, cells, at = self.config.lss, points.raster.cells, aims.at
+        safe, cost = aims.candidates.safe, aims.candidates.cost
         landable = bool(np.isfinite(cost).any())
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
         if not safe.any():
             explanation = _why_none(points, lss)
         elif not landable:
             explanation = "no safe ground within the landing area and outside the keep-out"
-        if unknown:
-            explanation = f"no site is given out: {unknown}"
+        if aims.withheld:
+            explanation = f"no site is given out: {aims.withheld}"
 
         def why_not(row: int, column: int) -> Reason:
-            if unknown:
+            if aims.withheld:
                 return Reason.WITHHELD
             if safe[row, column]:
                 held = wanted.area_holds(at.x[column], at.y[row], lss)
@@ -176,11 +204,11 @@ class LandingSiteSelector:
             reach = zone_radius(lss) + lss.pad_radius - 1e-9
             return Reason.UNMAPPED if away < reach else Reason.UNSEEN
 
-        none = Reason.WITHHELD if unknown else Reason.NO_SITE
-        choice = self._choose(Candidates(at.x, at.y, safe, cost), why_not, none)
-        probability, ranked = 1.0 - unsafe, self._rank(cost, at.x, at.y)
+        none = Reason.WITHHELD if aims.withheld else Reason.NO_SITE
+        choice = self._choose(aims.candidates, why_not, none)
+        ranked = self._rank(cost, at.x, at.y)
         places = ranked if choice.place is None else [*ranked, choice.place]
-        found = self._describe(points, at, (score, probability), spread, places)
+        found = self._describe(points, aims, spread, places)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             number=self._number,
@@ -191,8 +219,8 @@ class LandingSiteSelector:
             y=at.y,
             hazard=at.any(points.hazard),
             safe=safe,
-            score=score,
-            probability=probability,
+            score=aims.score,
+            probability=aims.probability,
             risk=at.linear(points.risk),
             explanation=explanation,
             offset_z=cells.offset_z,
@@ -237,13 +265,12 @@ class LandingSiteSelector:
     def _describe(
         self,
         points: PointAssessment,
-        at: GridSampler,
-        layers: tuple[Array, Array],
+        aims: Aims,
         spread: Dispersion,
         places: list[tuple[int, int]],
     ) -> Sites:
         """What is known of landing at grid points, given by row and column."""
-        lss, around = self.config.lss, points.around
+        lss, around, at = self.config.lss, points.around, aims.at
         where = tuple(np.array(places, dtype=np.intp).reshape(-1, 2).T)
         place = np.column_stack([at.x[where[1]], at.y[where[0]]])
         centre = at.lattice(*where)
@@ -272,8 +299,8 @@ class LandingSiteSelector:
         return Sites(
             position=np.column_stack([place, at.linear(around.planes.elevation)[where]]),
             normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
-            score=layers[0][where],
-            probability=layers[1][where],
+            score=aims.score[where],
+            probability=aims.probability[where],
             slope_deg=slope_deg,
             roughness=rough,
             hazard_distance=room,

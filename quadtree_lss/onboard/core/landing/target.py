@@ -59,8 +59,12 @@ class Restrictions:
         area: (V, 2) polygon that the landing zone must lie in.
         keep_out: (V, 2) polygon that the zone must not touch.
         target: (2,) or (3,) place to be near to.
-        withheld: Why no site may be given out, however safe the ground; empty if nothing speaks
-            against it.
+        withheld: Why no site may be given out, however safe the ground, such as a keep-out that
+            cannot be read; empty if nothing speaks against it.
+
+    A polygon that crosses itself is inside where a ray to it crosses it an odd number of times.
+    With one of fewer than three or not finite vertices, or a target that is not finite, nobody
+    knows where landing is wanted: no site is given out and the explanation says why.
     """
 
     area: ArrayLike | None = None

@@ -44,9 +44,9 @@ else:  # otherwise from the .pxd
         """Python sees to signals by itself."""
 
 
-#: Between the heights of cells that are told apart in their order, m.
+#: Step of height in the order of the cells, m.
 STEP = cython.declare(cython.double, 0.02)
-#: Bounds settle nothing by less than single precision can err, m.
+#: Bounds find_planes nothing by less than single precision can err, m.
 ROUNDING = cython.declare(cython.double, 1e-4)
 #: Where a resting plane may sink below the lowest pad, as a share of the pads' spread.
 SAG = cython.declare(cython.double, 0.5 * (2.0**0.5 - 1.0))
@@ -56,7 +56,7 @@ NAN = cython.declare(cython.double, float("nan"))
 
 @dataclass(frozen=True)
 class Limits:
-    """Between what worst contacts of a lander are told apart: beyond, less or more is all the same.
+    """Between which worst contacts of a lander are found: beyond, less or more is the same.
 
     Attributes:
         rise: Least and greatest rise of ground over a resting plane, m.
@@ -89,7 +89,7 @@ class TouchdownCheck:
 
     Args:
         config: The lander.
-        limits: Between what contacts to tell apart; by default the touchdown limits alone.
+        limits: Between which contacts are found; by default the touchdown limits alone.
     """
 
     def __init__(self, config: LssConfig, limits: Limits | None = None) -> None:
@@ -319,10 +319,10 @@ class Blocks:
                     continue
                 if not loaded:
                     self.load(row, column)
-                    self.set_down()
+                    self.place_pads()
                     self.cover()
                     loaded = True
-                self.set_worst(r - row, c - column)
+                self.find_worst(r - row, c - column)
                 worst[0, r, c], worst[1, r, c] = self.worst_rise, self.worst_slope
 
     @cython.cfunc
@@ -360,7 +360,7 @@ class Blocks:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def set_down(self) -> cython.void:
+    def place_pads(self) -> cython.void:
         """Heights of the pads about every grid point of the block, and their bounds."""
         cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
         cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
@@ -445,8 +445,8 @@ class Blocks:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def set_worst(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.void:
-        """Find the worst rest of the lander at a grid point of the block."""
+    def find_worst(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.void:
+        """Find the worst contact of the lander at a grid point of the block."""
         place: cython.Py_ssize_t = row * BLOCK + column
         lowest = self.floor[place] + self.low_rise
         bound = sqrt(self.base_x**2 + self.base_y**2) + self.spread[place] / self.radius
@@ -454,20 +454,20 @@ class Blocks:
         under: cython.bint = self.roof[place] > lowest
         if bound <= self.low_slope - ROUNDING and not under:
             return
-        self.settle(place)
+        self.find_planes(place)
         if self.worst_slope > self.high_slope or not under:
             return
-        self.bound_rests()
+        self.bound_planes()
         # What is in the way of one grid point mostly is of the next.
-        self.gather(row, column, self.spoiler, self.spoiler + 1)
+        self.find_rise(row, column, self.spoiler, self.spoiler + 1)
         if self.worst_rise <= self.high_rise:
-            self.gather(row, column, 0, self.highs)
+            self.find_rise(row, column, 0, self.highs)
 
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def settle(self, place: cython.Py_ssize_t) -> cython.void:
-        """Planes that the lander rests on at a grid point, two for each heading.
+    def find_planes(self, place: cython.Py_ssize_t) -> cython.void:
+        """The resting planes at a grid point, two for each heading.
 
         Sets their slopes in x and y and height at the grid point, over the block's plane, and the
         steepest slope.
@@ -499,7 +499,7 @@ class Blocks:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def bound_rests(self) -> cython.void:
+    def bound_planes(self) -> cython.void:
         """Bounds of the resting planes."""
         k: cython.Py_ssize_t
         n: cython.Py_ssize_t = self.yaws
@@ -517,7 +517,7 @@ class Blocks:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def gather(
+    def find_rise(
         self,
         row: cython.Py_ssize_t,
         column: cython.Py_ssize_t,
@@ -526,7 +526,7 @@ class Blocks:
     ) -> cython.void:
         """Set the lander at a grid point over some of the cells that may be in its way.
 
-        Until one rises over the limit: by how much, nobody asks.
+        Until one rises over the limit: by how much does not matter.
         """
         cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
         floor: cython.float = self.floor[row * BLOCK + column]
