@@ -29,11 +29,6 @@ def cells() -> CellMap:
     return mapped(config, terrain, density=120.0, scans=2).snapshot()
 
 
-def bits_at(cells: CellMap, bits: np.ndarray, x: float, y: float) -> int:
-    side = cells.domain.finest_size
-    return int(bits[cells.leaf_raster()[int(y / side), int(x / side)]])
-
-
 def test_slope_is_the_angle_from_the_vertical():
     normals = upward_normals(np.random.default_rng(1), 50, 1.5)
     np.testing.assert_allclose(hazards.slope(normals), np.arccos(normals[:, 2]), atol=1e-7)
@@ -66,15 +61,6 @@ def test_elevation_deviation_is_the_greatest_over_the_footprint(cells, level):
         points = np.column_stack([cells.x[k] + dx, cells.y[k] + dy, z])
         off = (points - (fused.x[a], fused.y[a], fused.z[a])) @ fused.normal[a]
         assert found[k] == pytest.approx(np.abs(off).max(), abs=1e-9)
-
-
-def test_each_hazard_has_its_bit(cells):
-    config = configured().lss
-    bits = hazards.avoided_features(cells, config)
-    assert bits_at(cells, bits, 12.5, 13.0) & hazards.SLOPE
-    assert bits_at(cells, bits, 3.0, 3.0) & hazards.ELEVATION
-    assert bits_at(cells, bits, 2.0, 13.0) == 0
-    assert bits_at(cells, bits, 12.0, 5.0) == 0
 
 
 def test_bits_follow_the_tolerances(cells):
@@ -183,12 +169,6 @@ def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
     # Gaps are bridged whole or not at all.
     missing = list(range(30, 30 + columns)) if unseen else []
     assert np.flatnonzero(~raster.firm.all(axis=0)).tolist() == missing
-
-
-@pytest.mark.parametrize(("columns", "seen"), [(4, True), (5, False)])
-def test_the_gap_is_from_edge_to_centre(columns, seen):
-    """Of 4 columns of 0.25 m the centres lie up to 0.375 m in, of 5 one lies 0.625 m in."""
-    assert rasterise(strip(columns), 0.4).seen.all() == seen
 
 
 def test_gaps_are_bridged_level_from_the_nearest_measured_cell():

@@ -1,15 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planes and means of the ground in a disc about each grid point."""
+"""The lattice against brute force: planes and means in discs, distances, values on other grids."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from core.builders import configured, mapped, slope
+from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.onboard.core.landing.lattice import disc, disc_means, ground_planes
+from quadtree_lss.onboard.core.landing.grid import GridSampler
+from quadtree_lss.onboard.core.landing.lattice import (
+    disc,
+    disc_means,
+    distance_from,
+    ground_planes,
+    grown,
+    nearest_marked,
+)
 from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.score import lower_room
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.tree.domain import Domain
 
 
 def test_beyond_the_edge_the_ground_goes_on():
@@ -59,3 +70,93 @@ def test_planes_and_means_are_those_of_the_cells_in_the_disc(radius):
             assert planes.slope_y[i, j] == pytest.approx(slope_y, abs=1e-9)
             assert planes.elevation[i, j] == pytest.approx(high, abs=1e-9)
             assert means[i, j] == pytest.approx(z[inside].mean(), abs=1e-9)
+
+
+def brute(marked: np.ndarray) -> np.ndarray:
+    """Distance in steps of every point to the nearest marked one."""
+    rows, columns = np.indices(marked.shape)
+    out = np.full(marked.shape, np.inf)
+    for row, column in np.argwhere(marked):
+        out = np.minimum(out, np.sqrt((rows - row) ** 2 + (columns - column) ** 2))
+    return out
+
+
+def some(share: float, shape: tuple[int, int] = (19, 23)) -> np.ndarray:
+    return np.random.default_rng(7).random(shape) < share
+
+
+@pytest.mark.parametrize("share", [0.0, 0.004, 0.05, 0.5, 1.0])
+@pytest.mark.parametrize("shape", [(19, 23), (64, 40)])
+def test_distances_are_exact(share, shape):
+    marked, side = some(share, shape), 0.3
+    np.testing.assert_allclose(distance_from(marked, side), side * brute(marked), rtol=1e-15)
+
+
+@pytest.mark.parametrize("share", [0.004, 0.05, 0.5, 1.0])
+@pytest.mark.parametrize("limit", [0.0, 0.3, 1.0, 3.1, 30.0, 37.7, 37.8, 1e300])
+@pytest.mark.parametrize("shape", [(19, 23), (64, 40), (300, 200), (1, 9), (9, 1)])
+def test_distances_are_exact_up_to_the_limit(share, limit, shape):
+    marked, side = some(share, shape), 0.3
+    if not marked.any():
+        marked[0, 0] = True
+    expected, found = distance_from(marked, side), distance_from(marked, side, limit)
+    near = expected <= limit
+    np.testing.assert_array_equal(found[near], expected[near])
+    assert (found[~near] > limit).all()
+
+
+@pytest.mark.parametrize("share", [0.004, 0.05, 0.5, 1.0])
+def test_the_place_is_that_which_scipy_finds(share):
+    marked = some(share)
+    found = distance_transform_edt(~marked, return_distances=False, return_indices=True)
+    expected = np.ravel_multi_index(tuple(found), marked.shape)
+    np.testing.assert_array_equal(nearest_marked(marked), expected)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.004, 0.05, 1.0])
+@pytest.mark.parametrize("distance", [0.0, 0.29, 0.3, 0.6, 1.0, 3.7, 4.8, 5.1, 6.3, 50.0, 1e300])
+@pytest.mark.parametrize("short", [0.0, 0.5])
+def test_growth_takes_what_is_within_the_distance(share, distance, short):
+    marked, side = some(share), 0.3
+    expected = marked | ((brute(marked) - short) * side <= distance)
+    np.testing.assert_array_equal(grown(marked, distance, side, short), expected)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (1, 9), (300, 2)])
+def test_lattices_of_any_shape(shape):
+    marked = np.zeros(shape, dtype=np.bool_)
+    marked[0, 0] = True
+    expected = brute(marked)
+    np.testing.assert_allclose(distance_from(marked, 1.0), expected)
+    np.testing.assert_array_equal(grown(marked, 5.0, 1.0), expected <= 5.0)
+
+
+SIDE, N = 0.5, 24
+
+
+@pytest.mark.parametrize("half", [0.0, 0.5])
+@pytest.mark.parametrize("share", [0.0, 0.002, 0.05, 1.0])
+def test_room_ends_at_the_nearest_mark(half, share):
+    rng = np.random.default_rng(5)
+    marked = rng.random((N + (half == 0.0),) * 2) < share
+    x, y = rng.uniform(0.0, N * SIDE, (2, 50))
+    x[:3], y[:3] = (0.0, N * SIDE, 4 * SIDE), (0.0, N * SIDE, 3 * SIDE)
+    room = np.full(50, 3.0)
+    lower_room(marked.view(np.uint8), half, x, y, SIDE, 0.7, room)
+    row, column = np.nonzero(marked)
+    for k in range(50):
+        dx = np.maximum(np.abs(x[k] / SIDE - column - half) - half, 0.0)
+        dy = np.maximum(np.abs(y[k] / SIDE - row - half) - half, 0.0)
+        nearest = SIDE * np.min(np.hypot(dx, dy), initial=np.inf)
+        assert room[k] == pytest.approx(min(3.0, nearest - 0.7), abs=1e-12)
+
+
+def test_grid_points_between_lattice_points_take_the_nearest():
+    """Lattice points lie half a metre apart."""
+    x, y = np.array([0.7, 1.3]), np.array([0.8, 1.9])
+    sampler = GridSampler(Domain(0.0, 0.0, 4.0, 0, 3), x, y)
+    row, column = sampler.lattice(np.array([0, 1]), np.array([0, 1]))
+    assert row.tolist() == [2, 4]
+    assert column.tolist() == [1, 3]
+    values = np.arange(81.0).reshape(9, 9)
+    np.testing.assert_array_equal(sampler.nearest(values), values[np.ix_(row, column)])

@@ -137,7 +137,7 @@ def test_without_dispersion_the_aim_is_the_place():
     np.testing.assert_allclose(aimed(risk, 0.25, Dispersion(0.0, 0.0)), risk, atol=1e-15)
 
 
-def test_the_worst_rest_does_not_depend_on_what_is_told_apart():
+def test_the_worst_contact_does_not_depend_on_the_limits():
     config = configured(domain={"size": 32.0})
     cells = mapped(config, block, density=60.0).snapshot()
     raster = rasterise(cells, config.lss.max_gap)
@@ -146,11 +146,11 @@ def test_the_worst_rest_does_not_depend_on_what_is_told_apart():
     wide = TouchdownCheck(config.lss, Limits((0.0, 9.0), (0.0, 9.0))).worst(raster, inside)
     narrow = TouchdownCheck(config.lss, Limits((0.2, 0.9), (0.1, 0.2))).worst(raster, inside)
     clipped = np.maximum(wide.rise, 0.2)
-    told = inside & (clipped < 0.9) & (wide.slope < 0.2)
-    np.testing.assert_allclose(narrow.rise[told], clipped[told], atol=2e-4)
+    compared = inside & (clipped < 0.9) & (wide.slope < 0.2)
+    np.testing.assert_allclose(narrow.rise[compared], clipped[compared], atol=2e-4)
     known = inside & (wide.slope < 0.2)
     np.testing.assert_allclose(narrow.slope[known], np.maximum(wide.slope, 0.1)[known], atol=1e-5)
-    assert (told & (clipped > 0.2)).any()
+    assert (compared & (clipped > 0.2)).any()
 
 
 def probable(**lss: object) -> LandingSiteSelector:

@@ -100,7 +100,7 @@ def test_a_place_excluded_by_wish_keeps_its_number():
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.lists(st.sampled_from([NAN, 0.0, 0.3, 0.6, 0.9, 2.0]), min_size=4, max_size=4)))
 def test_no_change_without_cause(merits):
-    """Whatever the ground does: held while permitted, changed for the margin, told when lost."""
+    """Held while permitted, changed for the margin, withdrawn when lost, on any ground."""
     keeper, last = TargetKeeper(), Choice(None, 0, Reason.UNCONFIRMED)
     for merit in merits:
         choice = choose(keeper, ground(merit))
@@ -254,14 +254,6 @@ def test_other_limits_do_not_release_the_target(level_ground):
     assert selector.assess(level_ground).selected.reason is Reason.RELEASED
 
 
-def test_a_ranked_site_keeps_its_rank_with_hysteresis(level_ground):
-    selector = LandingSiteSelector(small(hysteresis=1.0, weight_target=0.1))
-    first = selector.assess(level_ground, target=(5.0, 5.0)).sites
-    second = selector.assess(level_ground, target=(6.0, 6.0)).sites
-    np.testing.assert_array_equal(second.position, first.position)
-    np.testing.assert_array_equal(second.id, first.id)
-
-
 def test_covariance_is_that_of_drawn_maps():
     """Leaves drawn from their covariance, laid out and fitted again, scatter as it says."""
     cells = mapped(small(), lambda x, y: 0.1 * x - 0.05 * y, density=30.0).snapshot()
@@ -279,9 +271,13 @@ def test_covariance_is_that_of_drawn_maps():
         drawn.append([planes.elevation[at], planes.slope_y[at], -planes.slope_x[at]])
     pose_free = dataclasses.replace(cells, covariance_pose=np.zeros_like(cells.covariance_pose))
     claimed = ground_covariance(rasterise(pose_free, 1.0), x, y, radius)
-    np.testing.assert_allclose(
-        np.cov(np.array(drawn).T).diagonal(), claimed[2:5, 2:5].diagonal(), rtol=0.15
-    )
+    scatter, claimed_part = np.cov(np.array(drawn).T), claimed[2:5, 2:5]
+    np.testing.assert_allclose(scatter.diagonal(), claimed_part.diagonal(), rtol=0.15)
+    correlations = [
+        of / np.sqrt(np.outer(of.diagonal(), of.diagonal())) for of in (scatter, claimed_part)
+    ]
+    np.testing.assert_allclose(*correlations, atol=0.1)
+    assert np.abs(correlations[1]).min() > 0.25  # each sign counts
     assert not claimed[:2].any()
 
 

@@ -151,12 +151,6 @@ def test_rough_ground_against_the_slow_check(seed, yaws):
     assert_agrees(mapped(config, ground, density=150.0, scans=1, seed=seed).snapshot(), config)
 
 
-def test_a_larger_map_against_the_slow_check():
-    config = lander({"size": 16.0, "min_level": 1, "max_level": 5}, 3)
-    ground = uneven(np.random.default_rng(5), 16.0, 25)
-    assert_agrees(mapped(config, ground, density=100.0, scans=1).snapshot(), config)
-
-
 def test_subscale_features_stand_out_of_the_ground():
     """Rocks a little lower than the limit on smooth ground, their bells some over it."""
     config = lander(SMALL, 3)
