@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The user's grid of candidate sites: values on it, and the best of its points."""
+"""The user's grid: its points as aims, and the best of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
 
@@ -11,9 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
+from quadtree_lss.onboard.core.landing.score import PointAssessment
+from quadtree_lss.onboard.core.landing.target import Candidates, Restrictions
 from quadtree_lss.onboard.core.tree.domain import Domain
 
+#: The most that the score weighs against a probability: it decides where these are the same.
+TIE = 1e-5
 Kind = TypeVar("Kind", bound=np.generic)
 
 
@@ -136,6 +143,51 @@ class GridSampler:
         heights = cells.heights(leaf, x, y[:, None])
         bridged, borrowed = (of[cell[0]][:, cell[1]] for of in (raster.bridged, raster.elevation))
         return np.where(bridged, borrowed, heights)
+
+
+@dataclass(frozen=True)
+class Aims:
+    """The points of the user's grid as aims, (ny, nx).
+
+    Attributes:
+        at: The grid.
+        score: Eq. 59, NaN where excluded.
+        probability: Of a safe touchdown; NaN if nobody asked for it.
+        risk: That landing right there fails; NaN if nobody asked for it.
+        hazard: Bits of ``hazards``.
+        candidates: What sites are chosen from.
+        withheld: Why no site may be given out and all is excluded; empty if that is not so.
+    """
+
+    at: GridSampler
+    score: Array
+    probability: Array
+    risk: Array
+    hazard: Bytes
+    candidates: Candidates
+    withheld: str
+
+
+def aim(
+    points: PointAssessment,
+    at: GridSampler,
+    spread: Dispersion,
+    wanted: Restrictions,
+    lss: LssConfig,
+) -> Aims:
+    """The points of the user's grid as aims: the risk over where the lander comes down."""
+    at_aim, ranks = points.risk, lss.ranking == "probability"
+    if ranks or lss.assessment == "probability":
+        at_aim = aimed(at_aim, points.raster.domain.finest_size, spread)
+    unsafe, safe = at.linear(at_aim), at.everywhere(points.safe)
+    score = np.where(safe, at.nearest(points.score), np.nan)
+    cost = unsafe + TIE * score / (1.0 + score) if ranks else score
+    hazard, risk = at.any(points.hazard), at.linear(points.risk)
+    withheld = wanted.apply(cost, at.x, at.y, lss)
+    if ranks:
+        np.copyto(score, np.nan, where=np.isnan(cost))
+    candidates = Candidates(at.x, at.y, safe, cost)
+    return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld)
 
 
 @lru_cache(maxsize=4)

@@ -180,36 +180,38 @@ def unknown_bits(raster: TerrainRaster) -> Bytes:
     return bits
 
 
-def room_about(points: PointAssessment, x: Array, y: Array, lss: LssConfig) -> Array:
-    """How far a zone centred at x, y (K,) may move in any direction, (K,), m.
+def zones_about(
+    points: PointAssessment, centre: tuple[Index, Index], place: Array, lss: LssConfig
+) -> tuple[Array, Array, Array]:
+    """What is in the landing zones about some places, and how far these may move.
 
-    That is until it touches a hazard (or, with the touchdown check, until the lander fails within
-    the margin), unseen ground or the domain's border. 0 where it does.
+    Args:
+        points: The map.
+        centre: Rows and columns (K,) of the lattice.
+        place: (K, 2) x and y that they are nearest to, m.
+        lss: The lander.
+
+    Returns:
+        (K,) each, m: greatest roughness; greatest height of a subscale feature; how far the zone
+        may move in any direction until it touches a hazard (or, with the touchdown check, until
+        the lander fails within the margin), unseen ground or the domain's border, 0 where it does.
     """
     raster, domain, zone = points.raster, points.raster.domain, zone_radius(lss)
-    x, y, side = x - domain.xmin, y - domain.ymin, domain.finest_size
-    out = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
-    unmapped = (raster.unmapped, zone + lss.pad_radius)
-    for marked, reach in ((points.spoiled, points.reach), (~raster.firm, zone), unmapped):
-        # Cells have an extent, points of the lattice have none.
-        half = 0.5 * (domain.finest_count + 1 - len(marked))
-        lower_room(marked.view(np.uint8), half, x, y, side, reach, out)
-    return np.asarray(np.maximum(out, 0.0))
-
-
-def greatest_about(
-    points: PointAssessment, rows: Index, columns: Index, lss: LssConfig
-) -> tuple[Array, Array]:
-    """Greatest roughness and height of a subscale feature in zones about grid points (K,), m."""
-    raster, domain = points.raster, points.raster.domain
-    over = disc(min(zone_radius(lss), 0.5 * domain.size), domain.finest_size)
-    row, column = rows[:, None] + over.row, columns[:, None] + over.column
-    last = domain.finest_count - 1
+    side, last = domain.finest_size, domain.finest_count - 1
+    over = disc(min(zone, 0.5 * domain.size), side)
+    row, column = centre[0][:, None] + over.row, centre[1][:, None] + over.column
     outside = (row < 0) | (row > last) | (column < 0) | (column > last)
     row, column = np.clip(row, 0, last), np.clip(column, 0, last)
     rough, raised = points.roughness[raster.leaf[row, column]], raster.subscale_peak[row, column]
     rough[outside] = raised[outside] = 0.0
-    return rough.max(axis=1, initial=0.0), raised.max(axis=1, initial=0.0)
+    x, y = place[:, 0] - domain.xmin, place[:, 1] - domain.ymin
+    room = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
+    unmapped = (raster.unmapped, zone + lss.pad_radius)
+    for marked, reach in ((points.spoiled, points.reach), (~raster.firm, zone), unmapped):
+        # Cells have an extent, points of the lattice have none.
+        half = 0.5 * (domain.finest_count + 1 - len(marked))
+        lower_room(marked.view(np.uint8), half, x, y, side, reach, room)
+    return rough.max(axis=1), raised.max(axis=1), np.maximum(room, 0.0)
 
 
 @cython.boundscheck(False)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,12 +21,11 @@ from quadtree_lss.onboard.core.landing.assessment import (
     no_target,
     nothing_mapped,
 )
-from quadtree_lss.onboard.core.landing.grid import GridSampler, best_points, users_grid
+from quadtree_lss.onboard.core.landing.grid import Aims, GridSampler, aim, best_points, users_grid
 from quadtree_lss.onboard.core.landing.lattice import disc, touching
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     RiskTable,
-    aimed,
     limits,
     remaining_risks,
 )
@@ -34,12 +33,11 @@ from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.score import (
     PointAssessment,
     assess_points,
-    greatest_about,
     ground_radius,
     look_around,
-    room_about,
     unknown_bits,
     zone_radius,
+    zones_about,
 )
 from quadtree_lss.onboard.core.landing.target import (
     Candidates,
@@ -52,31 +50,10 @@ from quadtree_lss.onboard.core.landing.target import (
 from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-#: The most that the score weighs against a probability: it decides where these are the same.
-TIE = 1e-5
 #: Any heading is as good as another: variance of an angle of which nothing is known, rad^2.
 ANY_HEADING = np.pi**2 / 3.0
 
 __all__ = ["LandingAssessment", "LandingSiteSelector", "Selected", "Sites"]
-
-
-@dataclass(frozen=True)
-class Aims:
-    """The points of the user's grid as aims, (ny, nx).
-
-    Attributes:
-        at: The grid.
-        score: Eq. 59, NaN where excluded.
-        probability: Of a safe touchdown; NaN if nobody asked for it.
-        candidates: What sites are chosen from.
-        withheld: Why no site may be given out and all is excluded; empty if that is not so.
-    """
-
-    at: GridSampler
-    score: Array
-    probability: Array
-    candidates: Candidates
-    withheld: str
 
 
 class LandingSiteSelector:
@@ -147,7 +124,7 @@ class LandingSiteSelector:
         if self._check is not None:
             worst = self._check.worst(raster, around.judged, spread.heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
-        aims = self._aim(points, at, spread, wanted)
+        aims = aim(points, at, spread, wanted, lss)
         return self._choose_sites(points, aims, spread, wanted)
 
     def _nothing_mapped(
@@ -160,22 +137,6 @@ class LandingSiteSelector:
         )
         bits = at.any(touching(unknown_bits(raster)))
         return nothing_mapped(raster.cells, self._number, reason, at.x, at.y, bits)
-
-    def _aim(
-        self, points: PointAssessment, at: GridSampler, spread: Dispersion, wanted: Restrictions
-    ) -> Aims:
-        """The points of the user's grid as aims: the risk over where the lander comes down."""
-        lss, side = self.config.lss, points.raster.domain.finest_size
-        at_aim = points.risk if self._table is None else aimed(points.risk, side, spread)
-        unsafe, safe = at.linear(at_aim), at.everywhere(points.safe)
-        score = np.where(safe, at.nearest(points.score), np.nan)
-        cost = score
-        if lss.ranking == "probability":
-            cost = unsafe + TIE * score / (1.0 + score)
-        withheld = wanted.apply(cost, at.x, at.y, lss)
-        if lss.ranking == "probability":
-            np.copyto(score, np.nan, where=np.isnan(cost))
-        return Aims(at, score, 1.0 - unsafe, Candidates(at.x, at.y, safe, cost), withheld)
 
     def _choose_sites(
         self, points: PointAssessment, aims: Aims, spread: Dispersion, wanted: Restrictions
@@ -217,11 +178,11 @@ class LandingSiteSelector:
             sites=found.of(slice(len(ranked))),
             x=at.x,
             y=at.y,
-            hazard=at.any(points.hazard),
+            hazard=aims.hazard,
             safe=safe,
             score=aims.score,
             probability=aims.probability,
-            risk=at.linear(points.risk),
+            risk=aims.risk,
             explanation=explanation,
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
@@ -274,11 +235,10 @@ class LandingSiteSelector:
         where = tuple(np.array(places, dtype=np.intp).reshape(-1, 2).T)
         place = np.column_stack([at.x[where[1]], at.y[where[0]]])
         centre = at.lattice(*where)
-        rough, raised = greatest_about(points, *centre, lss)
+        rough, raised, room = zones_about(points, centre, place, lss)
         along_x, along_y = around.planes.slope_x[centre], around.planes.slope_y[centre]
         normal = np.column_stack([-along_x, -along_y, np.ones_like(along_x)])
         slope_deg = np.degrees(around.planes.slope[centre])
-        room = room_about(points, place[:, 0], place[:, 1], lss)
         risks = [""] * len(places)
         if points.worst is not None and self._table is not None:
             unmapped = around.to_unmapped < 0.5 * lss.vehicle_diameter + lss.pad_radius - 1e-9
