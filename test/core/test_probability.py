@@ -250,20 +250,10 @@ def test_limits_cover_the_model_and_the_touchdown_limits():
     assert found.slope[1] == pytest.approx(np.tan(np.radians(20.0)))
 
 
-def test_a_model_is_read_back(tmp_path):
-    path = tmp_path / "model.yaml"
-    path.write_text(risk_model_text(replace(MODEL, provenance={"seeds": "1-5"})))
-    found = risk_model(str(path))
-    assert found == replace(MODEL, provenance={"seeds": "1-5"})
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("rise: [-0.1, 0, 0.2]", "rise: [0.1, 0, 0.2]"), "ascend"),
         (("rise: [-0.1, 0, 0.2]\n", ""), "'rise' is missing"),
-        (("rise: [-0.1, 0, 0.2]", "rise: [-0.1, 0.2]"), "2 knots and 3 values"),
-        (("about: [0, 2, 6]", "about: [0, 2]"), "2 values in each row"),
         (("rocks: [-4, 1]", "rocks: [-4]"), "rocks has 1 knots and odds 2 tables"),
         (("own: [", "own: ["), None),
     ],
