@@ -199,11 +199,10 @@ def zones_about(
     raster, domain, zone = points.raster, points.raster.domain, zone_radius(lss)
     side, last = domain.finest_size, domain.finest_count - 1
     over = disc(min(zone, 0.5 * domain.size), side)
-    row, column = centre[0][:, None] + over.row, centre[1][:, None] + over.column
-    outside = (row < 0) | (row > last) | (column < 0) | (column > last)
-    row, column = np.clip(row, 0, last), np.clip(column, 0, last)
+    # A zone that reaches beyond the border has the cells at it.
+    row = np.clip(centre[0][:, None] + over.row, 0, last)
+    column = np.clip(centre[1][:, None] + over.column, 0, last)
     rough, raised = points.roughness[raster.leaf[row, column]], raster.subscale_peak[row, column]
-    rough[outside] = raised[outside] = 0.0
     x, y = place[:, 0] - domain.xmin, place[:, 1] - domain.ymin
     room = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
     unmapped = (raster.unmapped, zone + lss.pad_radius)
