@@ -4,7 +4,7 @@
 Each command of ``quadtree-lss`` is one of these functions and returns a result object.
 """
 
-from quadtree_lss.desk.replay.bags import Bag, BagError
+from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.replay.compare import Comparison, compare_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
 from quadtree_lss.desk.replay.export import export_results

@@ -9,6 +9,7 @@ import struct
 import time
 import tracemalloc
 import zlib
+from contextlib import closing
 
 import lz4.frame
 import numpy as np
@@ -28,12 +29,12 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.replay.bags import Bag, BagError
+from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, unpack
+from quadtree_lss.desk.bags.mcap_file import CHUNK, McapFile
 from quadtree_lss.desk.replay.info import inspect_bag
-from quadtree_lss.desk.replay.mcap_file import CHUNK, McapFile
 from quadtree_lss.desk.replay.passes import _Clock
 from quadtree_lss.desk.replay.replay import replay as run_replay
-from quadtree_lss.desk.replay.unpack import MOST_BYTES, DamagedError, unpack
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.clouds import MessageError
 
@@ -112,7 +113,8 @@ def read(path):
 def chunks_of(path):
     """Begin and end of each chunk's record with the index behind it, in the file."""
     file = file_of(path)
-    places = [chunk.place - 9 for chunk in McapFile(file).chunks]
+    with closing(McapFile(file)) as opened:
+        places = [chunk.place - 9 for chunk in opened.chunks]
     content = file.read_bytes()
     return places, content
 
@@ -288,7 +290,7 @@ def test_chunks_are_unpacked_to_what_they_claim_and_no_further(pack, claimed):
 
 
 def test_a_file_that_unpacks_to_gigabytes_is_read_so_far_and_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadtree_lss.desk.replay.unpack.FREE_BYTES", 1 << 22)
+    monkeypatch.setattr("quadtree_lss.desk.bags.compression.FREE_BYTES", 1 << 22)
     plain = storage_file(write_ros2(tmp_path / "bag")).read_bytes()
     (tmp_path / "bomb.mcap.zstd").write_bytes(zstandard.compress(plain + bytes(1 << 28)))
     with Bag(tmp_path / "bomb.mcap.zstd") as bag:

@@ -21,7 +21,8 @@ from replay.recordings import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.desk.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
+from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.desk.replay.replay import ReplayError, replay
 from quadtree_lss.desk.replay.results import write_cells
 from quadtree_lss.desk.replay.stream import Stream

@@ -27,25 +27,22 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, ODOMETRY_TYPE, SCAN_TYPE
+from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.bags.topics import (
+    GIMBAL_TOPIC,
+    ODOMETRY_TOPIC,
+    POSE_TOPIC,
+    SCAN_TOPIC,
+    choose_pose_topic,
+    choose_topic,
+    landing_topics,
+)
 from quadtree_lss.desk.player.clock import SECOND_NS, PlayTime
 from quadtree_lss.desk.player.keyboard import Keyboard
 from quadtree_lss.desk.player.peers import PlayError, player_node, wait_for_subscribers
-from quadtree_lss.desk.replay.bags import (
-    GIMBAL_TOPIC,
-    GIMBAL_TYPE,
-    ODOMETRY_TOPIC,
-    ODOMETRY_TYPE,
-    POSE_TOPIC,
-    SCAN_TOPIC,
-    SCAN_TYPE,
-    Bag,
-    choose_pose_topic,
-    choose_topic,
-)
-from quadtree_lss.desk.replay.landing import landing_topics
-from quadtree_lss.desk.replay.map_messages import MapPairs
-from quadtree_lss.desk.replay.records import RawMessage
-from quadtree_lss.desk.replay.stream import Stream
+from quadtree_lss.desk.replay.stream import MapPairs, Stream
 from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED
 from quadtree_lss.onboard.nodes.qos import latched, stream
 

@@ -13,17 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay import results
-from quadtree_lss.desk.replay.bags import Bag
-from quadtree_lss.desk.replay.cloud_files import open_recording
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.landing import LandingTopics
-from quadtree_lss.desk.replay.map_messages import MapPairs
 from quadtree_lss.desk.replay.passes import Passes, Sink
 from quadtree_lss.desk.replay.points import points_line
 from quadtree_lss.desk.replay.result import ReplayResult
 from quadtree_lss.desk.replay.run import Progress, Run
-from quadtree_lss.desk.replay.stream import ReplayError, Stream
+from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, ReplayError, Stream
 from quadtree_lss.desk.replay.summary import run_summary
 from quadtree_lss.onboard.config.loading import dump_config
 from quadtree_lss.onboard.config.settings import Config
