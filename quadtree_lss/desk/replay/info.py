@@ -15,8 +15,8 @@ from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPE
 from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.points import points_line, points_warning
-from quadtree_lss.desk.replay.results import plain
 from quadtree_lss.desk.replay.run import Progress
 from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Span, Stream
 from quadtree_lss.onboard.config.settings import Config

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.player.player import play
-from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.desk.replay.files import write_npz
+from quadtree_lss.desk.replay.results import cells_arrays
 from quadtree_lss.lab.flight.page import headline, write_flight
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.live.flight import fly_live
@@ -189,7 +190,7 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     print("3. Play the bag over DDS to mapping_node and lss_node", flush=True)
     started = time.monotonic()
     result = run_live(bag, params, int(timing[-1]["stamp_ns"]), live)
-    write_cells(live / "cells.npz", result.cells)
+    write_npz(live / "cells.npz", cells_arrays(result.cells))
     print(
         f"   {len(timing)} scans, {len(result.cells.level)} leaves,"
         f" {time.monotonic() - started:.1f} s with start-up"

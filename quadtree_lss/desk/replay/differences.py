@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.results import plain, write_bytes
-from quadtree_lss.desk.replay.saved import Grid, Results, ResultsError, load_results
+from quadtree_lss.desk.replay.files import plain, write_bytes
+from quadtree_lss.desk.replay.results import Grid, Results, ResultsError, load_results
 from quadtree_lss.onboard.arrays import Array, Mask
 
 UNMAPPED, UNSEEN = 64, 128
