@@ -173,6 +173,22 @@ def test_chunks_out_of_order_are_put_in_order_and_told(sound, tmp_path):
     assert losses == ["spoilt.mcap: chunks out of order, put in that of their times"]
 
 
+def test_a_message_that_says_another_channel_than_the_index_is_lost(tmp_path):
+    """Chunks without compression or checksum: only the index tells."""
+    file = storage_file(write_ros2(tmp_path / "bag"))
+    whole, _ = read(file)
+    with closing(McapFile(file)) as opened:
+        entry, chunk = opened.index[5], opened.chunks[0]
+        records = opened._records_of(chunk.place, chunk.length)[3]
+    content = bytearray(file.read_bytes())
+    place = records + int(entry["offset"]) + 9
+    assert content[place] == entry["channel"] in (0, 1)
+    content[place] ^= 1
+    file.write_bytes(content)
+    found, (line,) = read(file)
+    assert len(found) == len(whole) - 1 and f"1 of {len(whole)} messages lost" in line
+
+
 @pytest.mark.parametrize("back", [2 * SECOND, 4000 * SECOND])
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3", "ros1", "mcap in one chunk"])
 def test_a_recorder_clock_that_steps_back_costs_no_scan(tmp_path, storage, back):
