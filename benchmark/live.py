@@ -36,7 +36,9 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.replay.bags import POSE_TOPIC, POSE_TYPE, SCAN_TOPIC, Bag
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.message_types import POSE_TYPE
+from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.loading import find_config

@@ -18,7 +18,7 @@ import numpy as np
 from common import Recording, configuration, machine, recording, table
 from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.desk.replay.steps import scans
+from quadtree_lss.desk.replay.scans import scans
 from quadtree_lss.lab.evaluation.results import Truth, load_truth
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config

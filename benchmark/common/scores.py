@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from common.flights import Recording
-from quadtree_lss.desk.replay.results import write_cells, write_grid
+from quadtree_lss.desk.replay.files import write_npz
+from quadtree_lss.desk.replay.results import cells_arrays, grid_arrays
 from quadtree_lss.lab.evaluation.metrics import (
     Detection,
     ElevationError,
@@ -72,6 +73,6 @@ def as_evaluated(cells: CellMap, found: LandingAssessment) -> tuple[Leaves, Grid
     """Map and assessment as ``evaluate`` reads them from a results folder."""
     with tempfile.TemporaryDirectory() as folder:
         leaves, grid = Path(folder) / "cells.npz", Path(folder) / "grid.npz"
-        write_cells(leaves, cells)
-        write_grid(grid, found)
+        write_npz(leaves, cells_arrays(cells))
+        write_npz(grid, grid_arrays(found))
         return load_leaves(leaves), load_grid(grid)

@@ -10,7 +10,7 @@ import pytest
 from replay.recordings import write_ros2
 
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.steps import scans
+from quadtree_lss.desk.replay.scans import scans
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency, pool
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.simulation.simulate import simulate

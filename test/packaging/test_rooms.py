@@ -30,20 +30,23 @@ onboard.nodes: build onboard.config onboard.core onboard.messages
 desk.report: onboard.config onboard.core
 desk.exchange: onboard.config onboard.core
 plot: onboard.core desk.report
+desk.bags: onboard.config onboard.messages desk.exchange
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
-desk.replay: plot
-desk.player: onboard.messages onboard.nodes desk.replay
-desk.commands: onboard.config desk.exchange desk.replay desk.player
+desk.replay: plot desk.bags
+desk.player: onboard.messages onboard.nodes desk.bags desk.replay
+desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.player
 lab.simulation: build
-lab.flight: onboard.config onboard.core onboard.messages desk.report desk.replay lab.simulation
+lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
+lab.flight: lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
 lab.live: lab.flight
-lab.evaluation: build onboard.config onboard.core onboard.messages desk.replay desk.report
-lab.evaluation: lab.simulation
-lab.campaign: onboard.config desk.replay desk.report lab.evaluation lab.flight lab.simulation
+lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay
+lab.evaluation: desk.report lab.simulation
+lab.campaign: onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight
+lab.campaign: lab.simulation
 lab.commands: onboard.config desk.commands desk.replay lab.simulation lab.flight lab.live
 lab.commands: lab.evaluation lab.campaign
-api: onboard.config onboard.core onboard.messages desk.replay
+api: onboard.config onboard.core onboard.messages desk.bags desk.replay
 cli: build desk.commands lab.commands
 """
 MAY_IMPORT: dict[str, set[str]] = {}

@@ -12,7 +12,7 @@ from replay.test_cli import FAST, run
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.steps import scans
+from quadtree_lss.desk.replay.scans import scans
 from quadtree_lss.onboard.config.loading import load_config
 
 PAIRS = (word.split("=") for word in FAST if "=" in word)

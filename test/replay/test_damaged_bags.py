@@ -9,6 +9,7 @@ import struct
 import time
 import tracemalloc
 import zlib
+from contextlib import closing
 
 import lz4.frame
 import numpy as np
@@ -28,12 +29,12 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.replay.bags import Bag, BagError
+from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, unpack
+from quadtree_lss.desk.bags.mcap_file import CHUNK, McapFile
 from quadtree_lss.desk.replay.info import inspect_bag
-from quadtree_lss.desk.replay.mcap_file import CHUNK, McapFile
 from quadtree_lss.desk.replay.passes import _Clock
 from quadtree_lss.desk.replay.replay import replay as run_replay
-from quadtree_lss.desk.replay.unpack import MOST_BYTES, DamagedError, unpack
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.clouds import MessageError
 
@@ -112,7 +113,8 @@ def read(path):
 def chunks_of(path):
     """Begin and end of each chunk's record with the index behind it, in the file."""
     file = file_of(path)
-    places = [chunk.place - 9 for chunk in McapFile(file).chunks]
+    with closing(McapFile(file)) as opened:
+        places = [chunk.place - 9 for chunk in opened.chunks]
     content = file.read_bytes()
     return places, content
 
@@ -169,6 +171,22 @@ def test_chunks_out_of_order_are_put_in_order_and_told(sound, tmp_path):
     found, losses = spoilt(sound, tmp_path, content[:a] + content[b:c] + content[a:b] + content[c:])
     assert found == sound[1]
     assert losses == ["spoilt.mcap: chunks out of order, put in that of their times"]
+
+
+def test_a_message_that_says_another_channel_than_the_index_is_lost(tmp_path):
+    """Chunks without compression or checksum: only the index tells."""
+    file = storage_file(write_ros2(tmp_path / "bag"))
+    whole, _ = read(file)
+    with closing(McapFile(file)) as opened:
+        entry, chunk = opened.index[5], opened.chunks[0]
+        records = opened._records_of(chunk.place, chunk.length)[3]
+    content = bytearray(file.read_bytes())
+    place = records + int(entry["offset"]) + 9
+    assert content[place] == entry["channel"] in (0, 1)
+    content[place] ^= 1
+    file.write_bytes(content)
+    found, (line,) = read(file)
+    assert len(found) == len(whole) - 1 and f"1 of {len(whole)} messages lost" in line
 
 
 @pytest.mark.parametrize("back", [2 * SECOND, 4000 * SECOND])
@@ -288,7 +306,7 @@ def test_chunks_are_unpacked_to_what_they_claim_and_no_further(pack, claimed):
 
 
 def test_a_file_that_unpacks_to_gigabytes_is_read_so_far_and_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadtree_lss.desk.replay.unpack.FREE_BYTES", 1 << 22)
+    monkeypatch.setattr("quadtree_lss.desk.bags.compression.FREE_BYTES", 1 << 22)
     plain = storage_file(write_ros2(tmp_path / "bag")).read_bytes()
     (tmp_path / "bomb.mcap.zstd").write_bytes(zstandard.compress(plain + bytes(1 << 28)))
     with Bag(tmp_path / "bomb.mcap.zstd") as bag:

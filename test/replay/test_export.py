@@ -17,7 +17,7 @@ from replay.test_cli import run
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.export import FORMATS, export_results
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.saved import Grid, load_results
+from quadtree_lss.desk.replay.results import Grid, load_results
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import encode_hazards
 
@@ -209,7 +209,7 @@ def test_an_assessment_without_a_safe_place_is_exported_too(written, tmp_path):
     """No row of sites, no finite score."""
     none = changed(written.assessment, safe=np.zeros_like(written.assessment.safe))
     none = changed(none, sites=none.sites.of(slice(0)), score=np.full_like(none.score, np.nan))
-    from quadtree_lss.desk.replay.replay import write_results
+    from quadtree_lss.desk.replay.results import write_results
 
     result = changed(written, assessment=none)
     write_results(tmp_path / "none", result, config_from_values(GROUND), report=False)

@@ -52,7 +52,7 @@ def test_each_layer_has_its_values_at_its_places(recorded):
 
 def test_the_definition_is_that_of_ros_2(recorded):
     """Jazzy's grid_map_msgs: the header stands in GridMap, not in its info."""
-    from quadtree_lss.desk.replay.types import typestore
+    from quadtree_lss.desk.bags.message_types import typestore
 
     fields = typestore(ros1=False).fielddefs
     names = [name for name, _ in fields["grid_map_msgs/msg/GridMap"][1]]

@@ -6,9 +6,9 @@ import zipfile
 import numpy as np
 from replay.recordings import GROUND, write_ros2
 
+from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.history import Thinned
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.results import write_history
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 
@@ -57,7 +57,7 @@ def test_what_does_not_pack_is_stored(tmp_path):
         "number": np.array(7),
         "empty": np.zeros((0, 3)),
     }
-    write_history(tmp_path / "file.npz", arrays)
+    write_npz(tmp_path / "file.npz", arrays)
     with np.load(tmp_path / "file.npz", allow_pickle=False) as found:
         assert list(found) == list(arrays)
         for name, values in arrays.items():

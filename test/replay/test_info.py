@@ -5,7 +5,7 @@ import pytest
 from replay.recordings import CLOUD, POSE, SECOND, START, Recorder, flight, write_ros1, write_ros2
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.desk.replay.bags import BagError
+from quadtree_lss.desk.bags.bag import BagError
 from quadtree_lss.desk.replay.info import inspect_bag
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 

@@ -12,9 +12,9 @@ from replay.recordings import GROUND, KEEP_OUT, SECOND, START, LandingRecorder, 
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.replay.bags import Bag, BagError
+from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.types import typestore
 from quadtree_lss.onboard.config.settings import config_from_values
 
 CONFIG = config_from_values({**GROUND, "domain.max_level": 5})

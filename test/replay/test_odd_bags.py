@@ -21,7 +21,7 @@ from replay.recordings import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.replay.bags import Bag
+from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.replay.replay import replay as run_replay
 from quadtree_lss.onboard.config.settings import config_from_values
 

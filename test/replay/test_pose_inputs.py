@@ -9,7 +9,7 @@ from replay.recordings import GROUND, POSE, START, Recorder, flight
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.desk.replay.bags import BagError
+from quadtree_lss.desk.bags.bag import BagError
 from quadtree_lss.desk.replay.info import inspect_bag
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values

@@ -11,13 +11,13 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay import record as products
-from quadtree_lss.desk.replay.bags import Bag, BagError
 from quadtree_lss.desk.replay.info import inspect_bag
-from quadtree_lss.desk.replay.map_messages import MapPairs
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.replay import ReplayError, replay
-from quadtree_lss.desk.replay.types import typestore
+from quadtree_lss.desk.replay.stream import MapPairs
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import (
     CELL_FIELDS,

@@ -21,9 +21,11 @@ from replay.recordings import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadtree_lss.desk.replay.bags import POSE_TOPIC, SCAN_TOPIC, Bag, BagError
+from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
+from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.replay import ReplayError, replay
-from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.desk.replay.results import cells_arrays
 from quadtree_lss.desk.replay.stream import Stream
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.loading import load_config
@@ -122,7 +124,7 @@ def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
 def test_cells_hold_the_covariance_of_pose_and_range(result, tmp_path):
     more = result.cells.covariance_pose + 0.5 * np.eye(3)
     cells = dataclasses.replace(result.cells, covariance_pose=more)
-    write_cells(tmp_path / "cells.npz", cells)
+    write_npz(tmp_path / "cells.npz", cells_arrays(cells))
     found = arrays(tmp_path / "cells.npz")["covariance"]
     np.testing.assert_array_equal(found, cells.covariance_range + more)
 

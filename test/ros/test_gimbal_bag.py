@@ -12,7 +12,8 @@ from ros_scene import cloud, events, gimbal, level_body
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.desk.replay.files import write_npz
+from quadtree_lss.desk.replay.results import cells_arrays
 from quadtree_lss.lab.live.demo import cell_differences, read_csv, run_live
 from quadtree_lss.lab.live.processes import program
 
@@ -69,5 +70,5 @@ def test_a_gimballed_bag_live_and_offline(ros):
     stamps = [int(row["stamp_ns"]) for row in read_csv(moving / "timing.csv")]
     assert len(stamps) == SCANS
     live = run_live(bag, ros.params, stamps[-1], ros.folder / "live")
-    write_cells(ros.folder / "live.npz", live.cells)
+    write_npz(ros.folder / "live.npz", cells_arrays(live.cells))
     assert set(cell_differences(moving / "cells.npz", ros.folder / "live.npz").values()) == {0.0}

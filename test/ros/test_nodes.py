@@ -14,7 +14,8 @@ from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, pose, write_b
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss import build
-from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.desk.replay.files import write_npz
+from quadtree_lss.desk.replay.results import cells_arrays
 from quadtree_lss.lab.live.demo import cell_differences, read_csv, run_live, site_difference
 from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.lab.live.processes import program
@@ -123,7 +124,7 @@ def test_live_equals_offline_cell_for_cell(ros):
 
     live = run_live(bag, ros.params, stamps[-1], ros.folder / "live", rate=2.0)
 
-    write_cells(ros.folder / "live.npz", live.cells)
+    write_npz(ros.folder / "live.npz", cells_arrays(live.cells))
     differences = cell_differences(offline / "cells.npz", ros.folder / "live.npz")
     assert differences and set(differences.values()) == {0.0}
     rows = read_csv(offline / "sites.csv")

@@ -18,8 +18,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
+from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.player.player import PlayError, play
-from quadtree_lss.desk.replay.bags import Bag
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.stream import ReplayError
 from quadtree_lss.lab.live.processes import program

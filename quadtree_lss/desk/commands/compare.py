@@ -31,7 +31,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quadtree_lss.desk.replay.compare import compare_results
+    from quadtree_lss.desk.replay.differences import compare_results
 
     result = compare_results(options.first, options.second, options.out)
     if options.json:

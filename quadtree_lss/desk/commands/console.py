@@ -171,7 +171,7 @@ _SITE_HEADER = (
 
 
 def _site_rows(sites: Sites) -> list[list[str]]:
-    from quadtree_lss.desk.replay.result import shown
+    from quadtree_lss.onboard.core.landing.probability import shown
 
     return [
         [

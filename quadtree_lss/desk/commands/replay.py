@@ -89,8 +89,8 @@ def _run(options: argparse.Namespace) -> int:
         options.parser.error(
             "--namespace and --remap are for --publish: without it nothing is sent"
         )
+    from quadtree_lss.desk.replay.files import link_latest, new_folder
     from quadtree_lss.desk.replay.replay import replay
-    from quadtree_lss.desk.replay.results import link_latest, new_folder
 
     config = chosen_config(options)
     out = options.out if options.out is not None else new_folder(Path("results"))

@@ -42,7 +42,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.elevation_model import rank_sites
-    from quadtree_lss.desk.replay.results import link_latest, new_folder
+    from quadtree_lss.desk.replay.files import link_latest, new_folder
 
     out = options.out if options.out is not None else new_folder(Path("results"))
     config, report = chosen_config(options), not options.no_report

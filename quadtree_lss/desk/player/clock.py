@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The time of a bag that is being played: it runs at a rate, can be paused, and is told."""
+"""The time of a bag that is being played: it runs at a rate, is published, and can be paused by
+services and by a key."""
 
 from __future__ import annotations
 
+import os
+import select
+import sys
+import termios
 import time
-from collections.abc import Callable
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
@@ -106,3 +113,40 @@ class PlayTime:
             return response
 
         return serve
+
+
+@contextmanager
+def keys_pressed() -> Iterator[Callable[[], str]]:
+    """Gives what was pressed in the terminal since it was asked last, not at the end of a line.
+
+    Without a terminal, or in the background of one, no key is ever pressed. Ctrl-C and Ctrl-Z do
+    what they always do.
+    """
+    if sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
+        yield lambda: ""
+        return
+    terminal = sys.stdin.fileno()
+    try:
+        in_background = os.tcgetpgrp(terminal) != os.getpgrp()
+    except OSError:  # not the terminal that controls this process: it has no background
+        in_background = False
+    if in_background:
+        yield lambda: ""
+        return
+    gone = False
+
+    def pressed() -> str:
+        nonlocal gone
+        if gone or not select.select([terminal], [], [], 0.0)[0]:
+            return ""
+        content = os.read(terminal, 1024)
+        gone = not content
+        return content.decode(errors="replace")
+
+    before = termios.tcgetattr(terminal)
+    tty.setcbreak(terminal)
+    try:
+        yield pressed
+    finally:
+        if not gone:
+            termios.tcsetattr(terminal, termios.TCSADRAIN, before)

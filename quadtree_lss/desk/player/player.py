@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays scans and poses, or maps, of a bag to running nodes, their bytes as recorded."""
+"""Plays scans and poses, or maps, of a bag to running nodes, their bytes as recorded.
+
+`ros2 bag play` is in no wheel, knows neither ROS 1's names nor damaged bags, does not wait for who
+listens, and pauses between a scan and the pose that it needs.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
-import struct
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import rclpy
-import zstandard
 from geometry_msgs.msg import (
     PointStamped,
     PolygonStamped,
@@ -23,32 +25,33 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.player.clock import SECOND_NS, PlayTime
-from quadtree_lss.desk.player.keyboard import Keyboard
-from quadtree_lss.desk.player.peers import PlayError, player_node, wait_for_subscribers
-from quadtree_lss.desk.replay.bags import (
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, DamagedError, unpack
+from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, ODOMETRY_TYPE, SCAN_TYPE
+from quadtree_lss.desk.bags.recorded_file import RawMessage, stamp_of
+from quadtree_lss.desk.bags.topics import (
     GIMBAL_TOPIC,
-    GIMBAL_TYPE,
     ODOMETRY_TOPIC,
-    ODOMETRY_TYPE,
     POSE_TOPIC,
     SCAN_TOPIC,
-    SCAN_TYPE,
-    Bag,
     choose_pose_topic,
     choose_topic,
+    landing_topics,
 )
-from quadtree_lss.desk.replay.landing import landing_topics
-from quadtree_lss.desk.replay.map_messages import MapPairs
-from quadtree_lss.desk.replay.records import RawMessage
-from quadtree_lss.desk.replay.stream import Stream
+from quadtree_lss.desk.player.clock import SECOND_NS, PlayTime, keys_pressed
+from quadtree_lss.desk.replay.stream import MapPairs, Stream
+from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED
 from quadtree_lss.onboard.nodes.qos import latched, stream
 
+MATCH_PAUSE_S = 0.5
+"""After a publisher sees its match the subscriber may not be ready yet."""
 DEPTH = 200
 BAR_S = 0.2
 """Between two changes of the progress bar."""
@@ -68,7 +71,10 @@ LANDING_TOPICS = ("/landing/area", "/landing/keep_out", "/landing/target", "/lan
 OPTIONAL = (GIMBAL_TOPIC, *LANDING_TOPICS)
 """Played though nobody may listen."""
 MAP_TOPICS = (f"/{CELLS}", f"/{OBSERVED}")
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+class PlayError(QuadtreeLssError):
+    """The bag cannot be played, or nobody listens."""
 
 
 @dataclass(frozen=True)
@@ -150,15 +156,11 @@ def play(
             needed = [p for recorded, p in publishers.items() if names[recorded] not in OPTIONAL]
             wait_for_subscribers(node, needed, wait)
             wishes = [recorded for recorded, name in names.items() if name in LANDING_TOPICS]
-            messages: Iterable[RawMessage] = source.messages(
-                list(names), part.start_ns, part.stop_ns
-            )
-            if wishes:
-                before = source.messages(wishes, 0, part.start_ns)
-                for message in before:
-                    publishers[message.topic].publish(_plain(message.raw))
-            with Keyboard() as keyboard:
-                times = PlayTime(node, rate, clock=clock, pressed=keyboard.pressed)
+            for message in source.messages(wishes, 0, part.start_ns):
+                publishers[message.topic].publish(_serialised(message.raw))
+            messages = source.messages(list(names), part.start_ns, part.stop_ns)
+            with keys_pressed() as pressed:
+                times = PlayTime(node, rate, clock=clock, pressed=pressed)
                 began = time.monotonic()
                 sent = _send(_told(messages, part, progress), names, publishers, times)
                 seconds = time.monotonic() - began
@@ -218,28 +220,19 @@ def _send(
         # A scan that waits for the pose after it during a pause would be dropped by the node.
         served = not scans or min(newest.values()) == newest[SCAN_TOPIC]
         times.wait_until(received_ns, may_pause=served)
-        raw = _plain(raw)
+        raw = _serialised(raw)
         publishers[topic].publish(raw)
         counts[topic] += 1
         if names[topic] in newest:
-            newest[names[topic]] = max(newest[names[topic]], _stamp_ns(raw))
+            newest[names[topic]] = max(newest[names[topic]], stamp_of(raw, ros1=False))
     return counts
 
 
-def _plain(raw: Any) -> bytes:
-    """A message as it is serialised, whether or not the bag compresses each."""
-    if raw[:4] == ZSTD_MAGIC:
-        raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
-    return bytes(raw)
-
-
-def _stamp_ns(raw: Any) -> int:
-    """Stamp of a serialised message that begins with its header; 0 if it is cut short."""
-    if len(raw) < 12:
-        return 0
-    order = "<" if raw[1] & 1 else ">"
-    seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
-    return int(seconds) * SECOND_NS + int(nanoseconds)
+def _serialised(raw: bytes) -> bytes:
+    """A message's bytes, whether or not the bag compresses each; nodes refuse damaged ones."""
+    with contextlib.suppress(DamagedError):
+        return unpack("zstd", raw, MOST_BYTES) if raw[:4] == ZSTD_MAGIC else raw
+    return raw
 
 
 def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
@@ -252,3 +245,59 @@ def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
         )
         for recorded, name in names.items()
     }
+
+
+def player_node(
+    context: Context, namespace: str, remap: Sequence[str], played: Iterable[str]
+) -> Node:
+    """What publishes.
+
+    Raises:
+        PlayError: the namespace or another name is none, or no such topic is played.
+    """
+    known = [name.lstrip("/") for name in played]
+    for rule in remap:
+        if rule.partition(":=")[0].lstrip("/") not in known:
+            msg = f"--remap {rule}: of the form FROM:=TO, where FROM is one of {', '.join(known)}"
+            raise PlayError(msg)
+    rules = [f"{name.lstrip('/')}:={to}" for name, _, to in (r.partition(":=") for r in remap)]
+    arguments = [item for rule in rules for item in ("-r", rule)]
+    try:
+        return Node(
+            "bag_player",
+            context=context,
+            namespace=namespace,
+            cli_args=["--ros-args", *arguments] if arguments else None,
+        )
+    except (NameValidationException, rclpy_implementation.RCLError) as error:
+        msg = f"--namespace or --remap: {str(error).splitlines()[0].split(', at /')[0]}"
+        raise PlayError(msg) from None
+
+
+def wait_for_subscribers(node: Node, publishers: Sequence[Publisher], wait: float) -> None:
+    """Until each publisher has one.
+
+    Raises:
+        PlayError: after ``wait`` seconds; names what is subscribed instead.
+    """
+    deadline = time.monotonic() + wait
+    while missing := [p for p in publishers if not p.get_subscription_count()]:
+        if time.monotonic() > deadline:
+            names = ", ".join(p.topic_name for p in missing)
+            msg = f"nobody subscribed to {names} within {wait:g} s: {_subscribed(node, missing)}"
+            raise PlayError(msg)
+        time.sleep(0.05)
+    time.sleep(MATCH_PAUSE_S)
+
+
+def _subscribed(node: Node, publishers: Sequence[Publisher]) -> str:
+    """Which topics of the same types somebody does listen to."""
+    kinds = {f"{p.msg_type.__module__.split('.')[0]}/msg/{p.msg_type.__name__}" for p in publishers}
+    found = [
+        name
+        for name, types in node.get_topic_names_and_types()
+        if kinds & set(types) and node.count_subscribers(name)
+    ]
+    if not found:
+        return "nor to any topic of these types; are nodes running?"
+    return f"subscribed are {', '.join(sorted(found))} (--namespace, --remap FROM:=TO)"

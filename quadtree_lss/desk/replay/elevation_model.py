@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.exchange.dem import ElevationModel, read_dem
-from quadtree_lss.desk.replay.replay import write_results
-from quadtree_lss.desk.replay.result import ReplayResult
-from quadtree_lss.desk.replay.summary import run_summary
+from quadtree_lss.desk.replay.result import ReplayResult, run_summary
+from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap

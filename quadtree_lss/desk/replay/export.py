@@ -15,7 +15,7 @@ from quadtree_lss.desk.exchange.geotiff import reference, write_geotiff
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
-from quadtree_lss.desk.replay.saved import Results, load_results
+from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 

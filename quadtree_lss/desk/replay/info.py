@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.bags import POSE_TYPES, SCAN_TYPE, Bag, BagError
-from quadtree_lss.desk.replay.cloud_files import open_recording
-from quadtree_lss.desk.replay.map_messages import MapPairs
+from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPE
+from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.points import points_line, points_warning
-from quadtree_lss.desk.replay.records import RawMessage
-from quadtree_lss.desk.replay.results import plain
 from quadtree_lss.desk.replay.run import Progress
-from quadtree_lss.desk.replay.stream import SECOND_NS, Span, Stream
+from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Span, Stream
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.tree.domain import Domain

@@ -20,8 +20,8 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 
+from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.stream import ReplayError
-from quadtree_lss.desk.replay.types import typestore
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.outputs import GRID_MAP, GRID_MAP_TYPE, TOPIC_TYPES, MessageMaker

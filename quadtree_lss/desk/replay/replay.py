@@ -13,19 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.desk.replay import results
-from quadtree_lss.desk.replay.bags import Bag
-from quadtree_lss.desk.replay.cloud_files import open_recording
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.landing import LandingTopics
-from quadtree_lss.desk.replay.map_messages import MapPairs
 from quadtree_lss.desk.replay.passes import Passes, Sink
 from quadtree_lss.desk.replay.points import points_line
-from quadtree_lss.desk.replay.result import ReplayResult
+from quadtree_lss.desk.replay.result import ReplayResult, run_summary
+from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.desk.replay.run import Progress, Run
-from quadtree_lss.desk.replay.stream import ReplayError, Stream
-from quadtree_lss.desk.replay.summary import run_summary
-from quadtree_lss.onboard.config.loading import dump_config
+from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, ReplayError, Stream
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
@@ -168,25 +164,6 @@ def replay(
     return result
 
 
-def write_results(
-    out: Path,
-    result: ReplayResult,
-    config: Config,
-    report: bool,
-    history: History | None = None,
-) -> None:
-    """The files of a results folder, which is made if it is missing.
-
-    Raises:
-        ReplayError: they cannot be written.
-    """
-    try:
-        _write(out, result, config, history or History(), report)
-    except OSError as error:
-        msg = f"{out}: cannot be written: {error.strerror}"
-        raise ReplayError(msg) from None
-
-
 def _why_nothing(run: Run) -> str:
     """Instead of a node's ``nothing is mapped yet``: no more will come."""
     if run.maps:
@@ -209,20 +186,3 @@ def _make_folder(folder: Path | None) -> Path | None:
         msg = f"{folder}: cannot be written: {error.strerror}"
         raise ReplayError(msg) from None
     return folder if fresh else None
-
-
-def _write(out: Path, result: ReplayResult, config: Config, history: History, report: bool) -> None:
-    results.write_sites(out / "sites.csv", result.assessment)
-    results.write_selected(out / "selected.csv", result.targets)
-    results.write_cells(out / "cells.npz", result.cells)
-    results.write_grid(out / "grid.npz", result.assessment)
-    results.write_timing(out / "timing.csv", result.timings)
-    results.write_history(out / "history.npz", history.arrays(probability=report))
-    results.write_bytes(out / "config.yaml", dump_config(config).encode())
-    results.write_summary(out / "summary.json", result.summary)
-    results.remove_report(out)
-    if report:
-        from quadtree_lss.desk.report.report import report_files  # matplotlib takes long to import
-
-        for name, content in report_files(out).items():
-            results.write_bytes(out / name, content)

@@ -1,19 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay produced."""
+"""What a replay produced, and the key figures of the run."""
 
 from __future__ import annotations
 
+import platform
+import resource
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+
+import quadtree_lss
+from quadtree_lss import build
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.passes import TargetChange
-from quadtree_lss.desk.replay.results import ScanTiming, plain
-from quadtree_lss.onboard.core.landing.probability import shown
+from quadtree_lss.onboard.config.settings import Config, values_from_config
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-__all__ = ["ReplayResult", "shown"]
+
+class ScanTiming(NamedTuple):
+    """A row of ``timing.csv``; ``map_ms`` is from the decoded message to the divided map."""
+
+    stamp_ns: int
+    points: int
+    points_used: int
+    leaves: int
+    divisions: int
+    map_ms: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,10 +44,10 @@ class ReplayResult:
         assessment: Landing sites on it.
         timings: One row per mapped scan; empty for a bag of maps.
         summary: Content of ``summary.json``.
-        targets: Changes of the target, in their order.
         losses: What could not be read of the bag, one line each; empty if all was read.
         warnings: One line per kind of trouble with the messages, with how often it occurred.
         interrupted: True if it was stopped before the bag's end.
+        targets: Changes of the target, in their order.
     """
 
     out: Path | None
@@ -50,16 +68,12 @@ class ReplayResult:
     def as_dict(self) -> dict[str, Any]:
         """The summary with the ranked sites, in JSON's types."""
         sites = self.assessment.sites
+        names = ("normal", "score", "probability", "slope_deg", "roughness", "hazard_distance")
         rows = [
             {
                 "rank": k + 1,
                 "position": sites.position[k].tolist(),
-                "normal": sites.normal[k].tolist(),
-                "score": sites.score[k],
-                "probability": sites.probability[k],
-                "slope_deg": sites.slope_deg[k],
-                "roughness": sites.roughness[k],
-                "hazard_distance": sites.hazard_distance[k],
+                **{name: np.asarray(getattr(sites, name)[k]).tolist() for name in names},
                 "subscale_height": sites.subscale_height[k],
                 "id": int(sites.id[k]),
                 "reason": sites.reasons[k],
@@ -69,3 +83,47 @@ class ReplayResult:
         out = None if self.out is None else str(self.out)
         content: dict[str, Any] = plain({"out": out, "sites": rows, **self.summary})
         return content
+
+
+def run_summary(
+    timings: Sequence[ScanTiming],
+    leaves: int,
+    config: Config,
+    real_time_factor: float,
+    lss_ms: float,
+) -> dict[str, Any]:
+    """Scans, points, leaves, times in ms, memory, versions and configuration of a run.
+
+    Without a scan, as for a bag of maps, the times of a map update are NaN.
+    """
+    map_ms = np.array([row.map_ms for row in timings] or [np.nan])
+    return {
+        "scans": len(timings),
+        "points": sum(row.points for row in timings),
+        "leaves": leaves,
+        "map_ms_median": float(np.median(map_ms)),
+        "map_ms_p99": float(np.percentile(map_ms, 99)),
+        "lss_ms": lss_ms,
+        "real_time_factor": real_time_factor,
+        "peak_memory_mb": peak_memory_mb(),
+        "versions": versions(),
+        "config": values_from_config(config),
+    }
+
+
+def peak_memory_mb() -> float:
+    """Largest resident size of this process so far, MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024.0)
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of what its numbers depend on."""
+    found = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
+    found["python"] = platform.python_version()
+    for name in ("numpy", "scipy", "rosbags"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found

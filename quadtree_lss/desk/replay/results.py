@@ -1,116 +1,93 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a results folder: names, keys and units other tools rely on.
-
-Each file is written beside its place and then moved there, so that a reader never sees half of
-one and a failed run leaves the files of the last.
-"""
+"""A results folder, written and read back: names, keys and units other tools rely on."""
 
 from __future__ import annotations
 
 import contextlib
 import csv
-import io
 import json
 import os
-import tempfile
-import time
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
+from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
+from quadtree_lss.desk.replay.result import ReplayResult, ScanTiming
+from quadtree_lss.desk.replay.stream import ReplayError
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.loading import dump_config, load_config
+from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.maps import known_probability
 
-SITE_COLUMNS = (
-    "rank",
-    "x",
-    "y",
-    "z",
-    "nx",
-    "ny",
-    "nz",
-    "score",
-    "slope_deg",
-    "roughness",
-    "hazard_distance",
-    "subscale_height",
-    "id",
-    "probability",
-)
-
-
+SITE_COLUMNS = ("rank", "x", "y", "z", "nx", "ny", "nz", "score", "slope_deg", "roughness")
+SITE_COLUMNS += ("hazard_distance", "subscale_height", "id", "probability")
 REPORT = "report.html"
 FIGURES = ("elevation", "slope", "hazards", "probability", "score", "timing")
 """Names of the figures, ``figures/<name>.png``, in the order of the page."""
 
-SAMPLE, WORTH_PACKING = 1 << 14, 0.85
-"""An array is packed if so many bytes from its middle come down to less than this share."""
+Table = dict[str, NDArray[Any]]
+"""Columns of a CSV file by name: whole numbers, numbers, or else texts."""
+SAME = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
+SAME += ("exception_fraction", "feature", "low", "high")
+"""Arrays of ``cells.npz`` that are the columns of a map of that name."""
+NEEDED = (*SAME[:-2], "nx", "ny", "nz", "covariance")
+NEEDED_ELSE = ("observed_cells", "domain", "stamp_ns", "offset")
+UNREADABLE = (OSError, ValueError, EOFError, AttributeError, TypeError)
+UNREADABLE += (zipfile.BadZipFile, zlib.error)
+"""What NumPy raises of an archive that is damaged."""
 
 
-class ScanTiming(NamedTuple):
-    """A row of ``timing.csv``; ``map_ms`` is from the decoded message to the divided map."""
-
-    stamp_ns: int
-    points: int
-    points_used: int
-    leaves: int
-    divisions: int
-    map_ms: float
+class ResultsError(QuadtreeLssError):
+    """A folder is none that a replay wrote, or one of its files cannot be read."""
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Writes a file beside ``path`` and moves it there; makes the folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+def write_results(
+    out: Path, result: ReplayResult, config: Config, report: bool, history: History | None = None
+) -> None:
+    """The files of a results folder, which is made if it is missing; ``report`` adds the page.
+
+    Raises:
+        ReplayError: they cannot be written.
+    """
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        _write(out, result, config, report, history or History())
+    except OSError as error:
+        msg = f"{out}: cannot be written: {error.strerror}"
+        raise ReplayError(msg) from None
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _write(out: Path, result: ReplayResult, config: Config, report: bool, history: History) -> None:
+    write_csv(out / "sites.csv", SITE_COLUMNS, _site_rows(result.assessment))
+    write_csv(out / "selected.csv", TargetChange._fields, result.targets)
+    write_npz(out / "cells.npz", cells_arrays(result.cells))
+    write_npz(out / "grid.npz", grid_arrays(result.assessment))
+    rows = ([*row[:-1], f"{row.map_ms:.4f}"] for row in result.timings)
+    write_csv(out / "timing.csv", ScanTiming._fields, rows)
+    write_npz(out / "history.npz", history.arrays(probability=report))
+    write_bytes(out / "config.yaml", dump_config(config).encode())
+    write_json(out / "summary.json", result.summary)
+    _remove_report(out)
+    if report:
+        from quadtree_lss.desk.report.report import report_files  # matplotlib takes long to import
+
+        for name, content in report_files(out).items():
+            write_bytes(out / name, content)
 
 
-def new_folder(root: Path) -> Path:
-    """An unused name ``root/<date>_<time>``; the folder is not made."""
-    name = time.strftime("%Y-%m-%d_%H-%M-%S")
-    for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
-        if not (root / f"{name}{suffix}").exists():
-            return root / f"{name}{suffix}"
-    msg = f"{root}: a thousand results of one second"
-    raise OSError(msg)
-
-
-def link_latest(folder: Path) -> Path | None:
-    """Lets ``latest`` beside ``folder`` point at it; None where that cannot be: it is no link."""
-    link = folder.parent / "latest"
-    if link.exists() and not link.is_symlink():
-        return None
-    fresh = folder.parent / f".latest.{os.getpid()}"
-    try:
-        fresh.symlink_to(folder.name, target_is_directory=True)
-        os.replace(fresh, link)
-    except OSError:  # a file system without links
-        fresh.unlink(missing_ok=True)
-        return None
-    return link
-
-
-def remove_report(out: Path) -> None:
+def _remove_report(out: Path) -> None:
     """Takes away page, figures and evaluation of an earlier run, which would contradict this one.
 
     Of the folder ``evaluation`` those files go that `evaluate` writes.
@@ -125,145 +102,220 @@ def remove_report(out: Path) -> None:
         folder.rmdir()
 
 
-def write_sites(path: Path, assessment: LandingAssessment) -> None:
-    """``sites.csv``: ranked sites, best first; map frame, m."""
+def _site_rows(assessment: LandingAssessment) -> list[list[Any]]:
+    """Ranked sites, best first; map frame, m."""
     sites = assessment.sites
-    columns = np.column_stack(
-        [
-            sites.position,
-            sites.normal,
-            sites.score,
-            sites.slope_deg,
-            sites.roughness,
-            sites.hazard_distance,
-            sites.subscale_height,
-        ]
-    )
-    rows = (
+    names = ("score", "slope_deg", "roughness", "hazard_distance", "subscale_height")
+    columns = [sites.position, sites.normal, *(getattr(sites, name) for name in names)]
+    return [
         [rank, *map(float, row), int(number), float(probability)]
         for rank, (row, number, probability) in enumerate(
-            zip(columns, sites.id, sites.probability, strict=True), start=1
+            zip(np.column_stack(columns), sites.id, sites.probability, strict=True), start=1
         )
-    )
-    _write_csv(path, SITE_COLUMNS, rows)
-
-
-def write_selected(path: Path, changes: Iterable[TargetChange]) -> None:
-    """``selected.csv``: one row per change of the target; map frame, m."""
-    _write_csv(path, TargetChange._fields, changes)
-
-
-def write_timing(path: Path, timings: Iterable[ScanTiming]) -> None:
-    """``timing.csv``: one row per mapped scan."""
-    rows = ([*row[:-1], f"{row.map_ms:.4f}"] for row in timings)
-    _write_csv(path, ScanTiming._fields, rows)
-
-
-def write_cells(path: Path, cells: CellMap) -> None:
-    """``cells.npz``, see `cells_arrays`."""
-    _write_npz(path, cells_arrays(cells))
+    ]
 
 
 def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
     """Content of ``cells.npz``: one array per field of the leaves, in Morton order."""
     domain = cells.domain
+    of_domain = [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
     return {
-        "level": cells.level,
-        "ix": cells.ix,
-        "iy": cells.iy,
-        "x": cells.x,
-        "y": cells.y,
-        "size": cells.size,
-        "z": cells.z,
-        "nx": cells.normal[:, 0],
-        "ny": cells.normal[:, 1],
-        "nz": cells.normal[:, 2],
-        "covariance": cells.covariance,
-        "covariance_pose": cells.covariance_pose,
-        "count": cells.count,
-        "measured": cells.measured,
-        "roughness": cells.roughness,
-        "exception_fraction": cells.exception_fraction,
-        "feature": cells.feature,
+        **{name: getattr(cells, name) for name in (*SAME, "x", "y", "size", "covariance")},
+        **{f"n{axis}": cells.normal[:, k] for k, axis in enumerate("xyz")},
         "observed": np.bincount(cells.leaf_raster()[cells.observed], minlength=len(cells.z)),
         "observed_cells": cells.observed,
-        "domain": np.array(
-            [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
-        ),
+        "known_cells": cells.known,
+        "domain": np.array(of_domain),
         "stamp_ns": np.array(cells.stamp_ns),
         "offset": np.array([cells.offset_z, cells.offset_variance]),
-        "low": cells.low,
-        "high": cells.high,
-        "known_cells": cells.known,
     }
-
-
-def write_grid(path: Path, assessment: LandingAssessment) -> None:
-    """``grid.npz``, see `grid_arrays`."""
-    _write_npz(path, grid_arrays(assessment))
 
 
 def grid_arrays(assessment: LandingAssessment) -> dict[str, NDArray[Any]]:
     """Content of ``grid.npz``: the landing grid's points, arrays (ny, nx)."""
-    return {
-        "x": assessment.x,
-        "y": assessment.y,
-        "elevation": assessment.elevation,
-        "plane_elevation": assessment.plane_elevation,
-        "slope_deg": assessment.slope_deg,
-        "hazard": assessment.hazard,
-        "safe": assessment.safe,
-        "score": assessment.score,
-        "probability": known_probability(assessment),
-        "risk": assessment.risk,
-    }
+    names = ("x", "y", "elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
+    arrays = {name: getattr(assessment, name) for name in (*names, "risk")}
+    return {**arrays, "probability": known_probability(assessment)}
 
 
-def write_history(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """``history.npz``: see `history.History.arrays`."""
-    _write_npz(path, arrays)
+@dataclass(frozen=True, repr=False)
+class Grid:
+    """The landing grid: grid points and what is known at each.
 
-
-def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
-    """``summary.json``; numbers that are not finite become null."""
-    text = json.dumps(plain(summary), indent=2, allow_nan=False)
-    write_bytes(path, (text + "\n").encode())
-
-
-def plain(value: Any) -> Any:
-    """The value with JSON's types alone; numbers that are not finite become None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
-
-
-def _write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    write_bytes(path, text.getvalue().encode())
-
-
-def _write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """As `numpy.savez_compressed` does, in a quarter of the time.
-
-    What hardly packs, such as the last digits of an elevation, is stored as it is.
+    Attributes:
+        x, y: (nx,), (ny,) of the grid points, m, ascending, evenly spaced.
+        layers: (ny, nx) arrays by the names in ``grid.npz``.
     """
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as file:
-        for name, values in arrays.items():
-            array = io.BytesIO()
-            np.lib.format.write_array(array, np.asanyarray(values), allow_pickle=False)
-            data = array.getvalue()
-            sample = data[len(data) // 2 :][:SAMPLE]
-            packs = len(zlib.compress(sample, 1)) < WORTH_PACKING * len(sample)
-            kind = zipfile.ZIP_DEFLATED if packs else zipfile.ZIP_STORED
-            file.writestr(zipfile.ZipInfo(f"{name}.npy"), data, kind, 1)
-    write_bytes(path, content.getvalue())
+
+    x: Array
+    y: Array
+    layers: dict[str, NDArray[Any]]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.layers[name]
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring grid points, m."""
+        return float(self.x[1] - self.x[0]) if len(self.x) > 1 else 1.0
+
+    def __repr__(self) -> str:
+        shape = f"{len(self.x)} x {len(self.y)} grid points, {self.spacing:g} m apart"
+        return f"<Grid: {shape}; {', '.join(self.layers)}>"
+
+
+@dataclass(frozen=True, repr=False)
+class Results:
+    """What a replay wrote; each file is read when it is asked for.
+
+    Every attribute raises `ResultsError` if its file cannot be read.
+    """
+
+    folder: Path
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """``summary.json``."""
+        path = self.folder / "summary.json"
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise _unreadable(path, error) from None
+        if not isinstance(content, dict):
+            raise _unreadable(path, "it is not a JSON object")
+        return content
+
+    @cached_property
+    def config(self) -> Config:
+        """The configuration of the run."""
+        return load_config([self.folder / "config.yaml"])
+
+    @cached_property
+    def sites(self) -> Table:
+        """``sites.csv``, best first."""
+        return _read_table(self.folder / "sites.csv")
+
+    @property
+    def positions(self) -> Array:
+        """(K, 3) of the ranked sites, best first, m."""
+        table = self.sites
+        return np.column_stack([np.asarray(table[name], np.float64) for name in "xyz"])
+
+    @cached_property
+    def selected(self) -> Table:
+        """``selected.csv``: changes of the target."""
+        return _read_table(self.folder / "selected.csv")
+
+    @cached_property
+    def timing(self) -> Table:
+        """``timing.csv``: a row per mapped scan."""
+        return _read_table(self.folder / "timing.csv")
+
+    @cached_property
+    def grid(self) -> Grid:
+        """``grid.npz``."""
+        path = self.folder / "grid.npz"
+        arrays = _read_arrays(path)
+        x, y = (arrays.pop(name, np.empty(0)) for name in "xy")
+        if x.ndim != 1 or y.ndim != 1 or not x.size or not y.size:
+            raise _unreadable(path, "it has no grid points x and y")
+        wrong = [name for name, values in arrays.items() if values.shape != (y.size, x.size)]
+        if wrong:
+            raise _unreadable(path, f"{wrong[0]} is not of shape {(y.size, x.size)}")
+        return Grid(x, y, arrays)
+
+    @cached_property
+    def map(self) -> CellMap:
+        """``cells.npz``: the map that landing sites were ranked on, as it was."""
+        path = self.folder / "cells.npz"
+        return _cell_map(path, _read_arrays(path))
+
+    def __repr__(self) -> str:
+        scans, sites = self.summary.get("scans"), len(self.positions)
+        return f"<Results: {self.folder}: {scans} scans, {sites} sites>"
+
+
+def load_results(folder: str | os.PathLike[str]) -> Results:
+    """The results of a replay, for instance of ``results/latest``.
+
+    Raises:
+        ResultsError: the folder has no ``summary.json`` or no ``grid.npz``.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        msg = f"{path} is not a results folder"
+        raise ResultsError(msg)
+    for name in ("summary.json", "grid.npz"):
+        if not (path / name).is_file():
+            msg = f"{path} has no {name}: replay did not write this folder"
+            if (path / "latest" / name).is_file():
+                msg += f"; did you mean {path / 'latest'}?"
+            raise ResultsError(msg)
+    return Results(path)
+
+
+def _cell_map(path: Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
+    missing = [name for name in (*NEEDED, *NEEDED_ELSE) if name not in a]
+    if missing:
+        raise _unreadable(path, f"it lacks {', '.join(missing)}: replay the bag again")
+    xmin, ymin, size, low, high = a["domain"].tolist()
+    domain = Domain(xmin, ymin, size, int(low), int(high))
+    leaves, sides = len(a["level"]), (domain.finest_count,) * 2
+    columns = {name: a.get(name, np.full(leaves, np.nan)) for name in SAME}
+    masks = {name: a.get(name, a["observed_cells"]) for name in ("observed_cells", "known_cells")}
+    wrong = [name for name in NEEDED if len(a[name]) != leaves]
+    wrong += [name for name in ("low", "high") if columns[name].shape != (leaves,)]
+    wrong += [name for name, values in masks.items() if values.shape != sides]
+    if wrong:
+        raise _unreadable(path, f"{wrong[0]} has another size than the map")
+    kinds = {"level": np.uint8, "ix": np.uint32, "iy": np.uint32, "count": np.uint32}
+    kinds["measured"] = np.bool_
+    columns |= {name: columns[name].astype(kind) for name, kind in kinds.items()}
+    found = CellMap(
+        **columns,
+        stamp_ns=int(a["stamp_ns"]),
+        domain=domain,
+        normal=np.column_stack([a["nx"], a["ny"], a["nz"]]),
+        covariance_range=a["covariance"] - a["covariance_pose"],
+        observed=masks["observed_cells"].astype(np.bool_),
+        known=masks["known_cells"].astype(np.bool_),
+        offset_z=float(a["offset"][0]),
+        offset_variance=float(a["offset"][1]),
+    )
+    if "known_cells" in a:
+        return found
+    return replace(found, known=found.observed & found.measured[found.leaf_raster()])
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except UNREADABLE as error:
+        raise _unreadable(path, error) from None
+
+
+def _read_table(path: Path) -> Table:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            header, *rows = list(csv.reader(file)) or [[]]
+    except (OSError, ValueError, csv.Error) as error:
+        raise _unreadable(path, error) from None
+    if any(len(row) != len(header) for row in rows):
+        raise _unreadable(path, "its rows differ in length")
+    return {name: _column([row[k] for row in rows]) for k, name in enumerate(header)}
+
+
+def _column(texts: list[str]) -> NDArray[Any]:
+    for kind in (np.int64, np.float64):
+        try:
+            return np.array([int(t) if kind is np.int64 else float(t) for t in texts], dtype=kind)
+        except (ValueError, OverflowError):
+            continue
+    return np.array(texts)
+
+
+def _unreadable(path: Path, error: object) -> ResultsError:
+    if isinstance(error, OSError) and error.strerror:
+        error = error.strerror
+    return ResultsError(f"{path}: cannot be read: {error}")

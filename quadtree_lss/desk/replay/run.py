@@ -9,13 +9,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from quadtree_lss.desk.replay.bags import Bag
-from quadtree_lss.desk.replay.landing import LandingTopics
-from quadtree_lss.desk.replay.map_messages import MapPairs
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.points import points_warning
-from quadtree_lss.desk.replay.records import RawMessage
-from quadtree_lss.desk.replay.results import ScanTiming
-from quadtree_lss.desk.replay.stream import SECOND_NS, ReplayError, Stream
+from quadtree_lss.desk.replay.result import ScanTiming
+from quadtree_lss.desk.replay.stream import SECOND_NS, LandingTopics, MapPairs, ReplayError, Stream
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.pose_errors import LEAST

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which messages of a bag are read: topics, and a part in time."""
+"""What is read of a bag: scans and poses, areas and targets, or maps; and which part in time."""
 
 from __future__ import annotations
 
@@ -9,20 +9,32 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from quadtree_lss.desk.replay.bags import (
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, TRANSFORMS_TYPE
+from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.bags.topics import (
     GIMBAL_TOPIC,
     SCAN_TOPIC,
     TRANSFORMS_TOPIC,
-    Bag,
     choose_pose_topic,
     choose_topic,
+    landing_topics,
 )
-from quadtree_lss.desk.replay.records import RawMessage
-from quadtree_lss.desk.replay.types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, TRANSFORMS_TYPE
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import Config, LssConfig
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
-from quadtree_lss.onboard.messages.intake import Intake
+from quadtree_lss.onboard.messages.intake import Intake, Notice
+from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
+from quadtree_lss.onboard.messages.maps import MapMessageError
+from quadtree_lss.onboard.messages.outputs import (
+    CELLS,
+    GRID_TYPE,
+    OBSERVED,
+    SITE_TABLE,
+    STATUS,
+    map_from_messages,
+)
 
 SECOND_NS = 1_000_000_000
 
@@ -171,3 +183,92 @@ class Stream:
     def rate(self, topic: str) -> float:
         """Messages of a topic per second of their stamps, so far; NaN for fewer than two."""
         return self._stamps[topic].rate if topic in self._stamps else math.nan
+
+
+class LandingTopics:
+    """Feeds `LandingWishes` from a bag.
+
+    Args:
+        wishes: What is fed; names that it holds fixed are not read.
+        bag: An open bag.
+        start_ns: What was said before is taken at once: these topics are latched.
+    """
+
+    def __init__(self, wishes: LandingWishes, bag: Bag, start_ns: int) -> None:
+        self.wishes = wishes
+        self.names = landing_topics(bag, without=tuple(wishes.fixed))
+        self.notices: list[Notice] = []
+        if self.names:
+            for message in bag.messages(list(self.names), 0, start_ns):
+                self.take(bag, message)
+
+    def take(self, bag: Bag, message: RawMessage) -> bool:
+        """True if the message was of these topics."""
+        name = self.names.get(message.topic)
+        if name is None:
+            return False
+        try:
+            msg = bag.decode(message.raw, TYPES[name])
+        except MessageError as error:
+            self.wishes.refuse(name, error)
+            self._tell(name, error)
+            return True
+        try:
+            self.wishes.take(name, msg)
+        except MessageError as error:
+            self._tell(name, error)
+        return True
+
+    def _tell(self, name: str, error: MessageError) -> None:
+        self.notices.append(Notice(f"{name}_{error.reason}", f"landing/{name}: {error}"))
+
+
+class MapPairs:
+    """Joins ``map/cells`` and ``map/observed`` of one stamp to maps, in any namespace."""
+
+    def __init__(self, cells_topic: str, observed_topic: str) -> None:
+        self.topics = (cells_topic, observed_topic)
+        self._held: dict[str, Any] = {}
+
+    @classmethod
+    def find(cls, bag: Bag) -> MapPairs | None:
+        """The map topics of an open bag, None if it has none."""
+        names = {topic.name: topic.type for topic in bag.topics if topic.count}
+        for name, kind in names.items():
+            observed = name.removesuffix(CELLS) + OBSERVED
+            if name.endswith(f"/{CELLS}") and kind == SCAN_TYPE and observed in names:
+                return cls(name, observed)
+        return None
+
+    @classmethod
+    def alone(cls, bag: Bag) -> MapPairs | None:
+        """The map topics of an open bag that has no scans, None if it has."""
+        pairs = cls.find(bag)
+        if pairs is None:
+            return None
+        clouds = {topic.name for topic in bag.topics if topic.type == SCAN_TYPE and topic.count}
+        ours = {pairs.topics[0].removesuffix(CELLS) + name for name in (CELLS, SITE_TABLE, STATUS)}
+        return None if clouds - ours else pairs
+
+    def take(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
+        """The map that this message completes, None if its other half is still missing.
+
+        Args:
+            bag, message: An open bag and one of its messages on ``topics``.
+            lss: How landing will be judged on the map, None if it will not.
+
+        Raises:
+            MapMessageError: a message is not what ``mapping_node`` sends.
+        """
+        kind = SCAN_TYPE if message.topic == self.topics[0] else GRID_TYPE
+        try:
+            self._held[message.topic] = bag.decode(message.raw, kind)
+            cells, observed = (self._held.get(topic) for topic in self.topics)
+            if cells is None or observed is None:
+                return None
+            if stamp_ns(cells.header) != stamp_ns(observed.header):
+                return None
+        except MessageError as error:
+            raise MapMessageError(error.reason, str(error)) from None
+        self._held.clear()
+        return map_from_messages(cells, observed, lss)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from quadtree_lss.desk.replay.cloud_files import open_recording
+from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.run import Progress
 from quadtree_lss.desk.replay.stream import SECOND_NS, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array

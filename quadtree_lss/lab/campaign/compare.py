@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.results import plain
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity, kind_of
 from quadtree_lss.lab.campaign.statistics import bootstrap
 from quadtree_lss.lab.campaign.store import Record

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.bags import Topic
-from quadtree_lss.desk.replay.memory import MessageBag
+from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.summary import peak_memory_mb
+from quadtree_lss.desk.replay.result import peak_memory_mb
 from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity, Value
 from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
 from quadtree_lss.lab.evaluation.reliability import EDGES, Reliability

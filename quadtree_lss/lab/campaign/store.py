@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.desk.replay.results import plain, write_bytes
+from quadtree_lss.desk.replay.files import plain, write_bytes
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
 TIMES = "times.csv"

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.summary import versions
+from quadtree_lss.desk.replay.result import versions
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, kind_of
 from quadtree_lss.lab.campaign.values import MOST_FLIGHTS, Drawn, parse_seeds, values_of
 from quadtree_lss.onboard.config.loading import load_config

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.results import plain, write_bytes
+from quadtree_lss.desk.replay.files import plain, write_bytes
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
 from quadtree_lss.lab.campaign.statistics import rate_interval, summarise
 from quadtree_lss.lab.campaign.store import Record, Store, read_record

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.desk.replay.results import new_folder
+from quadtree_lss.desk.replay.files import new_folder
 from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, show
 from quadtree_lss.lab.evaluation.metrics import elevation_field
 from quadtree_lss.lab.evaluation.results import EvaluationError, load_results, load_truth

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import quadtree_lss
-from quadtree_lss.desk.replay.steps import scans
+from quadtree_lss.desk.replay.scans import scans
 from quadtree_lss.lab.evaluation.results import EvaluationError, Results
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.consistency import Counts, prefit_statistics

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.results import plain
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.lab.evaluation.metrics import (
     Detection,
     ElevationError,

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.passes import Passes
-from quadtree_lss.desk.replay.types import typestore
 from quadtree_lss.lab.flight.flight import Sent
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.wire import Wire

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.player.player import play
-from quadtree_lss.desk.replay.results import write_cells
+from quadtree_lss.desk.replay.files import write_npz
+from quadtree_lss.desk.replay.results import cells_arrays
 from quadtree_lss.lab.flight.page import headline, write_flight
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.live.flight import fly_live
@@ -118,11 +119,9 @@ def cell_differences(one: Path, other: Path) -> dict[str, float]:
     result = {}
     with np.load(one) as a, np.load(other) as b:
         for name in sorted(set(a.files) | set(b.files)):
-            if name not in a or name not in b or a[name].shape != b[name].shape:
-                result[name] = np.inf
-                continue
-            first, second = a[name].astype(np.float64), b[name].astype(np.float64)
-            if (np.isnan(first) != np.isnan(second)).any():
+            first, second = (np.asarray(f[name], float) if name in f else None for f in (a, b))
+            alike = first is not None and second is not None and first.shape == second.shape
+            if not alike or (np.isnan(first) != np.isnan(second)).any():
                 result[name] = np.inf
             else:
                 result[name] = float(np.nanmax(np.abs(first - second), initial=0.0))
@@ -131,18 +130,16 @@ def cell_differences(one: Path, other: Path) -> dict[str, float]:
 
 def site_difference(live: LiveResult, offline: Sequence[dict[str, str]]) -> float:
     """Largest relative difference between live sites and rows of ``sites.csv``."""
-    if len(live.table) != len(offline):
+    rows = _live_rows(live)
+    if len(rows) != len(offline):
         return float("inf")
-    worst = 0.0
-    for position, record, row in zip(live.position, live.table, offline, strict=True):
-        pairs = [(position[axis], float(row[name])) for axis, name in enumerate("xyz")]
-        pairs += [
-            (float(record[name]), float(row[name]))
-            for name in ("score", "roughness", "hazard_distance", "subscale_height")
-        ]
-        pairs.append((float(np.degrees(record["slope"])), float(row["slope_deg"])))
-        worst = max(worst, *(abs(a - b) / max(1.0, abs(b)) for a, b in pairs))
-    return worst
+    names = ("x", "y", "z", "score", "roughness", "hazard_distance", "subscale_height", "slope_deg")
+    pairs = [
+        (float(one[name]), float(other[name]))
+        for one, other in zip(rows, offline, strict=True)
+        for name in names
+    ]
+    return max((abs(a - b) / max(1.0, abs(b)) for a, b in pairs), default=0.0)
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -189,7 +186,7 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     print("3. Play the bag over DDS to mapping_node and lss_node", flush=True)
     started = time.monotonic()
     result = run_live(bag, params, int(timing[-1]["stamp_ns"]), live)
-    write_cells(live / "cells.npz", result.cells)
+    write_npz(live / "cells.npz", cells_arrays(result.cells))
     print(
         f"   {len(timing)} scans, {len(result.cells.level)} leaves,"
         f" {time.monotonic() - started:.1f} s with start-up"

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.player.peers import wait_for_subscribers
+from quadtree_lss.desk.player.player import wait_for_subscribers
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
 from quadtree_lss.lab.flight.fly import OUTSIDE, Flown, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starting and ending the installed programs as processes of their own."""
+"""Starting and ending the installed programs as processes of their own.
+
+launch_testing, domain_coordinator and ros2 run do this where ROS is installed; none is in a wheel.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from unittest import mock
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -109,18 +112,9 @@ def local_domain(log_dir: Path) -> Iterator[LocalDomain]:
         ProcessError: all domains are taken.
     """
     number, reservation = _reserve_domain()
-    with reservation:
-        env = _local_environment(number, log_dir)
-        before = {name: os.environ.get(name) for name in env if os.environ.get(name) != env[name]}
-        os.environ.update(env)
-        try:
-            yield LocalDomain(number, env)
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    os.environ.pop(name, None)
-                else:
-                    os.environ[name] = value
+    env = _local_environment(number, log_dir)
+    with reservation, mock.patch.dict(os.environ, env):
+        yield LocalDomain(number, env)
 
 
 def _reserve_domain() -> tuple[int, socket.socket]:
@@ -129,16 +123,17 @@ def _reserve_domain() -> tuple[int, socket.socket]:
     Seeing that nobody is there would not do: a process takes a second to join after it was told
     the number. So each that asks first holds the domain's last port, which no participant reaches.
     """
-    candidates = list(DOMAINS)
-    random.SystemRandom().shuffle(candidates)
-    for domain in candidates:
+    for domain in random.SystemRandom().sample(list(DOMAINS), len(DOMAINS)):
         reservation = _bound(domain, RESERVATION_PORT)
         if reservation is None:
             continue
-        if all(_port_is_free(domain, port) for port in PARTICIPANT_PORTS):
+        probes = [_bound(domain, port) for port in PARTICIPANT_PORTS]
+        for probe in filter(None, probes):
+            probe.close()
+        if all(probes):
             return domain, reservation
         reservation.close()
-    msg = f"no free ROS domain between {DOMAINS[0]} and {DOMAINS[-1]}"
+    msg = f"no free ROS domain between {min(DOMAINS)} and {max(DOMAINS)}"
     raise ProcessError(msg)
 
 
@@ -151,14 +146,6 @@ def _bound(domain: int, port: int) -> socket.socket | None:
         result.close()
         return None
     return result
-
-
-def _port_is_free(domain: int, port: int) -> bool:
-    probe = _bound(domain, port)
-    if probe is None:
-        return False
-    probe.close()
-    return True
 
 
 def _local_environment(domain: int, log_dir: Path) -> dict[str, str]:
@@ -223,10 +210,5 @@ class NodeProcess:
     def __enter__(self) -> NodeProcess:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import bz2
-from pathlib import Path
 from typing import BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -15,6 +14,7 @@ MOST_BYTES = 1 << 28
 FREE_BYTES, MOST_RATIO = 1 << 30, 100
 """A file compressed as a whole may unpack to so much, and to so many times its size: clouds are
 packed to a third."""
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _PIECE = 1 << 20
 
 
@@ -86,8 +86,3 @@ def unpack_file(source: BinaryIO, target: BinaryIO) -> str | None:
     except zstandard.ZstdError as error:
         return f"{error}"
     return None if decompressor.eof else "compressed data end early (truncated)"
-
-
-def file_inside(path: Path) -> str | None:
-    """Name of the file that was compressed as a whole, None if this one was not."""
-    return path.stem if path.suffix in (".zstd", ".zst") else None

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from quadtree_lss.desk.replay.chunks import Chunk, ChunkedFile, Record
-from quadtree_lss.desk.replay.unpack import MOST_BYTES, DamagedError, unpack
+from quadtree_lss.desk.bags.compression import DamagedError
+from quadtree_lss.desk.bags.recorded_file import INDEX, Chunk, ChunkedFile, Record
 
 MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+MESSAGE, BAG_HEADER, MESSAGE_INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 MOST_HEADER = 1 << 16
 """Bytes of a record's header: two names and some numbers."""
 _LENGTH = struct.Struct("<I")
@@ -31,9 +31,8 @@ class Ros1File(ChunkedFile):
         if self._read(0, len(MAGIC)) != MAGIC:
             self.damage[0] = "no ROS 1 bag: wrong first bytes"
             return
-        indexed, infos = 0, 0
-        expected: dict[int, int] = {}
-        place, before = len(MAGIC), len(MAGIC)
+        indexed = infos = expected = 0
+        place = before = len(MAGIC)
         while place < self._size:
             found = self._record(place)
             if found is None:
@@ -46,19 +45,18 @@ class Ros1File(ChunkedFile):
             kind = fields["op"][0]
             try:
                 if kind == CHUNK:
-                    there = min(length, self._size - begin)
                     self._packed[begin] = (fields["compression"].decode(), _number(fields["size"]))
-                    self.chunks.append(Chunk(begin, length, there))
+                    self.chunks.append(Chunk(begin, length, min(length, self._size - begin)))
                 elif kind == BAG_HEADER:
-                    indexed = _number(fields["index_pos"]) and _number(fields["chunk_count"])
+                    indexed = any(fields["index_pos"]) and _number(fields["chunk_count"])
                 elif kind == CHUNK_INFO:
                     infos += 1
-                    for channel, count in struct.iter_unpack("<II", self._read(begin, length)):
-                        expected[channel] = expected.get(channel, 0) + count
+                    pairs = struct.iter_unpack("<II", self._read(begin, length))
+                    expected += sum(count for _, count in pairs)
                 elif kind == CONNECTION:
                     self._connect(fields, self._read(begin, length))
-                elif kind == INDEX and self.chunks:
-                    self._index(fields, self._read(begin, length))
+                elif kind == MESSAGE_INDEX and self.chunks:
+                    self._add_entries(fields, self._read(begin, length))
             except (KeyError, ValueError, struct.error):
                 self.damage.setdefault(place, "damaged record")
             place, before = begin + length, (begin + length if kind == CHUNK else place + 1)
@@ -66,10 +64,6 @@ class Ros1File(ChunkedFile):
             self.expected = expected
         else:
             self.cut = "has no usable index (truncated)"
-
-    def _read(self, place: int, length: int) -> bytes:
-        self._file.seek(place)
-        return self._file.read(length)
 
     def _record(self, place: int) -> tuple[Fields, int, int] | None:
         """Fields, place and length of the data of a record; None if none begins here.
@@ -115,28 +109,23 @@ class Ros1File(ChunkedFile):
         kind = f"{package}/msg/{name.removeprefix('msg/')}"
         self.topics[_number(fields["conn"])] = (rooted + "/".join(parts), kind)
 
-    def _index(self, fields: Fields, data: bytes) -> None:
-        entries = np.frombuffer(data, dtype="<u4").reshape(-1, 3).astype(np.int64)
-        if len(entries) != _number(fields["count"]):
+    def _add_entries(self, fields: Fields, data: bytes) -> None:
+        """The index of the last chunk's messages of a connection."""
+        rows = np.frombuffer(data, dtype="<u4").reshape(-1, 3).astype(np.int64)
+        if len(rows) != _number(fields["count"]):
             msg = "a damaged index"
             raise ValueError(msg)
-        if len(entries):
-            entries = entries[np.argsort(entries[:, 2], kind="stable")]
-            times = entries[:, 0] * 10**9 + entries[:, 1]
-            self.chunks[-1].times[_number(fields["conn"])] = times
+        entries = np.zeros(len(rows), INDEX)
+        entries["time_ns"], entries["offset"] = rows[:, 0] * 10**9 + rows[:, 1], rows[:, 2]
+        entries["channel"] = _number(fields["conn"])
+        self.chunks[-1].entries.append(entries)
 
-    def _open(self, chunk: Chunk) -> Iterator[Record]:
+    def _scan(self, chunk: Chunk) -> Iterator[Record]:
         compression, size = self._packed[chunk.place]
-        if chunk.length > MOST_BYTES:
-            msg = f"chunk of {chunk.length} bytes, {MOST_BYTES} is the most,"
-            raise DamagedError(msg)
-        data = unpack(compression, self._read(chunk.place, chunk.there), size)
-        if chunk.there == chunk.length and len(data) != size:
-            msg = f"chunk of {len(data)} bytes instead of {size}"
-            raise DamagedError(msg)
+        data = self._unpack(chunk, compression, chunk.place, size)
         offset = 0
         while offset < len(data):
-            parts = []
+            place, parts = offset, []
             for _ in range(2):
                 end = offset + _LENGTH.size
                 length = _LENGTH.unpack_from(data, offset)[0] if end <= len(data) else len(data)
@@ -154,14 +143,14 @@ class Ros1File(ChunkedFile):
                 elif fields.get("op") == bytes([MESSAGE]):
                     seconds, nanoseconds = struct.unpack("<II", fields["time"])
                     time_ns = seconds * 10**9 + nanoseconds
-                    yield Record(_number(fields["conn"]), time_ns, parts[1])
+                    yield Record(place, _number(fields["conn"]), time_ns, parts[1])
             except (KeyError, ValueError, struct.error):
                 msg = "damaged record in a chunk"
                 raise DamagedError(msg) from None
 
 
 def _number(value: bytes) -> int:
-    return int.from_bytes(value, "little")
+    return int.from_bytes(value[:4], "little")
 
 
 def _fields(header: bytes) -> Fields | None:

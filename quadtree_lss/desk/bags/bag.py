@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading ROS 2 and ROS 1 bags as a stream of raw messages, whatever their state.
 
-A bag is a list of files (`parts`). What could not be read stands in ``Bag.losses``.
+A bag is a list of files. What could not be read stands in ``Bag.losses``. rosbags, which decodes
+the messages, does not read the files: it ends at the first damage, unpacks without bounds, asks
+what an sqlite file would compute, and sorts by time what a recorder's clock put out of order.
 """
 
 from __future__ import annotations
@@ -9,54 +11,30 @@ from __future__ import annotations
 import difflib
 import heapq
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.desk.replay.parts import Part, of_one_time
-from quadtree_lss.desk.replay.records import ZSTD_MAGIC, RawMessage
-from quadtree_lss.desk.replay.types import (
-    GIMBAL_TYPE,
-    ODOMETRY_TYPE,
-    POSE_TYPE,
-    POSE_TYPES,
-    SCAN_TYPE,
-    TRANSFORMS_TYPE,
-    typestore,
-)
-from quadtree_lss.desk.replay.unpack import MOST_BYTES, file_inside, unpack, unpack_file
+from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, unpack, unpack_file
+from quadtree_lss.desk.bags.mcap_file import McapFile
+from quadtree_lss.desk.bags.message_types import OURS, typestore
+from quadtree_lss.desk.bags.recorded_file import LAST_NS, RawMessage, RecordedFile
+from quadtree_lss.desk.bags.ros1_file import Ros1File
+from quadtree_lss.desk.bags.sqlite_file import SqliteFile
 from quadtree_lss.onboard.config import yaml_text
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
 
-__all__ = [
-    "GIMBAL_TOPIC",
-    "GIMBAL_TYPE",
-    "ODOMETRY_TOPIC",
-    "ODOMETRY_TYPE",
-    "POSE_TOPIC",
-    "POSE_TYPE",
-    "POSE_TYPES",
-    "SCAN_TOPIC",
-    "SCAN_TYPE",
-    "TRANSFORMS_TOPIC",
-    "TRANSFORMS_TYPE",
-    "Bag",
-    "BagError",
-    "Topic",
-    "choose_pose_topic",
-    "choose_topic",
-]
-
-SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
-ODOMETRY_TOPIC, TRANSFORMS_TOPIC = "/nav/odometry", "/tf_static"
-
-OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
-"""How topics end that are clouds or poses by type, but our own output or what guidance says."""
+FORMATS: dict[str, type[RecordedFile]] = {
+    ".mcap": McapFile,
+    ".db3": SqliteFile,
+    ".bag": Ros1File,
+}
+PACKED = (".zstd", ".zst")
+"""How files end that are compressed as a whole."""
 
 
 class BagError(QuadtreeLssError):
@@ -86,7 +64,7 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._stack = ExitStack()
-        self._parts: list[Part] = []
+        self._files: list[RecordedFile] = []
         self._losses: list[str] = []
 
     def __enter__(self) -> Bag:
@@ -105,47 +83,43 @@ class Bag:
         """Recorded topics by name."""
         types: dict[str, str] = {}
         counts: dict[str, int] = {}
-        for part in self._parts:
-            for name, kind in part.extent.types.items():
-                types[name] = kind
-                counts[name] = counts.get(name, 0) + part.extent.counts.get(name, 0)
-        return [Topic(name, types[name], counts[name]) for name in sorted(types)]
+        for file in self._files:
+            types |= dict(file.topics.values())
+            for name, count in file.counts.items():
+                counts[name] = counts.get(name, 0) + count
+        return [Topic(name, types[name], counts.get(name, 0)) for name in sorted(types)]
 
     @property
     def start_ns(self) -> int:
         """Time of reception of the first message of any topic."""
-        return min(part.extent.start_ns for part in self._parts)
+        return min(file.start_ns for file in self._files)
 
     @property
     def end_ns(self) -> int:
         """Time of reception of the last message of any topic."""
-        return max(part.extent.end_ns for part in self._parts)
+        return max(file.end_ns for file in self._files)
 
     @property
     def losses(self) -> list[str]:
         """One line for each piece that could not be read, so far."""
-        lines = self._losses + [loss for part in self._parts for loss in part.losses]
+        lines = self._losses + [loss for file in self._files for loss in file.losses]
         return [one_line(line) for line in lines]
 
     @property
     def notes(self) -> list[str]:
         """What to know of the recording, one line each."""
-        return [one_line(note) for part in self._parts for note in part.notes]
+        return [one_line(note) for file in self._files for note in file.notes]
 
     def messages(
-        self, topics: Collection[str], start_ns: int = 0, stop_ns: int = 2**63 - 1
+        self, topics: Collection[str], start_ns: int = 0, stop_ns: int = LAST_NS
     ) -> Iterator[RawMessage]:
         """Raw messages of the topics with start_ns <= time of reception < stop_ns.
 
         One file after the other, as they were recorded; files of one time, such as one per topic,
         are joined by the time of reception.
         """
-        for parts in of_one_time(self._parts):
-            streams = [
-                part.messages(topics, start_ns, stop_ns)
-                for part in parts
-                if part.extent.start_ns < stop_ns and part.extent.end_ns >= start_ns
-            ]
+        for files in _of_one_time(self._files):
+            streams = (file.messages(topics, start_ns, stop_ns) for file in files)
             yield from heapq.merge(*streams, key=lambda message: message.received_ns)
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
@@ -162,38 +136,39 @@ class Bag:
                 return self._store.deserialize_ros1(content, msgtype)
             return self._store.deserialize_cdr(content, msgtype)
         except Exception as error:  # any content must do: SerdeError, struct.error, ValueError, …
-            text = f"{msgtype} cannot be decoded: {_line(error)}"
+            line = (str(error) or type(error).__name__).splitlines()[0]
+            text = f"{msgtype} cannot be decoded: {line}"
             raise MessageError("encoding", text) from None
 
     def _open(self) -> None:
         if not self.path.exists():
             msg = f"no such bag: {self.path}{likely_bag(self.path)}"
             raise BagError(msg)
+        files: list[RecordedFile] = []
         try:
-            files = self._files()
-            for file in files:
-                part = Part(self._plain(file))
-                self._parts.append(part)
+            for path in self._paths():
+                plain = self._unpacked(path)
+                files.append(FORMATS[plain.suffix](plain))
+                self._stack.callback(files[-1].close)
         except PermissionError as error:
             msg = f"{error.filename}: {error.strerror}"
             raise BagError(msg) from None
-        used = [part for part in self._parts if sum(part.extent.counts.values())]
-        if not used:
+        self._files = [file for file in files if len(file.index)]
+        self._losses += [loss for f in files if not len(f.index) for loss in f.losses]
+        if not self._files:
             lost = "; ".join(self.losses) or "it is empty"
             msg = f"{self.path}: no message can be read: {lost}"
             raise BagError(msg)
-        self._losses += [loss for p in self._parts if p not in used for loss in p.losses]
-        self._parts = used
-        self._ros1 = used[0].ros1
-        self._store = typestore(self._ros1, {topic.type for topic in self.topics})
+        self._ros1 = self._files[0].ros1
+        self._store = typestore(self._ros1, {topic.type for topic in self.topics} & set(OURS))
 
-    def _files(self) -> list[Path]:
+    def _paths(self) -> list[Path]:
         if self.path.is_file():
-            if _storage_suffix(self.path) is None:
+            if not _is_stored(self.path):
                 msg = f"{self.path}: not a bag (.mcap, .db3, .bag, or a folder of these)"
                 raise BagError(msg)
             return [self.path]
-        there = sorted(p for p in self.path.iterdir() if _storage_suffix(p) is not None)
+        listed = sorted(filter(_is_stored, self.path.iterdir()))
         try:
             with open(self.path / "metadata.yaml", encoding="utf-8") as file:
                 content: Any = parse_yaml(file.read(yaml_text.MOST_BYTES + 1), aliases=True)
@@ -201,24 +176,21 @@ class Bag:
             listed = [self.path / Path(name).name for name in names]
         except FileNotFoundError:
             self._losses.append("metadata.yaml is missing: was the recording cut off?")
-            listed = there
         except (OSError, ValueError, KeyError, TypeError, YamlError):
             self._losses.append("metadata.yaml cannot be read")
-            listed = there
         self._losses += [f"{p.name} is missing" for p in listed if not p.exists()]
-        files = [p for p in listed if p.exists()]
+        files = [p for p in listed if p.exists() and _is_stored(p)]
         if not files:
             msg = f"{self.path}: no bag: there is no .mcap, .db3 or .bag in it"
             raise BagError(msg + likely_bag(self.path))
         return files
 
-    def _plain(self, file: Path) -> Path:
+    def _unpacked(self, file: Path) -> Path:
         """The file itself, or what is in it if it is compressed as a whole."""
-        inside = file_inside(file)
-        if inside is None:
+        if file.suffix not in PACKED:
             return file
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="quadtree_lss_"))
-        plain = Path(folder) / inside
+        plain = Path(folder) / file.stem
         with open(file, "rb") as source, open(plain, "wb") as target:
             fault = unpack_file(source, target)
         if fault is not None:
@@ -226,9 +198,80 @@ class Bag:
         return plain
 
 
-def _storage_suffix(path: Path) -> str | None:
-    suffixes = [s for s in path.suffixes if s not in (".zstd", ".zst")]
-    return suffixes[-1] if suffixes and suffixes[-1] in (".mcap", ".db3", ".bag") else None
+class MessageBag(Bag):
+    """Messages that never were in a file, replayed like a bag, once.
+
+    Args:
+        name: Stands for the path in summaries and messages.
+        topics: All of them, with their numbers of messages.
+        span_ns: Times of reception of the first and of the last message.
+        messages: (topic, time of reception, message) in the order of reception.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        topics: Iterable[Topic],
+        span_ns: tuple[int, int],
+        messages: Iterable[tuple[str, int, Any]],
+    ) -> None:
+        super().__init__(Path(name))
+        self._topics, self._span_ns, self._messages = list(topics), span_ns, messages
+
+    def _open(self) -> None:
+        return
+
+    @property
+    def topics(self) -> list[Topic]:
+        """As of `Bag`."""
+        return self._topics
+
+    @property
+    def start_ns(self) -> int:
+        """As of `Bag`."""
+        return self._span_ns[0]
+
+    @property
+    def end_ns(self) -> int:
+        """As of `Bag`."""
+        return self._span_ns[1]
+
+    def messages(
+        self, topics: Collection[str], start_ns: int = 0, stop_ns: int = LAST_NS
+    ) -> Iterator[RawMessage]:
+        """As of `Bag`; what stands for the bytes is the message itself."""
+        for topic, received_ns, message in self._messages:
+            if topic in topics and start_ns <= received_ns < stop_ns:
+                yield RawMessage(topic, received_ns, message)
+
+    def decode(self, raw: Any, msgtype: str) -> Any:
+        """As of `Bag`."""
+        return raw
+
+
+def _of_one_time(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
+    """Files in their order, grouped with those before them whose time and no topic they share.
+
+    Files of the same topics are parts of one recording, whose clock may have stepped back.
+    """
+    groups: list[list[RecordedFile]] = []
+    for file in files:
+        if groups and any(_beside(file, other) for other in groups[-1]):
+            groups[-1].append(file)
+        else:
+            groups.append([file])
+    return groups
+
+
+def _beside(one: RecordedFile, other: RecordedFile) -> bool:
+    if one.counts.keys() & other.counts.keys():
+        return False
+    return one.start_ns < other.end_ns and other.start_ns < one.end_ns
+
+
+def _is_stored(path: Path) -> bool:
+    suffixes = [suffix for suffix in path.suffixes if suffix not in PACKED]
+    return bool(suffixes) and suffixes[-1] in FORMATS
 
 
 def likely_bag(path: Path) -> str:
@@ -247,8 +290,8 @@ def likely_bag(path: Path) -> str:
 
 def _holds_bag(path: Path) -> bool:
     if path.is_dir():
-        return any(p.is_file() and _storage_suffix(p) is not None for p in _listing(path))
-    return _storage_suffix(path) is not None
+        return any(p.is_file() and _is_stored(p) for p in _listing(path))
+    return _is_stored(path)
 
 
 def _listing(folder: Path) -> list[Path]:
@@ -256,68 +299,3 @@ def _listing(folder: Path) -> list[Path]:
         return sorted(folder.iterdir())
     except OSError:
         return []
-
-
-def _line(error: Exception) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0]
-
-
-def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option: str) -> str:
-    """The topic of a type to read: the one asked for, else the default, else the only one.
-
-    Args:
-        bag: An open bag.
-        asked: What the user named, or None.
-        default: Taken if present.
-        msgtype: Type the topic must have.
-        option: Command-line option by which the user can choose, for messages.
-
-    Raises:
-        BagError: lists the candidates.
-    """
-    fitting = [t.name for t in bag.topics if t.type == msgtype and t.count]
-    if asked is None:
-        fitting = [name for name in fitting if not name.endswith(OUTPUTS)]
-    candidates = ", ".join(fitting) or "none"
-    if asked is not None:
-        name = asked if asked.startswith("/") else f"/{asked}"
-        if name in fitting:
-            return name
-        if asked in fitting:
-            return asked
-        msg = f"{bag.path}: no {msgtype} on topic {asked}; candidates for {option}: {candidates}"
-        raise BagError(msg)
-    if default in fitting:
-        return default
-    if len(fitting) == 1:
-        return fitting[0]
-    if not fitting:
-        there = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in bag.topics) or "none"
-        msg = f"{bag.path}: no messages of type {msgtype}; topics: {there}"
-        raise BagError(msg)
-    msg = f"{bag.path}: several topics of type {msgtype}: choose one by {option}: {candidates}"
-    raise BagError(msg)
-
-
-def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str]:
-    """Topic and type of the poses: of the type preferred, of the other if there is none of it.
-
-    Args:
-        bag: An open bag.
-        asked: Topic that the user named, or None.
-        source: ``pose`` or ``odometry``, as ``pose.source`` has it.
-
-    Raises:
-        BagError: lists the candidates.
-    """
-    kinds = [(POSE_TOPIC, POSE_TYPE), (ODOMETRY_TOPIC, ODOMETRY_TYPE)]
-    if source == "odometry":
-        kinds.reverse()
-    names = set() if asked is None else {asked, f"/{asked}"}
-    for default, kind in kinds:
-        there = [t.name for t in bag.topics if t.type == kind and t.count]
-        if asked is None:
-            there = [name for name in there if not name.endswith(OUTPUTS)]
-        if there and (asked is None or names & set(there)):
-            return choose_topic(bag, asked, default, kind, "--pose-topic"), kind
-    return choose_topic(bag, asked, kinds[0][0], kinds[0][1], "--pose-topic"), kinds[0][1]

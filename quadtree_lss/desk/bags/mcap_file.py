@@ -14,8 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from quadtree_lss.desk.replay.chunks import Chunk, ChunkedFile, Record
-from quadtree_lss.desk.replay.unpack import MOST_BYTES, DamagedError, unpack
+from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError
+from quadtree_lss.desk.bags.recorded_file import INDEX, Chunk, ChunkedFile, Record, as_times
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, STATISTICS = 2, 3, 4, 5, 6, 7, 11
@@ -39,7 +39,7 @@ class McapFile(ChunkedFile):
         if self._read(0, len(MAGIC)) != MAGIC:
             self.damage[0] = "no mcap file: wrong first bytes"
             return
-        place, before = len(MAGIC), len(MAGIC)
+        place = before = len(MAGIC)
         while place < self._size:
             kind, length = self._head(place)
             if kind == FOOTER and length == 20 and place == self._size - 37:
@@ -50,14 +50,19 @@ class McapFile(ChunkedFile):
                     self.damage.setdefault(place, "records damaged or cut out")
                 place = before
                 continue
-            end = self._take(place, kind, length)
+            begin, end = place + _HEAD.size, place + _HEAD.size + length
+            if kind == CHUNK:
+                self.chunks.append(Chunk(begin, length, min(length, self._size - begin)))
+            elif kind == MESSAGE:
+                self._add_message(place, end)
+            else:
+                try:
+                    self._declare(kind, self._read(begin, min(length, MOST_BYTES)))
+                except (struct.error, UnicodeDecodeError, ValueError):
+                    self.damage.setdefault(place, "damaged record")
             # A chunk's length is sure; what leads out of another record may be damaged itself.
             before, place = (end if kind == CHUNK else place + 1), end
         self.cut = "ends before its end mark (truncated)"
-
-    def _read(self, place: int, length: int) -> bytes:
-        self._file.seek(place)
-        return self._file.read(length)
 
     def _head(self, place: int) -> tuple[int, int]:
         head = self._read(place, _HEAD.size)
@@ -69,10 +74,9 @@ class McapFile(ChunkedFile):
         begin = place + _HEAD.size
         if kind == CHUNK:
             return self._records_of(begin, length) is not None
-        known = 0 < kind <= LAST_KIND or kind >= FIRST_PRIVATE
         if kind == MESSAGE:
-            known = _MESSAGE.size <= length <= MOST_BYTES
-        return known and (begin + length <= self._size or length <= MOST_BYTES and kind == MESSAGE)
+            return _MESSAGE.size <= length <= MOST_BYTES
+        return (0 < kind <= LAST_KIND or kind >= FIRST_PRIVATE) and begin + length <= self._size
 
     def _records_of(self, begin: int, length: int) -> tuple[str, int, int, int] | None:
         """Compression, size unpacked, checksum and place of a chunk's records; None if it is none.
@@ -95,8 +99,8 @@ class McapFile(ChunkedFile):
     def _next_chunk(self, after: int) -> int:
         """Where the next chunk begins, or the next message outside chunks; else the file's end."""
         while after < self._size:
-            block = self._read(after, _BLOCK + _HEAD.size)
-            for found in _CANDIDATE.finditer(block, 0, _BLOCK):
+            block = self._read(after, _BLOCK)
+            for found in _CANDIDATE.finditer(block):
                 place = after + found.start()
                 if block[found.start()] == CHUNK:
                     if self._plausible(place):
@@ -108,26 +112,11 @@ class McapFile(ChunkedFile):
 
     def _is_message(self, place: int) -> bool:
         """Whether a message begins here: of a known channel, and followed by a record."""
-        kind, length = self._head(place)
-        if kind != MESSAGE or not self._plausible(place):
+        _, length = self._head(place)
+        if not self._plausible(place):
             return False
         (channel,) = struct.unpack("<H", self._read(place + _HEAD.size, 2))
         return channel in self.topics and self._plausible(place + _HEAD.size + length)
-
-    def _take(self, place: int, kind: int, length: int) -> int:
-        """Note what a record says; where the next one begins."""
-        begin, end = place + _HEAD.size, place + _HEAD.size + length
-        if kind == CHUNK:
-            self.chunks.append(Chunk(begin, length, min(length, self._size - begin)))
-        elif kind == MESSAGE:
-            self._add_message(place, end)
-        elif kind in (SCHEMA, CHANNEL, MESSAGE_INDEX, STATISTICS):
-            content = self._read(begin, min(length, MOST_BYTES))
-            try:
-                self._declare(kind, content)
-            except (struct.error, UnicodeDecodeError, ValueError):
-                self.damage.setdefault(place, "damaged record")
-        return end
 
     def _add_message(self, place: int, end: int) -> None:
         """A message outside chunks joins those right before it."""
@@ -144,79 +133,65 @@ class McapFile(ChunkedFile):
         """A schema, a channel, the index of the last chunk, or the numbers at the file's end."""
         if kind == SCHEMA:
             (number,) = struct.unpack_from("<H", content)
-            self._schemas[number] = _text(content, 2)[0]
+            self._schemas[number] = _text(content, 2)
         elif kind == CHANNEL:
             number, schema = struct.unpack_from("<HH", content)
-            self.topics[number] = (_text(content, 4)[0], self._schemas.get(schema, ""))
+            self.topics[number] = (_text(content, 4), self._schemas.get(schema, ""))
         elif kind == STATISTICS:
             (size,) = struct.unpack_from("<I", content, 42)
             pairs = struct.iter_unpack("<HQ", content[46 : 46 + size])
-            self.expected = {channel: min(count, 2**40) for channel, count in pairs}
-        elif self.chunks and self.chunks[-1].place not in self._runs:
+            self.expected = sum(min(count, 2**40) for _, count in pairs)
+        elif kind == MESSAGE_INDEX and self.chunks and self.chunks[-1].place not in self._runs:
             channel, size = struct.unpack_from("<HI", content)
-            entries = np.frombuffer(content, dtype="<u8", count=size // 8, offset=6).reshape(-1, 2)
-            if len(entries):
-                in_place = np.argsort(entries[:, 1], kind="stable")
-                self.chunks[-1].times[channel] = np.minimum(
-                    entries[in_place, 0], np.uint64(2**63 - 1)
-                ).astype(np.int64)
+            pairs = np.frombuffer(content, "<u8", size // 8, 6).reshape(-1, 2)
+            entries = np.zeros(len(pairs), INDEX)
+            entries["time_ns"], entries["offset"] = as_times(pairs[:, 0]), as_times(pairs[:, 1])
+            entries["channel"] = channel
+            self.chunks[-1].entries.append(entries)
 
-    def _open(self, chunk: Chunk) -> Iterator[Record]:
+    def _scan(self, chunk: Chunk) -> Iterator[Record]:
         if chunk.place in self._runs:
             records = self._read(chunk.place, chunk.there)
         else:
             records = self._unpacked(chunk)
         offset = 0
-        while offset < len(records):
-            if offset + _HEAD.size > len(records):
-                break
+        while offset + _HEAD.size <= len(records):
             kind, length = _HEAD.unpack_from(records, offset)
-            offset += _HEAD.size
-            if offset + length > len(records):
+            begin, end = offset + _HEAD.size, offset + _HEAD.size + length
+            if end > len(records):
                 break
             if kind in (SCHEMA, CHANNEL):
                 try:
-                    self._declare(kind, records[offset : offset + length])
-                except (struct.error, UnicodeDecodeError) as error:
+                    self._declare(kind, records[begin:end])
+                except (struct.error, ValueError) as error:
                     msg = "damaged record in a chunk"
                     raise DamagedError(msg) from error
             elif kind == MESSAGE and length >= _MESSAGE.size:
-                channel, _, time_ns, _ = _MESSAGE.unpack_from(records, offset)
-                begin = offset + _MESSAGE.size
-                raw = records[begin : offset + length]
-                yield Record(channel, min(time_ns, 2**63 - 1), raw)
-            offset += length
+                channel, _, time_ns, _ = _MESSAGE.unpack_from(records, begin)
+                time_ns = min(time_ns, 2**63 - 1)
+                yield Record(offset, channel, time_ns, records[begin + _MESSAGE.size : end])
+            offset = end
         if offset != len(records) and chunk.there == chunk.length:
             msg = "a record leads out of its chunk"
             raise DamagedError(msg)
 
     def _unpacked(self, chunk: Chunk) -> bytes:
-        """Records of a chunk; of a cut one those that are there."""
         found = self._records_of(chunk.place, chunk.length)
         if found is None:
             msg = "damaged chunk"
             raise DamagedError(msg)
         compression, size, checksum, begin = found
-        if chunk.length > MOST_BYTES:
-            msg = f"chunk of {chunk.length} bytes, {MOST_BYTES} is the most,"
+        records = self._unpack(chunk, compression, begin, size)
+        if chunk.there == chunk.length and checksum and zlib.crc32(records) != checksum:
+            msg = "wrong checksum of a chunk"
             raise DamagedError(msg)
-        data = self._read(begin, chunk.place + chunk.there - begin)
-        records = unpack(compression, data, size)
-        if chunk.there == chunk.length:
-            if len(records) != size:
-                msg = f"chunk of {len(records)} bytes instead of {size}"
-                raise DamagedError(msg)
-            if checksum and zlib.crc32(records) != checksum:
-                msg = "wrong checksum of a chunk"
-                raise DamagedError(msg)
         return records
 
 
-def _text(content: bytes, place: int) -> tuple[str, int]:
-    """A text and where it ends."""
+def _text(content: bytes, place: int) -> str:
     (length,) = struct.unpack_from("<I", content, place)
     end = place + 4 + length
     if end > len(content):
         msg = "a text leads out of its record"
         raise ValueError(msg)
-    return content[place + 4 : end].decode(), end
+    return content[place + 4 : end].decode()

@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.results import plain, write_bytes
-from quadtree_lss.desk.replay.saved import Grid, Results, ResultsError, load_results
+from quadtree_lss.desk.replay.files import plain, write_bytes, write_json
+from quadtree_lss.desk.replay.results import Grid, Results, ResultsError, load_results
 from quadtree_lss.onboard.arrays import Array, Mask
 
 UNMAPPED, UNSEEN = 64, 128
@@ -143,8 +142,7 @@ def compare_results(
     a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
     grid = a.grid
     row, column, inside = _nearest(b.grid, grid.x, grid.y)
-    seen_a = (grid["hazard"] & UNSEEN) == 0
-    seen_b = inside & ((b.grid["hazard"] & UNSEEN) == 0)[row, column]
+    seen_a, seen_b = _seen(grid), inside & _seen(b.grid)[row, column]
     both = seen_a & seen_b
     y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
     one, other = a.map.at(x, y), b.map.at(x, y)
@@ -165,8 +163,8 @@ def compare_results(
         safe_second=area * np.count_nonzero(safe_b),
         gained=area * np.count_nonzero(safe_b & ~safe_a),
         lost=area * np.count_nonzero(safe_a & ~safe_b),
-        seen_first=area * np.count_nonzero(seen_a & ~seen_b),
-        seen_second=_seen_alone(b.grid, grid, seen_a),
+        seen_first=_seen_alone(grid, b.grid),
+        seen_second=_seen_alone(b.grid, grid),
         sites_kept=kept,
         sites_gained=gained,
         sites_lost=lost,
@@ -185,10 +183,14 @@ def _nearest(grid: Grid, x: Array, y: Array) -> tuple[Any, Any, Mask]:
     return row[:, None], column[None, :], inside[0][:, None] & inside[1][None, :]
 
 
-def _seen_alone(grid: Grid, other: Grid, seen_other: Mask) -> float:
+def _seen(grid: Grid) -> Mask:
+    return (grid["hazard"] & UNSEEN) == 0
+
+
+def _seen_alone(grid: Grid, other: Grid) -> float:
+    """Ground that a grid has seen and the other has not, m^2."""
     row, column, inside = _nearest(other, grid.x, grid.y)
-    seen = (grid["hazard"] & UNSEEN) == 0
-    return grid.spacing**2 * np.count_nonzero(seen & ~(inside & seen_other[row, column]))
+    return grid.spacing**2 * np.count_nonzero(_seen(grid) & ~(inside & _seen(other)[row, column]))
 
 
 def _heights(difference: Array, deviation: Array, x: Array, y: Array) -> Heights:
@@ -249,8 +251,7 @@ def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
 
 def _write(out: Path, result: Comparison) -> None:
     try:
-        text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
-        write_bytes(out / "comparison.json", (text + "\n").encode())
+        write_json(out / "comparison.json", result.as_dict())
         write_bytes(out / "comparison.png", _picture(result))
     except OSError as error:
         msg = f"{out}: cannot be written: {error.strerror}"

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from quadtree_lss.desk.replay.bags import Bag
-from quadtree_lss.desk.replay.cloud_files import open_recording
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.stream import Stream
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport

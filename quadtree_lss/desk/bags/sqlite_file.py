@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading rosbag2's sqlite3 files in whatever state, without running what may stand in them.
+
+Only true tables are asked: a view or a computed column could take for ever. A row costs no more
+than itself; where a query ends in damage, the rest is asked for row by row.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.desk.bags.compression import MOST_BYTES
+from quadtree_lss.desk.bags.recorded_file import INDEX, RecordedFile
+
+MISSES_IN_A_ROW = 10_000
+"""So many numbers without a row end the search for more."""
+_STEPS = 100_000
+"""Of sqlite's machine between two looks at how much it has done."""
+
+
+class SqliteFile(RecordedFile):
+    """A rosbag2 sqlite3 file."""
+
+    def _open(self) -> None:
+        self._faults: Counter[str] = Counter()
+        self._unread: dict[int, str] = {}
+        self.path.open("rb").close()  # one that may not be read is no damaged one
+        # A sound table is read in a few steps for each of its bytes.
+        self._left = 100 + 10 * self.path.stat().st_size // _STEPS
+        uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
+        self._database = sqlite3.connect(uri, uri=True)
+        self._database.text_factory = lambda text: text.decode("utf-8", "replace")
+        try:
+            # Otherwise a file shorter than its header says is refused as a whole.
+            self._database.execute("PRAGMA writable_schema = ON")
+            self._database.set_progress_handler(self._worked, _STEPS)
+            self._read_topics()
+            self.index = np.fromiter(self._rows(), INDEX)
+        except sqlite3.Error as error:
+            self._faults[str(error)] += 1
+
+    def close(self) -> None:
+        """As of `RecordedFile`."""
+        self._database.close()
+
+    @property
+    def losses(self) -> list[str]:
+        """One line for each kind of what could not be read, up to now."""
+        faults = [f"{n} x {what}" if n > 1 else what for what, n in self._faults.items()]
+        if self.impossible_times:
+            number = f"{self.impossible_times} x " if self.impossible_times > 1 else ""
+            faults.append(f"{number}row with an impossible time of reception, mended")
+        if self._unread:
+            row, why = next(iter(self._unread.items()))
+            faults.append(f"{len(self._unread)} messages lost, the first in row {row}: {why}")
+        return [f"{self.path.name}: {fault}" for fault in faults]
+
+    def _worked(self) -> int:
+        """Ends a query that does far more than read what is there; 0 lets it go on."""
+        self._left -= 1
+        return int(self._left < 0)
+
+    def _read_topics(self) -> None:
+        for table in ("topics", "messages"):
+            query = "SELECT type, rootpage FROM sqlite_master WHERE name = ?"
+            kind, page = self._database.execute(query, (table,)).fetchone() or ("missing", 0)
+            columns = self._database.execute(f"PRAGMA table_xinfo({table})").fetchall()
+            if kind != "table" or not page or any(column[-1] for column in columns):
+                msg = f"{table} is not a plain table ({kind})"
+                raise sqlite3.DatabaseError(msg)
+        rows = self._database.execute("SELECT id, name, type FROM topics").fetchmany(1 << 16)
+        for number, name, kind in rows:
+            if isinstance(number, int) and isinstance(name, str) and isinstance(kind, str):
+                self.topics[number] = (name, kind)
+            else:
+                self._faults["topic that cannot be read"] += 1
+
+    def _rows(self) -> Iterator[tuple[int, int, int, int]]:
+        """`INDEX` of each usable row, in their order; an impossible time is -1."""
+        query, last = "SELECT id, topic_id, timestamp FROM messages", 0
+        try:
+            for row in self._database.execute(f"{query} ORDER BY id"):
+                last = max(last, row[0] if isinstance(row[0], int) else 0)
+                yield from self._usable(*row)
+        except sqlite3.Error as error:
+            self._faults[f"rows that cannot be read: {error}"] += 1
+            missing = 0
+            while missing < MISSES_IN_A_ROW and self._left > 0:
+                last, missing = last + 1, missing + 1
+                try:
+                    found = self._database.execute(f"{query} WHERE id = ?", (last,)).fetchone()
+                except sqlite3.Error as fault:
+                    self._unread[last] = str(fault)
+                    continue
+                if found is not None:
+                    missing = 0
+                    yield from self._usable(*found)
+
+    def _usable(
+        self, row: object, channel: object, time: object
+    ) -> Iterator[tuple[int, int, int, int]]:
+        if isinstance(row, int) and isinstance(channel, int) and channel in self.topics:
+            yield time if isinstance(time, int) else -1, row, channel, 0
+        else:
+            self._faults["row of no topic"] += 1
+
+    def _contents(self, places: NDArray[np.intp]) -> Iterator[tuple[int, bytes]]:
+        size = "SELECT length(data), typeof(data) FROM messages WHERE id = ?"
+        for place in map(int, places):
+            row = int(self.index[place]["offset"])
+            try:
+                length, kind = self._database.execute(size, (row,)).fetchone()
+                if kind == "blob" and length <= MOST_BYTES:
+                    query = "SELECT data FROM messages WHERE id = ?"
+                    yield place, self._database.execute(query, (row,)).fetchone()[0]
+                else:
+                    self._unread[row] = f"data are {kind} of {length} bytes"
+            except (sqlite3.Error, TypeError) as error:
+                self._unread[row] = str(error)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topics of a bag are meant: by name, else by type; where that is not clear, one line."""
+
+from __future__ import annotations
+
+from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.bags.message_types import ODOMETRY_TYPE, POSE_TYPE
+from quadtree_lss.onboard.messages.landing_inputs import TYPES
+from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
+
+SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
+ODOMETRY_TOPIC, TRANSFORMS_TOPIC = "/nav/odometry", "/tf_static"
+
+OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
+"""How topics end that are clouds or poses by type, but our own output or what guidance says."""
+
+
+def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option: str) -> str:
+    """The topic of a type to read: the one asked for, else the default, else the only one.
+
+    Args:
+        bag: An open bag.
+        asked: What the user named, or None.
+        default: Taken if present.
+        msgtype: Type the topic must have.
+        option: Command-line option by which the user can choose, for messages.
+
+    Raises:
+        BagError: lists the candidates.
+    """
+    fitting = [t.name for t in bag.topics if t.type == msgtype and t.count]
+    if asked is None:
+        fitting = [name for name in fitting if not name.endswith(OUTPUTS)]
+    candidates = ", ".join(fitting) or "none"
+    if asked is not None:
+        name = asked if asked.startswith("/") else f"/{asked}"
+        if name in fitting:
+            return name
+        if asked in fitting:
+            return asked
+        msg = f"{bag.path}: no {msgtype} on topic {asked}; candidates for {option}: {candidates}"
+        raise BagError(msg)
+    if default in fitting:
+        return default
+    if len(fitting) == 1:
+        return fitting[0]
+    if not fitting:
+        there = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in bag.topics) or "none"
+        msg = f"{bag.path}: no messages of type {msgtype}; topics: {there}"
+        raise BagError(msg)
+    msg = f"{bag.path}: several topics of type {msgtype}: choose one by {option}: {candidates}"
+    raise BagError(msg)
+
+
+def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str]:
+    """Topic and type of the poses: of the type preferred, of the other if there is none of it.
+
+    Args:
+        bag: An open bag.
+        asked: Topic that the user named, or None.
+        source: ``pose`` or ``odometry``, as ``pose.source`` has it.
+
+    Raises:
+        BagError: lists the candidates.
+    """
+    kinds = [(POSE_TOPIC, POSE_TYPE), (ODOMETRY_TOPIC, ODOMETRY_TYPE)]
+    if source == "odometry":
+        kinds.reverse()
+    names = set() if asked is None else {asked, f"/{asked}"}
+    for default, kind in kinds:
+        there = [t.name for t in bag.topics if t.type == kind and t.count]
+        if asked is None:
+            there = [name for name in there if not name.endswith(OUTPUTS)]
+        if there and (asked is None or names & set(there)):
+            return choose_topic(bag, asked, default, kind, "--pose-topic"), kind
+    return choose_topic(bag, asked, kinds[0][0], kinds[0][1], "--pose-topic"), kinds[0][1]
+
+
+def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]:
+    """``area``, ``keep_out`` or ``target`` by the topic of an open bag that tells it.
+
+    Args:
+        without: Names that are not looked for.
+
+    Raises:
+        BagError: several topics end alike and none has the plain name.
+    """
+    found = {}
+    for name, kind in TYPES.items():
+        plain = f"/landing/{name}"
+        there = [
+            t.name for t in bag.topics if t.type == kind and t.count and t.name.endswith(plain)
+        ]
+        if name in without or not there:
+            continue
+        if plain not in there and len(there) > 1:
+            option = name.replace("_", "-")
+            msg = f"{bag.path}: several topics of landing/{name}: {', '.join(there)}; say which"
+            msg += f" polygon or place holds by --{option}"
+            raise BagError(msg)
+        found[plain if plain in there else there[0]] = name
+    return found
