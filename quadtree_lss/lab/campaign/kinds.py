@@ -82,6 +82,11 @@ class Quantity:
     of: str | None = None
     ranked: bool = True
 
+    @property
+    def title(self) -> str:
+        """Label with the unit."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
 
 @dataclass(frozen=True)
 class Kind:

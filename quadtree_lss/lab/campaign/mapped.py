@@ -15,7 +15,7 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.summary import peak_memory_mb
 from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity, Value
 from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
-from quadtree_lss.lab.evaluation.reliability import EDGES, Reliability
+from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation import SCENARIOS, simulate

@@ -45,8 +45,7 @@ class Line:
             bounds = f"{100.0 * self.low:.2f} … {100.0 * self.high:.2f} %" if self.count else "–"
             return q.label, f"{self.events} of {self.count}", bounds, "–", flight
         interval = "–" if self.low != self.low else f"{self.low:{digits}} … {self.high:{digits}}"
-        label = f"{q.label} [{q.unit}]" if q.unit else q.label
-        return label, _show(self.mean, digits), interval, _show(self.worst, digits), flight
+        return q.title, _show(self.mean, digits), interval, _show(self.worst, digits), flight
 
 
 def _show(value: float, digits: str) -> str:
@@ -207,7 +206,7 @@ def _line_dict(line: Line) -> dict[str, Any]:
 
 def write_summary(result: CampaignResult, store: Store) -> None:
     """``campaign.json``, ``flights.csv``, ``campaign.html`` and its figures."""
-    from quadtree_lss.lab.campaign.page import page_files
+    from quadtree_lss.lab.campaign.campaign_page import page_files
 
     files = [store.path(result.study.case(index)).name for index in result.records]
     text = json.dumps({**result.as_dict(), "files": files}, indent=1, allow_nan=False)

@@ -68,8 +68,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.lab.flight.flight_page import write_flight
     from quadtree_lss.lab.flight.fly import flown, least_propellant
-    from quadtree_lss.lab.flight.page import write_flight
     from quadtree_lss.lab.flight.settings import flight_settings
 
     settings = flight_settings(_values(options))

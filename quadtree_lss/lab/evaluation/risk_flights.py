@@ -14,7 +14,7 @@ from quadtree_lss import build
 from quadtree_lss.desk.replay.bags import Topic
 from quadtree_lss.desk.replay.memory import MessageBag
 from quadtree_lss.desk.replay.steps import steps
-from quadtree_lss.lab.evaluation.reliability import scores
+from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.evaluation.risk_fit import (
     ABOUT_BINS,
