@@ -37,7 +37,7 @@ desk.commands: onboard.config desk.exchange desk.replay desk.player
 lab.simulation: build
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.replay lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
-lab.live: lab.flight
+lab.live: lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.replay desk.report
 lab.evaluation: lab.simulation
 lab.campaign: onboard.config desk.replay desk.report lab.evaluation lab.flight lab.simulation

@@ -27,10 +27,10 @@ from quadtree_lss.lab.evaluation.risk_fit import (
     rounded,
     unfitted,
 )
-from quadtree_lss.lab.simulation.flight import Simulation
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, TYPES
-from quadtree_lss.lab.simulation.safety import Lander, contact_safe, on_dem
+from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe, on_dem
+from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.risk import RiskModel
@@ -122,10 +122,10 @@ def fly(
     return [Mapped(cells, known, safe) for cells in found]
 
 
-def lander_of(config: Config) -> Lander:
+def lander_of(config: Config) -> LandingGear:
     """The vehicle that the parameters describe: whose safety is judged, and is true."""
     lss = config.lss
-    return Lander(
+    return LandingGear(
         diameter=lss.vehicle_diameter,
         pad_radius=lss.pad_radius,
         max_slope_deg=lss.max_slope_deg,

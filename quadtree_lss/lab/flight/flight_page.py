@@ -19,7 +19,7 @@ from quadtree_lss.desk.report.pages import render
 from quadtree_lss.lab.flight.fly import Flown
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.pilot import Decision
-from quadtree_lss.lab.simulation.safety import Lander
+from quadtree_lss.lab.simulation.safety import LandingGear
 
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 
@@ -103,7 +103,7 @@ def _above(axes: Axes, flown: Flown) -> None:
 
 def _touchdown(axes: Axes, flown: Flown) -> None:
     """The lander's circle and pads at two headings on the true ground."""
-    ground, lander = flown.flight.ground, Lander()
+    ground, lander = flown.flight.ground, LandingGear()
     x, y = flown.figures["x"], flown.figures["y"]
     shown = _terrain(axes, ground, np.array([x, y]), 4.0)
     if shown is not None:

@@ -13,8 +13,13 @@ from scipy.spatial.transform import Rotation
 from quadtree_lss.lab.simulation.hazard_field import HazardField, hazard_field, strewn
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
-from quadtree_lss.lab.simulation.parabola import Parabola
-from quadtree_lss.lab.simulation.terrain import SimulationError, Surface, Terrain, load_terrain
+from quadtree_lss.lab.simulation.terrain import (
+    Parabola,
+    SimulationError,
+    Surface,
+    Terrain,
+    load_terrain,
+)
 from quadtree_lss.lab.simulation.trajectory import (
     Sweep,
     Trajectory,
@@ -31,7 +36,7 @@ EDGE = 2.25
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlightPlan:
     """One flight: what is seen, from where, when, and how well the vehicle knows its pose."""
 
     surface: Surface
@@ -44,7 +49,7 @@ class Flight:
     box: tuple[float, float, float, float]
 
 
-Planner = Callable[["Request", int], Flight]
+Planner = Callable[["Request", int], FlightPlan]
 
 
 @dataclass(frozen=True)
@@ -105,7 +110,7 @@ def _times(duration: float, rate: float, first: float = 0.0) -> Array:
     return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1, dtype=np.float64) / rate
 
 
-def _parabola(request: Request, flight: int) -> Flight:
+def _parabola(request: Request, flight: int) -> FlightPlan:
     """Section VI; ``duration`` cuts the flight short."""
     parabola = Parabola()
     truth = request.terrain or parabola.terrain()
@@ -116,7 +121,7 @@ def _parabola(request: Request, flight: int) -> Flight:
         raise SimulationError(msg)
     box = _box(request.terrain, 60.0) if request.terrain else (-60.0, 60.0, -60.0, 60.0)
     times = _times(request.duration, 1.0)
-    return Flight(
+    return FlightPlan(
         surface=surface,
         truth=truth,
         lidar=request.lidar(10.0, 0.08),
@@ -128,7 +133,7 @@ def _parabola(request: Request, flight: int) -> Flight:
     )
 
 
-def _morpheus(request: Request, flight: int) -> Flight:
+def _morpheus(request: Request, flight: int) -> FlightPlan:
     """Section VII; a shorter ``duration`` sweeps a smaller box (20 m at least) as densely."""
     terrain = request.terrain
     assert terrain is not None
@@ -148,7 +153,7 @@ def _morpheus(request: Request, flight: int) -> Flight:
     scans = (
         np.arange(int(np.floor(request.duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0
     ) / rate
-    return Flight(
+    return FlightPlan(
         surface=terrain,
         truth=terrain,
         lidar=request.lidar(1.0, 0.06),
@@ -160,7 +165,7 @@ def _morpheus(request: Request, flight: int) -> Flight:
     )
 
 
-def _descent(request: Request, flight: int) -> Flight:
+def _descent(request: Request, flight: int) -> FlightPlan:
     """From 200 m to 50 m above any terrain, looking down with 20°, 5 Hz; faster if shorter."""
     terrain = request.terrain
     assert terrain is not None
@@ -169,7 +174,7 @@ def _descent(request: Request, flight: int) -> Flight:
     scans = (
         np.arange(max(int(np.floor(request.duration * 5.0 + 1e-9)), 1), dtype=np.float64) + 0.137
     ) / 5.0
-    return Flight(
+    return FlightPlan(
         surface=terrain,
         truth=terrain,
         lidar=request.lidar(20.0, 0.06),

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messages
-from quadtree_lss.lab.simulation.safety import Lander, safety_map
+from quadtree_lss.lab.simulation.safety import LandingGear, safety_map
 from quadtree_lss.lab.simulation.scenarios import (
     GRID_SPACING,
     SCENARIOS,
-    Flight,
+    FlightPlan,
     make_request,
     quaternions,
 )
@@ -40,7 +40,7 @@ class Arrival(NamedTuple):
 class Leg:
     """One flight of several over the same ground: its schedule, and what has been flown of it."""
 
-    plan: Flight
+    plan: FlightPlan
     start_ns: int
     outlines: list[Array] = field(default_factory=list)
     poses: int = 0
@@ -142,9 +142,9 @@ class Simulation:
                 cloud = self.make.scan(int(leg.scan_ns[k]), scan)
                 yield Arrival(SCAN_TOPIC, received_ns, cloud)
 
-    def truth(self, bag_name: str, lander: Lander | None = None) -> dict[str, NDArray[Any]]:
+    def truth(self, bag_name: str, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
         """Content of ``truth.npz`` for what has been flown."""
-        lander = lander or Lander()
+        lander = lander or LandingGear()
         flown = [leg for leg in self.legs if leg.scans]
         xmin, xmax, ymin, ymax = self.box
         safe_x = xmin + GRID_SPACING * np.arange(round((xmax - xmin) / GRID_SPACING) + 1)
