@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,11 +12,8 @@ from scipy.stats import spearmanr
 from quadtree_lss.desk.report.drawing import png
 from quadtree_lss.desk.report.pages import render
 from quadtree_lss.lab.campaign.kinds import Quantity
-from quadtree_lss.lab.campaign.statistics import bootstrap
+from quadtree_lss.lab.campaign.summary import CampaignResult, bootstrap, flown, groups, number
 from quadtree_lss.lab.evaluation.figures import RUNS
-
-if TYPE_CHECKING:
-    from quadtree_lss.lab.campaign.summary import CampaignResult
 
 MOST_REASONS = 4
 BINS = 6
@@ -76,8 +72,6 @@ def _figure(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
 
 def _distributions(result: CampaignResult) -> Figure:
     """How each explained quantity is spread, combination by combination."""
-    from quadtree_lss.lab.campaign.summary import flown, groups, number
-
     kind = result.study.what
     names = kind.explained or tuple(q.name for q in kind.quantities[:2])
     figure, panels = _figure(1, len(names))
@@ -99,8 +93,6 @@ def _distributions(result: CampaignResult) -> Figure:
 
 def _sensitivity(result: CampaignResult) -> Figure | None:
     """Each explained quantity against what goes with it most, by rank correlation."""
-    from quadtree_lss.lab.campaign.summary import flown, number
-
     kind, records = result.study.what, flown(result.records.values())
     rows = []
     for name in kind.explained:

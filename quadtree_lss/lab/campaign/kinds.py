@@ -18,7 +18,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 REGISTERED = {
     "map": "quadtree_lss.lab.campaign.mapped:MAP",
-    "fly": "quadtree_lss.lab.campaign.flights:FLY",
+    "fly": "quadtree_lss.lab.campaign.landings:FLY",
 }
 
 Value = float | int | str | bool | None

@@ -34,6 +34,7 @@ from quadtree_lss.lab.evaluation.results import (
     EvaluationError,
     Results,
     Truth,
+    aligned,
     load_results,
     load_truth,
 )
@@ -304,11 +305,7 @@ class ComparisonResult:
     def table(self) -> str:
         """A row per run; elevation RMS with the mean removed, Table 2 of one degree of freedom."""
         rows = [("run", *_COLUMNS), *((name, *_cells(r)) for name, r in self.runs.items())]
-        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        lines = []
-        for name, *cells in rows:
-            shown = [f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True)]
-            lines.append("  ".join([f"{name:<{widths[0]}}", *shown]))
+        lines = aligned(rows)
         for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
             names = [name for name, r in self.runs.items() if note in r.notes]
             lines.append(f"{', '.join(names)}: {note}")

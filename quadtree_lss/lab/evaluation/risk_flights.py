@@ -104,14 +104,13 @@ def fly(
         range_noise=conditions.noise * config.lidar.range_noise,
         outliers=conditions.outliers,
     )
-    counts = {SCAN_TOPIC: simulation.scans, POSE_TOPIC: simulation.poses}
-    topics = [Topic(name, kind, counts[name]) for name, kind in TYPES.items()]
-    bag = MessageBag("bag", topics, simulation.span_ns, simulation.messages())
     marks = {max(1, round(part * simulation.scans)) for part in parts}
     found: list[CellMap] = []
     mapper: Mapper | None = None
     number = 0
-    for number, (_, _, mapper) in enumerate(steps(bag, conditions.mapping(config)), 1):
+    for number, (_, _, mapper) in enumerate(
+        steps(in_memory(simulation), conditions.mapping(config)), 1
+    ):
         if number in marks:
             found.append(round_trip(mapper.snapshot()))
     if mapper is not None and number not in marks:  # the last scans may lack a pose
@@ -120,6 +119,13 @@ def fly(
         return []
     known, safe = _truth(found[-1], simulation, config)
     return [Mapped(cells, known, safe) for cells in found]
+
+
+def in_memory(simulation: Simulation) -> MessageBag:
+    """A simulated flight as a bag that is no file, for once."""
+    counts = {SCAN_TOPIC: simulation.scans, POSE_TOPIC: simulation.poses}
+    topics = [Topic(name, kind, counts[name]) for name, kind in TYPES.items()]
+    return MessageBag("bag", topics, simulation.span_ns, simulation.messages())
 
 
 def lander_of(config: Config) -> LandingGear:
