@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +18,12 @@ from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import in_memory, lander_of
 from quadtree_lss.lab.simulation import SCENARIOS, simulate
+from quadtree_lss.lab.simulation.scenarios import Conditions
 from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 
-CONDITIONS = (
-    "duration",
-    "terrain",
-    "range_noise",
-    "outliers",
-    "dropouts",
-    "flights",
-    "glide_slope_deg",
-    "navigation_error",
-    "conservatism",
-    "rocks",
-    "slope_deg",
-)
+CONDITIONS = ("flights", *(item.name for item in fields(Conditions)))
 TOLD = ("0.1", "0.3", "1", "3", "10")
 """Where the bins of `EDGES` begin whose counts are kept, %."""
 

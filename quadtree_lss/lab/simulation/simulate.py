@@ -91,7 +91,7 @@ def simulate(
     again over the same ground with new navigation errors, into the same bag.
     ``progress(done, total)`` is called after every scan. The same arguments give the same
     messages. ``lander`` is whose safety is in the truth; ``conditions``, such as ``duration``,
-    ``terrain`` and ``range_noise``, are those of `scenarios.make_request`.
+    ``terrain`` and ``range_noise``, are those of `scenarios.Conditions`.
     ``stop`` is asked before every message; once it answers True, bag and truth are of what was
     flown so far.
 

@@ -14,9 +14,9 @@ from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messag
 from quadtree_lss.lab.simulation.safety import LandingGear, safety_map
 from quadtree_lss.lab.simulation.scenarios import (
     GRID_SPACING,
-    SCENARIOS,
+    Conditions,
     FlightPlan,
-    make_request,
+    plans,
     quaternions,
 )
 from quadtree_lss.lab.simulation.terrain import SimulationError
@@ -67,7 +67,7 @@ class Simulation:
         scenario: ``morpheus``, ``parabola`` or ``descent``.
         seed: Of terrain, navigation and noise.
         flights: How many, over the same ground with other navigation errors.
-        conditions: As of `scenarios.make_request`.
+        conditions: As of `scenarios.Conditions`.
 
     Attributes:
         legs: The flights, and what has been flown.
@@ -88,13 +88,11 @@ class Simulation:
         terrain, navigation, lidar = map(
             np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
         )
-        request = make_request(scenario, terrain, **conditions)
         self._navigation, self._noise = navigation, lidar
         self.make = Messages()
         self.legs: list[Leg] = []
         start_ns = _START_NS
-        for number in range(flights):
-            plan = SCENARIOS[scenario].plan(request, number)
+        for plan in plans(scenario, flights, terrain, Conditions(**conditions)):
             self.legs.append(Leg(plan, start_ns))
             start_ns += round((plan.pose_times[-1] + _GAP_S) * 1e9)
 
