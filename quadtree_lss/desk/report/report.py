@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.report.answer import headline, largest_circle, nearest_miss, when
 from quadtree_lss.desk.report.content import Content, read
 from quadtree_lss.desk.report.drawing import png
 from quadtree_lss.desk.report.figures import figures
+from quadtree_lss.desk.report.headline import headline, largest_circle, nearest_miss, when
 from quadtree_lss.desk.report.page_data import Layer, page_data
 from quadtree_lss.desk.report.pages import render
 from quadtree_lss.onboard.config.settings import parameters, values_from_config

@@ -28,7 +28,7 @@ REPEAT_NS = 400_000_000
 
 
 @dataclass
-class _Answers:
+class _Assessments:
     """Sink of the passes: answers reach guidance after a delay."""
 
     delay_ns: int
@@ -105,7 +105,7 @@ class LockstepNodes:
         if "lss" in self._down:
             return None
         self._passes.tick(now_ns, self._mapper.snapshot)
-        said = self._answers.due(now_ns)
+        said = self._assessments.due(now_ns)
         if said is None:
             return None
         self.last = said
@@ -136,5 +136,5 @@ class LockstepNodes:
         self._intake, self._mapper = Intake(self._config), Mapper(self._config)
 
     def _start_lss(self) -> None:
-        self._answers, self._chosen = _Answers(self._delay_ns), False
-        self._passes = Passes(self._config, self._wishes.arguments, (self._answers,))
+        self._assessments, self._chosen = _Assessments(self._delay_ns), False
+        self._passes = Passes(self._config, self._wishes.arguments, (self._assessments,))
