@@ -21,7 +21,7 @@ from common.claims import Claims, claims, summary
 from common.rays import Scene, View, fan, rocks, view
 from common.recorded import autzen, section_vi
 
-from quadtree_lss.lab.simulation.safety import Lander, worst_contact
+from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing import hazards
@@ -79,10 +79,11 @@ def verdict(cells: CellMap, config: Config, scene: Scene) -> Verdict:
     places = np.column_stack([found.x[column], found.y[row]])
     if not len(places):
         return Verdict(found, 0, places, np.nan, np.nan, np.nan)
-    reach = 0.5 * Lander().diameter + 0.5
+    reach = 0.5 * LandingGear().diameter + 0.5
     x, y = (np.arange(v.min() - reach, v.max() + reach, POST) for v in places.T)
-    slope, rises = worst_contact(x, y, scene.dem(x, y), places, Lander())
-    wrong = (slope > np.tan(np.radians(Lander().max_slope_deg))) | (rises > Lander().max_roughness)
+    slope, rises = worst_contact(x, y, scene.dem(x, y), places, LandingGear())
+    gear = LandingGear()
+    wrong = (slope > np.tan(np.radians(gear.max_slope_deg))) | (rises > gear.max_roughness)
     row, column, some = row[wrong], column[wrong], wrong.any()
     rise = rises[wrong].max() if some else np.nan
     risk = found.risk[row, column].min() if some else np.nan

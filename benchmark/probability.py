@@ -18,7 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from quadtree_lss.lab.campaign.study import parse_seeds
-from quadtree_lss.lab.evaluation.reliability import scores
+from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.risk_flights import CASES, Conditions, Mapped
 from quadtree_lss.lab.simulation.hazard_field import FIELDS
 from quadtree_lss.onboard.arrays import Array, Index, Mask

@@ -14,10 +14,9 @@ from collections.abc import Callable, Sequence
 import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.desk.commands import compare, completion, config, export, info, replay, sites
-from quadtree_lss.desk.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, USAGE
+from quadtree_lss.desk.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, USAGE, Parser
 from quadtree_lss.desk.commands.completion import complete
 from quadtree_lss.desk.commands.console import first_line, quiet, say
-from quadtree_lss.desk.commands.parser import Parser
 from quadtree_lss.lab.commands import campaign, evaluate, fit_risk, fly, simulate
 from quadtree_lss.onboard.errors import QuadtreeLssError
 

@@ -13,13 +13,15 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from quadtree_lss.desk.report.palette import CLEAR_COLOUR, HAZARDS, MAPS, SITE_COLOUR, colour_limits
+from quadtree_lss.desk.report.drawing import extent
+from quadtree_lss.desk.report.drawing import mark_sites as sites
+from quadtree_lss.desk.report.palette import CLEAR_COLOUR, HAZARDS, MAPS, colour_limits
 from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, Profile
 
 KINDS = {"plane_elevation": "elevation", "slope_deg": "slope"}
+__all__ = ["elevation", "layer", "profile", "relief", "sites"]
 UNITS = {"elevation": "m", "plane_elevation": "m", "slope_deg": "deg"}
 
 
@@ -48,9 +50,9 @@ def elevation(
     domain = cells.domain
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
     heights = cells.at(domain.xmin + middles, (domain.ymin + middles)[:, None]).height
-    extent = (domain.xmin, domain.xmin + domain.size, domain.ymin, domain.ymin + domain.size)
+    box = (domain.xmin, domain.xmin + domain.size, domain.ymin, domain.ymin + domain.size)
     low, high = colour_limits(heights)
-    options = {"origin": "lower", "extent": extent, "vmin": low, "vmax": high}
+    options = {"origin": "lower", "extent": box, "vmin": low, "vmax": high}
     options["cmap"] = MAPS["elevation"]
     drawn = axes.imshow(heights, **(options | image))
     if hillshade:
@@ -58,7 +60,7 @@ def elevation(
         dark = np.zeros((*heights.shape, 4))
         dark[..., :3] = (shade > 0.5)[..., None]
         dark[..., 3] = strength * np.nan_to_num(np.abs(2.0 * shade - 1.0))
-        axes.imshow(dark, origin="lower", extent=extent)
+        axes.imshow(dark, origin="lower", extent=box)
     if edges:
         from matplotlib.collections import LineCollection
 
@@ -99,24 +101,11 @@ def layer(axes: Any, grid: GridLike, name: str, **image: Any) -> Any:
     else:
         low, high = colour_limits(np.asarray(values, np.float64))
         options = {"cmap": MAPS.get(KINDS.get(name, name), "viridis"), "vmin": low, "vmax": high}
-        drawn = axes.imshow(values, origin="lower", extent=_extent(grid), **(options | image))
+        drawn = axes.imshow(
+            values, origin="lower", extent=extent(grid.x, grid.y), **(options | image)
+        )
     axes.set_title(name + (f", {UNITS[name]}" if name in UNITS else ""))
     _label(axes)
-    return drawn
-
-
-def sites(axes: Any, positions: ArrayLike, *, radius: float = 0.0) -> list[Any]:
-    """Ranked places (K, 2 or 3) with their ranks, and circles of a radius in m around them."""
-    from matplotlib.patches import Circle
-
-    drawn = []
-    for rank, (x, y, *_) in enumerate(np.asarray(positions, np.float64), start=1):
-        if radius > 0.0:
-            axes.add_patch(Circle((x, y), radius, fill=False, color="white", linewidth=2.6))
-            axes.add_patch(Circle((x, y), radius, fill=False, color=SITE_COLOUR, linewidth=1.2))
-        box = {"boxstyle": "circle,pad=0.2", "facecolor": SITE_COLOUR, "edgecolor": "white"}
-        text = {"color": "white", "size": 8, "ha": "center", "va": "center", "bbox": box}
-        drawn.append(axes.annotate(str(rank), (x, y), **text))
     return drawn
 
 
@@ -147,14 +136,7 @@ def _hazards(axes: Any, grid: GridLike, bits: Bytes) -> Any:
     colours = [CLEAR_COLOUR, *(colour for _, _, colour in HAZARDS)]
     norm = BoundaryNorm(np.arange(-0.5, len(colours)), len(colours))
     shown = {"cmap": ListedColormap(colours), "norm": norm, "interpolation": "nearest"}
-    return axes.imshow(kind, origin="lower", extent=_extent(grid), **shown)
-
-
-def _extent(grid: GridLike) -> tuple[float, float, float, float]:
-    """Grid points are points: the image reaches half a step beyond the outer ones."""
-    x, y = grid.x, grid.y
-    half = 0.5 * float(x[1] - x[0]) if len(x) > 1 else 0.5
-    return (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
+    return axes.imshow(kind, origin="lower", extent=extent(grid.x, grid.y), **shown)
 
 
 def _edges(cells: CellMap) -> Array:

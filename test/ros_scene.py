@@ -66,7 +66,7 @@ def _scan(rng: np.random.Generator) -> NDArray[np.float64]:
 def write_bag(path: Path, scans: int) -> None:
     """The events as a bag."""
     make = Messages()
-    with BagRecorder(path, make) as bag:
+    with BagRecorder(path) as bag:
         for event in events(scans):
             if event.points_lidar is None:
                 pose = make.pose(event.stamp_ns, POSITION, DOWN_XYZW, COVARIANCE)

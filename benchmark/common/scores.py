@@ -22,7 +22,7 @@ from quadtree_lss.lab.evaluation.metrics import (
     safety_field,
 )
 from quadtree_lss.lab.evaluation.results import Grid, Leaves, load_grid, load_leaves
-from quadtree_lss.lab.simulation.safety import Lander, contact_safe
+from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.consistency import Counts, prefit_statistics
@@ -58,7 +58,7 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
     leaves, grid = as_evaluated(cells, found)
     truth = flight.truth
     sites = found.sites.position[:5, :2]
-    stands = contact_safe(truth.x, truth.y, truth.elevation, sites, Lander())
+    stands = contact_safe(truth.x, truth.y, truth.elevation, sites, LandingGear())
     return MapScore(
         leaves=int(cells.estimated.sum()),
         elevation=elevation_error(elevation_field(leaves, grid, truth)),

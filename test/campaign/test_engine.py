@@ -21,8 +21,7 @@ import pytest
 
 from quadtree_lss.desk.commands.common import INTERRUPTED
 from quadtree_lss.lab.campaign import Where, campaign, compare_campaigns, read_study
-from quadtree_lss.lab.campaign.engine import _client
-from quadtree_lss.lab.campaign.kept import flagged
+from quadtree_lss.lab.campaign.engine import _client, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
 
 pytest.importorskip("distributed")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from quadtree_lss.lab.campaign.mapped import risks
-from quadtree_lss.lab.evaluation.reliability import reliability
+from quadtree_lss.lab.evaluation.metrics import reliability
 
 
 def test_told_and_failed_are_counted_by_predicted_risk():

@@ -9,7 +9,7 @@ import pytest
 
 from quadtree_lss.lab.campaign import CampaignError, read_study
 from quadtree_lss.lab.campaign.store import key_of
-from quadtree_lss.lab.campaign.values import parse_seeds
+from quadtree_lss.lab.campaign.study import parse_seeds
 
 VARIED = """
 name: varied

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates, means and worst flights of records made by hand."""
+"""Rates, means, intervals and worst flights of records made by hand."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from scipy.stats import binom
 
 from quadtree_lss.lab.campaign.kinds import Quantity
 from quadtree_lss.lab.campaign.store import Record
-from quadtree_lss.lab.campaign.summary import line_of
+from quadtree_lss.lab.campaign.summary import bootstrap, line_of, rate_interval
 
 
 def _records(**columns):
@@ -49,3 +51,44 @@ def test_a_figure_that_a_flight_lacks_is_left_out():
     line = line_of(Quantity("rms", "RMS", "m"), _records(rms=[0.1, None, 0.3]))
     assert (line.mean, line.worst, line.worst_flight, line.count) == (0.2, 0.3, 2, 2)
     assert line.cells()[0] == "RMS [m]"
+
+
+def _line(values, worst="smallest"):
+    return line_of(Quantity("rms", "RMS", worst=worst), _records(rms=values))
+
+
+def test_the_worst_is_at_the_end_that_is_bad():
+    line = _line([0.9, 0.5, 1.0])
+    assert (line.worst, line.worst_flight, line.count) == (0.5, 1, 3)
+    assert line.mean == pytest.approx(0.8)
+    assert _line([0.9, 0.5, 1.0], "largest").worst_flight == 2
+
+
+def test_interval_holds_the_mean_about_as_often_as_it_says():
+    generator = np.random.default_rng(3)
+    inside = 0
+    for _ in range(200):
+        low, high = bootstrap(generator.normal(5.0, 2.0, 20))
+        inside += low <= 5.0 <= high
+    assert 0.87 <= inside / 200 <= 0.99
+
+
+def test_equal_values_leave_no_doubt_and_one_tells_no_spread():
+    line = _line([4.0, 4.0, 4.0])
+    assert (line.low, line.mean, line.high) == (4.0, 4.0, 4.0)
+    line = _line([0.9])
+    assert (line.mean, line.worst, line.worst_flight, line.count) == (0.9, 0.9, 0, 1)
+    assert np.isnan([line.low, line.high]).all()
+    nothing = _line([None])
+    assert nothing.count == 0 and nothing.worst_flight is None and np.isnan(nothing.mean)
+
+
+@pytest.mark.parametrize(("events", "trials"), [(0, 100), (1, 100), (7, 20), (20, 20)])
+def test_rate_interval_leaves_two_and_a_half_percent_on_each_side(events, trials):
+    low, high = rate_interval(events, trials)
+    assert 0.0 <= low <= events / trials <= high <= 1.0
+    if events < trials:
+        assert binom.cdf(events, trials, high) == pytest.approx(0.025)
+    if events:
+        assert binom.sf(events - 1, trials, low) == pytest.approx(0.025)
+    assert np.isnan(rate_interval(0, 0)).all()

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 from common.claims import within
 from common.rays import Scene, View, fan, looking, rocks, view
 
-from quadtree_lss.lab.simulation.safety import Lander, worst_contact
+from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -131,7 +131,7 @@ def test_no_rock_that_was_measured_is_stood_on(kind):
         places = np.column_stack([found.x[column], found.y[row]])
         axis = np.arange(-HALF - 4.0, HALF + 4.0, 0.05)
         dem = well_seen(scene, high, seen).dem(axis, axis)
-        slope, rise = worst_contact(axis, axis, dem, places, Lander())
+        slope, rise = worst_contact(axis, axis, dem, places, LandingGear())
         bad = (rise > 0.3 + SPARE) | (slope > np.tan(np.radians(10.0 + SPARE_DEG)))
         judged += len(places)
         if bad.any():

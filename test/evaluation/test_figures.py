@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadtree_lss.lab.evaluation.figures_map import processing_time
+from quadtree_lss.lab.evaluation.figures import processing_time
 
 
 def test_scans_are_counted_in_whole_numbers():

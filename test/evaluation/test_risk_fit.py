@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from quadtree_lss.cli import main
-from quadtree_lss.lab.evaluation.reliability import scores
+from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.risk_fit import (
     ABOUT,
     ABOUT_BINS,

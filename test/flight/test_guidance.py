@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from quadtree_lss.lab.flight.guidance import Limits, paths, thrust_for, zem_zev
-from quadtree_lss.lab.flight.lander import Vehicle
+from quadtree_lss.lab.flight.vehicle import Vehicle
 
 VEHICLE = Vehicle()
 START = np.array([-510.0, 20.0, 300.0])

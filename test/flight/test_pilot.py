@@ -3,8 +3,8 @@
 
 import numpy as np
 
-from quadtree_lss.lab.flight.lander import Lander, Vehicle
 from quadtree_lss.lab.flight.pilot import Pilot, Rules, Target
+from quadtree_lss.lab.flight.vehicle import Vehicle, VehicleState
 
 VEHICLE, RULES = Vehicle(), Rules()
 NONE = Target(None)
@@ -14,7 +14,7 @@ class Course:
     """A lander flown by the pilot, without navigation errors."""
 
     def __init__(self, position=(-260.0, 0.0, 150.0), velocity=(24.0, 0.0, -14.0)):
-        self.lander = Lander(VEHICLE, np.array(position), np.array(velocity))
+        self.lander = VehicleState(VEHICLE, np.array(position), np.array(velocity))
         self.pilot = Pilot(VEHICLE, RULES, np.zeros(3), avoid=True, surveys=False)
         self.ticks, self.lowest = 0, np.inf
 

@@ -37,7 +37,7 @@ def test_installed_files_are_those_of_the_checkout():
     installed = Path(spec.origin).parent
     package = ROOT / "quadtree_lss"
     for source in sorted(
-        path for kind in ("py", "pxd", "js", "css") for path in package.rglob(f"*.{kind}")
+        path for kind in ("py", "pxd", "js", "css", "html") for path in package.rglob(f"*.{kind}")
     ):
         copy = installed / source.relative_to(package)
         assert copy.read_bytes() == source.read_bytes(), f"{copy} is stale: make setup"

@@ -39,7 +39,7 @@ lab.simulation: build
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
 lab.flight: lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
-lab.live: lab.flight
+lab.live: lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay
 lab.evaluation: desk.report lab.simulation
 lab.campaign: onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight

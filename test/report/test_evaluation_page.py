@@ -9,7 +9,7 @@ from evaluation.scores import write_truth
 from report.pages import Page, in_a_browser, in_browser
 
 from quadtree_lss.lab.evaluation.evaluate import evaluate
-from quadtree_lss.lab.evaluation.page import VERDICTS
+from quadtree_lss.lab.evaluation.figures import VERDICTS
 from quadtree_lss.lab.evaluation.results import load_grid, load_truth
 
 

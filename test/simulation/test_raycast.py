@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from quadtree_lss.lab.simulation.lidar import FlashLidar
-from quadtree_lss.lab.simulation.parabola import Parabola
-from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.terrain import Parabola, Terrain
 from quadtree_lss.lab.simulation.trajectory import look_at
 
 

@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from quadtree_lss.lab.simulation.safety import Lander, contact_safe, safety_map, worst_contact
+from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe, safety_map, worst_contact
 
 TAN_LIMIT = np.tan(np.radians(10.0))
 
@@ -69,7 +69,7 @@ def test_equals_brute_force(seed, post):
     x = -5.0 + post * np.arange(int(10.0 / post) + 1)
     y = -4.5 + post * np.arange(int(9.0 / post) + 1)
     z = _ground(generator, x, y)
-    lander = Lander(yaws=6)
+    lander = LandingGear(yaws=6)
     grid_x, grid_y = np.arange(-2.5, 2.6, 0.5), np.arange(-2.0, 2.1, 0.5)
     points = [(px, py) for py in grid_y for px in grid_x]
     slow = np.array([brute_force(x, y, z, px, py, lander) for px, py in points])
@@ -88,7 +88,7 @@ X, Y = np.meshgrid(AXIS, AXIS)
 
 
 def _safe(z, point=(0.0, 0.0), **lander):
-    return bool(contact_safe(AXIS, AXIS, z, [point], Lander(**lander))[0])
+    return bool(contact_safe(AXIS, AXIS, z, [point], LandingGear(**lander))[0])
 
 
 def test_flat_ground_is_safe_and_its_height_does_not_matter():

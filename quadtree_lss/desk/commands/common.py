@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the subcommands have in common: exit codes, options, configuration."""
+"""What the subcommands have in common: the parser, exit codes, options, configuration."""
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,34 @@ DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
 EXIT_CODES = """exit codes:
   0 done   1 error   2 wrong usage   3 done in part (damaged input)   130 interrupted
 """
+
+
+class Parser(argparse.ArgumentParser):
+    """As of argparse; a word that is not known comes with the nearest one that is."""
+
+    def parse_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> argparse.Namespace:
+        """As in the base class; an unknown option is told by the command that has it not."""
+        options, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            command = getattr(options, "parser", self)
+            names = list(command._option_string_actions)
+            told = [f"{word}{did_you_mean(word.partition('=')[0], names)}" for word in unknown]
+            command.error(f"not understood: {', '.join(told)}")
+        return options
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            choices = [str(choice) for choice in action.choices]
+            text = f"there is no '{value}'{did_you_mean(str(value), choices)}"
+            raise argparse.ArgumentError(action, f"{text} (choices: {', '.join(choices)})")
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """``; did you mean 'replay'?``, or nothing if none is near."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"; did you mean '{close[0]}'?" if close else ""
 
 
 def add_command(
@@ -122,9 +151,9 @@ def add_config_options(parser: argparse._ActionsContainer) -> None:
     completed(setting, parameter_settings)
 
 
-def chosen_config(options: argparse.Namespace) -> Config:
-    """The configuration that ``--config`` and ``--set`` ask for."""
-    overrides: dict[str, object] = {}
+def overrides(options: argparse.Namespace) -> dict[str, Any]:
+    """What ``--set`` says, by key."""
+    found: dict[str, Any] = {}
     for item in options.set:
         key, equals, value = item.partition("=")
         if not equals:
@@ -132,10 +161,65 @@ def chosen_config(options: argparse.Namespace) -> Config:
         if not key.strip():
             options.parser.error(f"--set {item}: no key before the =")
         try:
-            overrides[key.strip()] = parse_yaml(value)
+            found[key.strip()] = parse_yaml(value)
         except YamlError as error:
             options.parser.error(f"--set {item}: not a value: {error}")
-    return load_config(options.config, overrides, origin="--set")
+    return found
+
+
+def chosen_config(options: argparse.Namespace) -> Config:
+    """The configuration that ``--config`` and ``--set`` ask for."""
+    return load_config(options.config, overrides(options), origin="--set")
+
+
+def add_landing_options(parser: argparse._ActionsContainer, default: str) -> None:
+    """``--area``, ``--keep-out`` and ``--target``; ``default`` says what holds without them."""
+    for name, what in (("area", "land inside"), ("keep-out", "never land in")):
+        text = f"{what} this polygon, map frame, m{default}"
+        parser.add_argument(f"--{name}", metavar="'X,Y X,Y X,Y ...'", type=polygon, help=text)
+    text = "land near this place, or none; as --area" if default else "land near this place"
+    parser.add_argument("--target", metavar="X,Y", type=place, help=text)
+
+
+def landing_of(options: argparse.Namespace) -> dict[str, Any]:
+    """What the options say of landing, by name."""
+    given = {"area": options.area, "keep_out": options.keep_out, "target": options.target}
+    return {name: value[0] for name, value in given.items() if value is not None}
+
+
+def polygon(text: str) -> tuple[list[list[float]] | None]:
+    """``'0,0 9,0 9,9'``, or ``none``.
+
+    A tuple of one, so that ``none``, which lifts what a bag says, differs from no option.
+    """
+    corners = _numbers(text)
+    if corners is not None and len(corners) < 3:
+        msg = f"'{text}' has {len(corners)} corners; a polygon has three or more"
+        raise argparse.ArgumentTypeError(msg)
+    return (corners,)
+
+
+def place(text: str) -> tuple[list[float] | None]:
+    """``3,-4``, or ``none``."""
+    corners = _numbers(text)
+    if corners is not None and len(corners) != 1:
+        msg = f"'{text}' is not a place X,Y"
+        raise argparse.ArgumentTypeError(msg)
+    return (None if corners is None else corners[0],)
+
+
+def _numbers(text: str) -> list[list[float]] | None:
+    if text.strip() == "none":
+        return None
+    try:
+        corners = [[float(v) for v in pair.split(",")] for pair in text.split()]
+    except ValueError:
+        corners = []
+    good = all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in corners)
+    if not corners or not good:
+        msg = f"'{text}' does not consist of pairs X,Y of numbers in m, apart by blanks"
+        raise argparse.ArgumentTypeError(msg)
+    return corners
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.sites import Sites
 
 
+BAR = "{desc} {percentage:3.0f} % |{bar}| {n:.0f} of {total:.0f} {unit}, {speed}, {remaining} left"
+
+
 class _Quiet:
     """Whether ``-q`` was given, for this run of `cli.main`."""
 
@@ -50,9 +53,7 @@ class ProgressBar:
     def __init__(self, what: str, unit: str, verbose: bool) -> None:
         self._bar: Any = None
         if wants_progress(verbose):
-            from quadtree_lss.desk.commands.bar import Bar  # tqdm takes long to import
-
-            self._bar = Bar.of(what, unit)
+            self._bar = _bar(what, unit)
 
     def __enter__(self) -> ProgressBar:
         return self
@@ -67,6 +68,26 @@ class ProgressBar:
             self._bar.total = total
             self._bar.n = done
             self._bar.refresh()
+
+
+def _bar(what: str, unit: str) -> Any:
+    """A bar on stderr, gone when it is closed, that tells its speed in words."""
+    from tqdm import tqdm  # takes long to import
+
+    class Bar(tqdm):  # type: ignore[type-arg]
+        @property
+        def format_dict(self) -> dict[str, Any]:
+            """As in the base class, with ``speed``."""
+            told = super().format_dict
+            rate = told["rate"]
+            if rate is None and told["elapsed"] > 0.0:
+                rate = told["n"] / told["elapsed"]
+            number = "?" if not rate else f"{rate:.{0 if rate >= 100.0 else 1}f}"
+            told["speed"] = f"{number} x real time" if unit == "s" else f"{number} {unit}/s"
+            return told
+
+    # Until it is told of how much: a total of None cannot be formatted.
+    return Bar(desc=what, unit=unit, total=1, file=sys.stderr, leave=False, bar_format=BAR)
 
 
 class Interruption:

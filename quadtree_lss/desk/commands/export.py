@@ -6,9 +6,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from quadtree_lss.desk.commands.common import DONE, add_command, add_json, named, print_json
+from quadtree_lss.desk.commands.common import DONE, add_command, add_json, named, place, print_json
 from quadtree_lss.desk.commands.console import show
-from quadtree_lss.desk.commands.places import place
 
 FORMATS = ("geotiff", "ply", "gltf", "geojson", "map_server")
 TEXT = "Write results for other programs: GeoTIFF, meshes, GeoJSON, map_server."

@@ -16,7 +16,9 @@ from quadtree_lss.desk.commands.common import (
     add_command,
     add_config_options,
     add_json,
+    add_landing_options,
     chosen_config,
+    landing_of,
     named,
     not_negative,
     positive,
@@ -30,7 +32,6 @@ from quadtree_lss.desk.commands.console import (
     say,
     warn,
 )
-from quadtree_lss.desk.commands.places import add_landing_options, landing_of
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 TEXT = "Map a recorded bag and rank landing sites, offline and deterministically."

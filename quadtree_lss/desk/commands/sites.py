@@ -11,12 +11,13 @@ from quadtree_lss.desk.commands.common import (
     add_command,
     add_config_options,
     add_json,
+    add_landing_options,
     chosen_config,
+    landing_of,
     named,
     print_json,
 )
 from quadtree_lss.desk.commands.console import print_result, warn
-from quadtree_lss.desk.commands.places import add_landing_options, landing_of
 
 TEXT = "Rank landing sites straight on an elevation model: GeoTIFF, or .npz with x, y, elevation."
 EXAMPLES = """examples:

@@ -76,6 +76,11 @@ class Content:
         return None if found is None or not np.isfinite(found).any() else found
 
     @property
+    def places(self) -> Array:
+        """(K, 2) of the ranked sites, best first."""
+        return np.column_stack([self.sites["x"], self.sites["y"]])
+
+    @property
     def reasons(self) -> list[str]:
         """A sentence for each site."""
         rows = len(self.sites["x"])

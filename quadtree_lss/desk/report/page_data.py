@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.report import palette
-from quadtree_lss.desk.report.answer import areas, largest_circle, nearest_miss
 from quadtree_lss.desk.report.content import Content
-from quadtree_lss.desk.report.packing import Columns
+from quadtree_lss.desk.report.headline import areas, largest_circle, nearest_miss
+from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.core.geometry.feature import peak
 
 MAX_GRID_POINTS = 250_000

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import json
 import logging
 import os
 import signal
@@ -113,6 +114,37 @@ def campaign(
         result = CampaignResult(store.out, study, kept, interrupted, enough.count)
         write_summary(result, store)
         return result
+
+
+def flagged(out: str | Path) -> list[int]:
+    """The flights that the campaign's page names as the worst.
+
+    Raises:
+        CampaignError: there is no campaign.
+    """
+    try:
+        worst = json.loads((Path(out) / "campaign.json").read_text("utf-8"))["worst"]
+        return sorted({int(index) for pairs in worst.values() for index, _ in pairs})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        msg = f"{out} is no folder of a campaign that was summed up"
+        raise CampaignError(msg) from None
+
+
+def keep(study: Study, out: str | Path, index: int) -> Path:
+    """Flies flight ``index`` again; returns the folder with what it left.
+
+    Raises:
+        CampaignError: there is no such flight.
+    """
+    store = Store(out)
+    with store.opened():
+        count = replace(study, repeats=study.repeats + store.added()).count
+    if not 0 <= index < count or (study.seeds and index >= study.count):
+        msg = f"there is no flight {index}"
+        raise CampaignError(msg)
+    folder = store.out / "kept" / f"{index:06d}"
+    kind_of(study.kind).keep(study.case(index), folder)
+    return folder
 
 
 def _extended(study: Study, added: int) -> Study:

@@ -18,7 +18,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 REGISTERED = {
     "map": "quadtree_lss.lab.campaign.mapped:MAP",
-    "fly": "quadtree_lss.lab.campaign.flights:FLY",
+    "fly": "quadtree_lss.lab.campaign.landings:FLY",
 }
 
 Value = float | int | str | bool | None
@@ -81,6 +81,11 @@ class Quantity:
     worst: Literal["smallest", "largest"] = "largest"
     of: str | None = None
     ranked: bool = True
+
+    @property
+    def title(self) -> str:
+        """Label with the unit."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
 @dataclass(frozen=True)

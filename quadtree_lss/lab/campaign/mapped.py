@@ -4,38 +4,26 @@
 from __future__ import annotations
 
 import time
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.result import peak_memory_mb
 from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity, Value
 from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
-from quadtree_lss.lab.evaluation.reliability import EDGES, Reliability
+from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
-from quadtree_lss.lab.evaluation.risk_flights import lander_of
+from quadtree_lss.lab.evaluation.risk_flights import in_memory, lander_of
 from quadtree_lss.lab.simulation import SCENARIOS, simulate
-from quadtree_lss.lab.simulation.flight import Simulation
-from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, TYPES
+from quadtree_lss.lab.simulation.scenarios import Conditions
+from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 
-CONDITIONS = (
-    "duration",
-    "terrain",
-    "range_noise",
-    "outliers",
-    "dropouts",
-    "flights",
-    "glide_slope_deg",
-    "navigation_error",
-    "conservatism",
-    "rocks",
-    "slope_deg",
-)
+CONDITIONS = ("flights", *(item.name for item in fields(Conditions)))
 TOLD = ("0.1", "0.3", "1", "3", "10")
 """Where the bins of `EDGES` begin whose counts are kept, %."""
 
@@ -66,10 +54,7 @@ def fly_in_memory(
         Both, and the CPU seconds that the truth took.
     """
     simulation = Simulation(scenario, seed, **conditions)
-    counts = {SCAN_TOPIC: simulation.scans, POSE_TOPIC: simulation.poses}
-    topics = [Topic(name, kind, counts[name]) for name, kind in TYPES.items()]
-    bag = MessageBag("bag", topics, simulation.span_ns, simulation.messages())
-    results = results_of(replay(bag, None, config, report=False))
+    results = results_of(replay(in_memory(simulation), None, config, report=False))
     began = time.process_time()
     truth = truth_of(simulation.truth("bag", lander_of(config)))
     return results, truth, time.process_time() - began

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
@@ -15,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.replay.result import versions
-from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, kind_of
-from quadtree_lss.lab.campaign.values import MOST_FLIGHTS, Drawn, parse_seeds, values_of
+from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, Value, kind_of
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import values_from_config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 
+MOST_FLIGHTS = 1_000_000
 KEYS = (
     "name",
     "kind",
@@ -35,6 +36,30 @@ KEYS = (
     "until",
 )
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
+
+
+DRAWN: dict[str, Callable[[np.random.Generator, float, float], float]] = {
+    "uniform": lambda generator, low, high: float(generator.uniform(low, high)),
+    "log_uniform": lambda generator, low, high: float(
+        np.exp(generator.uniform(np.log(low), np.log(high)))
+    ),
+    "normal": lambda generator, mean, sigma: float(generator.normal(mean, sigma)),
+}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A value that each flight draws for itself."""
+
+    how: str
+    of: tuple[Any, ...]
+
+    def draw(self, generator: np.random.Generator) -> Value:
+        """One value."""
+        if self.how == "choice":
+            chosen: Value = self.of[int(generator.integers(len(self.of)))]
+            return chosen
+        return DRAWN[self.how](generator, *self.of)
 
 
 Combination = Mapping[tuple[str, str], Any]
@@ -252,3 +277,51 @@ def _whole(value: object, name: str, least: int) -> int:
         msg = f"{name} must be a whole number from {least}, not {value!r}"
         raise CampaignError(msg)
     return value
+
+
+def values_of(value: Any, name: str) -> list[Any]:
+    """What a value in a study stands for: one, several in turn, or one that is drawn."""
+    if isinstance(value, list):
+        if not value:
+            msg = f"{name}: an empty list"
+            raise CampaignError(msg)
+        return value
+    if not isinstance(value, Mapping):
+        return [value]
+    how, of = next(iter(value.items())) if len(value) == 1 else ("", None)
+    try:
+        if how == "each" and isinstance(of, list) and of:
+            return of
+        if how == "range" and isinstance(of, list):
+            first, last, number = of
+            return [float(v) for v in np.linspace(first, last, int(number))]
+        if how == "choice" and isinstance(of, list) and of:
+            return [Drawn(how, tuple(of))]
+        if how in DRAWN and isinstance(of, list):
+            low, high = (float(v) for v in of)
+            positive = low > 0.0 if how == "log_uniform" else high > 0.0 or how == "uniform"
+            if np.isfinite([low, high]).all() and positive and (low < high or how == "normal"):
+                return [Drawn(how, (low, high))]
+    except (TypeError, ValueError):
+        pass
+    msg = (
+        f"{name}: {value} is no value, list, range: [first, last, number], each: [...],"
+        " choice: [...], uniform: [low, high], log_uniform: [low, high], normal: [mean, sigma]"
+    )
+    raise CampaignError(msg)
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Numbers from ``101-120``, ``1,2,7`` or both, each once; raises `CampaignError`."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if not first <= last < first + MOST_FLIGHTS:
+            msg = f"{text!r}: expected numbers and ranges, such as 101-120 or 1,2,7"
+            raise CampaignError(msg)
+        seeds += range(first, last + 1)
+    if len(set(seeds)) < len(seeds):
+        msg = f"{text!r}: a number is named more than once"
+        raise CampaignError(msg)
+    return seeds

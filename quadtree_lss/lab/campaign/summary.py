@@ -13,14 +13,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import beta
 
 from quadtree_lss.desk.replay.files import plain, write_bytes
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
-from quadtree_lss.lab.campaign.statistics import rate_interval, summarise
 from quadtree_lss.lab.campaign.store import Record, Store, read_record
 from quadtree_lss.lab.campaign.study import Study
+from quadtree_lss.lab.evaluation.results import aligned
 
 WORST = 5
+"""Flights that are listed."""
+RESAMPLES = 2000
+"""Of the bootstrap."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +50,7 @@ class Line:
             bounds = f"{100.0 * self.low:.2f} … {100.0 * self.high:.2f} %" if self.count else "–"
             return q.label, f"{self.events} of {self.count}", bounds, "–", flight
         interval = "–" if self.low != self.low else f"{self.low:{digits}} … {self.high:{digits}}"
-        label = f"{q.label} [{q.unit}]" if q.unit else q.label
-        return label, _show(self.mean, digits), interval, _show(self.worst, digits), flight
+        return q.title, _show(self.mean, digits), interval, _show(self.worst, digits), flight
 
 
 def _show(value: float, digits: str) -> str:
@@ -60,14 +64,17 @@ def number(record: Record, name: str) -> float:
 
 
 def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
-    """One quantity of flights."""
-    indices = [record.index for record in records]
-    values = [number(record, quantity.name) for record in records]
+    """One quantity of flights; those without the figure are left out."""
+    values = np.array([number(record, quantity.name) for record in records])
     if quantity.of is None:
-        statistic = summarise(indices, values, quantity.worst)
-        mean, low, high = statistic.mean, statistic.low, statistic.high
-        worst, flight = statistic.worst, statistic.worst_seed
-        return Line(quantity, mean, low, high, worst, flight, statistic.count)
+        kept = np.flatnonzero(np.isfinite(values))
+        if not kept.size:
+            return Line(quantity, *[float("nan")] * 4, None, 0)
+        value = values[kept]
+        at = int(value.argmin() if quantity.worst == "smallest" else value.argmax())
+        low, high = bootstrap(value)
+        worst, flight = float(value[at]), records[int(kept[at])].index
+        return Line(quantity, float(value.mean()), low, high, worst, flight, int(kept.size))
     events = int(np.nansum(values))
     trials = int(np.nansum([number(record, quantity.of) for record in records]))
     low, high = rate_interval(events, trials)
@@ -75,6 +82,31 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
     bad = max(records, key=lambda record: badness(quantity, record), default=None)
     blamed = bad.index if bad is not None and badness(quantity, bad) > 0.0 else None
     return Line(quantity, rate, low, high, float("nan"), blamed, trials, events)
+
+
+def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Bounds of the mean of values (n,) with 95 % confidence, by drawing from them again, which
+    assumes no shape of the distribution; NaN for one value, which tells no spread."""
+    if values.size < 2:
+        return float("nan"), float("nan")
+    generator = np.random.default_rng(0)
+    rows = max(1, min(RESAMPLES, 500_000 // values.size))
+    means = [
+        values[generator.integers(0, values.size, (rows, values.size))].mean(axis=1)
+        for _ in range(-(-RESAMPLES // rows))
+    ]
+    low, high = np.percentile(np.concatenate(means), (2.5, 97.5))
+    return float(low), float(high)
+
+
+def rate_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Bounds of a rate from ``events`` in ``trials`` (Clopper and Pearson), both sides together."""
+    if trials == 0:
+        return float("nan"), float("nan")
+    tail = 0.5 * (1.0 - confidence)
+    low = float(beta.ppf(tail, events, trials - events + 1)) if events else 0.0
+    high = float(beta.ppf(1.0 - tail, events + 1, trials - events)) if events < trials else 1.0
+    return low, high
 
 
 def badness(quantity: Quantity, record: Record) -> float:
@@ -164,12 +196,7 @@ class CampaignResult:
                 ("", "mean", "95 % interval", "worst", "flight"),
                 *(row.cells() for row in part),
             ]
-            widths = [max(len(row[k]) for row in rows) for k in range(5)]
-            lines.append(name)
-            lines += [
-                f"{row[0]:<{widths[0]}}" + "".join(f"  {row[k]:>{widths[k]}}" for k in range(1, 5))
-                for row in rows
-            ]
+            lines += [name, *aligned(rows)]
             lines.append("")
         if self.enough is not None:
             lines.append(f"{self.enough} flights were enough for the interval that was asked for")
@@ -207,7 +234,7 @@ def _line_dict(line: Line) -> dict[str, Any]:
 
 def write_summary(result: CampaignResult, store: Store) -> None:
     """``campaign.json``, ``flights.csv``, ``campaign.html`` and its figures."""
-    from quadtree_lss.lab.campaign.page import page_files
+    from quadtree_lss.lab.campaign.campaign_page import page_files
 
     files = [store.path(result.study.case(index)).name for index in result.records]
     text = json.dumps({**result.as_dict(), "files": files}, indent=1, allow_nan=False)

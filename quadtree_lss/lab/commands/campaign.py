@@ -57,11 +57,11 @@ def _run(options: argparse.Namespace) -> int:
     if len(options.what) != 1 or options.out is None:
         options.parser.error("one STUDY.yaml and --out are required")
     from quadtree_lss.lab.campaign import Where, campaign, read_study
-    from quadtree_lss.lab.campaign.values import parse_seeds
+    from quadtree_lss.lab.campaign.study import parse_seeds
 
     study = read_study(options.what[0])
     if options.keep is not None:
-        from quadtree_lss.lab.campaign.kept import flagged, keep
+        from quadtree_lss.lab.campaign.engine import flagged, keep
 
         worst = options.keep == "worst"
         for index in flagged(options.out) if worst else parse_seeds(options.keep):

@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> int:
     if not options.results or options.truth is None:
         options.parser.error("DIR and --truth are required")
     if len(options.results) > 1:
-        from quadtree_lss.lab.evaluation.compare import compare
+        from quadtree_lss.lab.evaluation.evaluate import compare
 
         if options.bag is not None:
             options.parser.error("--bag goes with one DIR only")

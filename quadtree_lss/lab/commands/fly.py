@@ -13,13 +13,13 @@ from quadtree_lss.desk.commands.common import (
     add_json,
     named,
     not_negative,
+    overrides,
     positive,
     print_json,
     share,
     whole,
 )
 from quadtree_lss.desk.commands.console import ProgressBar, first_line
-from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
@@ -68,8 +68,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.lab.flight.flight_page import write_flight
     from quadtree_lss.lab.flight.fly import flown, least_propellant
-    from quadtree_lss.lab.flight.page import write_flight
     from quadtree_lss.lab.flight.settings import flight_settings
 
     settings = flight_settings(_values(options))
@@ -108,15 +108,6 @@ def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progr
 
 
 def _values(options: argparse.Namespace) -> dict[str, Any]:
-    config: dict[str, Any] = {}
-    for item in options.set:
-        key, equals, value = item.partition("=")
-        if not equals or not key.strip():
-            options.parser.error(f"--set {item}: expected KEY=VALUE")
-        try:
-            config[key.strip()] = parse_yaml(value)
-        except YamlError as error:
-            options.parser.error(f"--set {item}: not a value: {error}")
     return {
         "avoidance": options.avoidance,
         "terrain": "" if options.terrain is None else str(options.terrain),
@@ -125,7 +116,7 @@ def _values(options: argparse.Namespace) -> dict[str, Any]:
         "outliers": options.outliers,
         "dropouts": options.dropouts,
         "faults": tuple(options.fault),
-        "config": config,
+        "config": overrides(options),
     }
 
 

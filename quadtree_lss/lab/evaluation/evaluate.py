@@ -1,38 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Score one results directory against the truth: Tables 2 and 3 and the figures."""
+"""Scores of results against the truth: Tables 2 and 3 and the figures, of one run or several."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.files import plain
+from quadtree_lss.desk.replay.files import new_folder, plain
 from quadtree_lss.lab.evaluation.metrics import (
     Detection,
     ElevationError,
     ErrorField,
     MissedPlace,
+    Reliability,
     SafetyField,
     SiteVerdict,
     detection,
     elevation_error,
     elevation_field,
     missed_places,
+    reliability_of,
     safety_field,
     site_verdicts,
 )
 from quadtree_lss.lab.evaluation.provenance import check_truth, recorded_bag, results_config
-from quadtree_lss.lab.evaluation.reliability import Reliability, reliability_of
 from quadtree_lss.lab.evaluation.results import (
     EvaluationError,
     Results,
     Truth,
+    aligned,
     load_results,
     load_truth,
 )
@@ -42,6 +44,17 @@ if TYPE_CHECKING:
     from quadtree_lss.lab.evaluation.consistency import Consistency
 
 _TOP = 5
+_COLUMNS = (
+    "hazardous",
+    "safe",
+    "unsafe sites",
+    "elevation RMS",
+    "largest",
+    "leaves",
+    "map time",
+    "prefit below",
+    "prefit above",
+)
 
 
 @dataclass(frozen=True)
@@ -233,7 +246,7 @@ def _with_page(
     result: EvaluationResult, results_dir: Path, truth: Truth, safety: SafetyField
 ) -> EvaluationResult:
     """Writes ``report.html``; with a note if the results have not what it shows."""
-    from quadtree_lss.lab.evaluation.page import evaluation_page
+    from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
 
     try:
         text = evaluation_page(results_dir, truth, safety, result)
@@ -275,3 +288,85 @@ def _table_2(
         if given is not None:
             raise
         return None, f"needs --bag ({error})"
+
+
+@dataclass(frozen=True)
+class ComparisonResult:
+    """Scores by the name of the run, and what was drawn of all together."""
+
+    runs: dict[str, EvaluationResult]
+    out: Path
+    figures: tuple[Path, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Scores by the name of the run, ready for JSON."""
+        return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
+
+    def table(self) -> str:
+        """A row per run; elevation RMS with the mean removed, Table 2 of one degree of freedom."""
+        rows = [("run", *_COLUMNS), *((name, *_cells(r)) for name, r in self.runs.items())]
+        lines = aligned(rows)
+        for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
+            names = [name for name, r in self.runs.items() if note in r.notes]
+            lines.append(f"{', '.join(names)}: {note}")
+        return "\n".join(lines)
+
+
+def _cells(r: EvaluationResult) -> tuple[str, ...]:
+    outside = r.consistency.counts.one_degree if r.consistency is not None else (math.nan,) * 2
+    return (
+        show(100.0 * r.detection.hazardous_found, ".2f", " %"),
+        show(100.0 * r.detection.safe_found, ".2f", " %"),
+        f"{r.unsafe_in_top_five} of {len(r.site_verdicts)}",
+        show(r.elevation.rms_mean_removed, ".3f", " m"),
+        show(r.elevation.maximum, ".2f", " m"),
+        str(r.leaves_estimated),
+        show(r.map_s_total, ".2f", " s"),
+        *(show(100.0 * share, ".2f", " %") for share in outside),
+    )
+
+
+def compare(
+    results_dirs: Sequence[str | Path],
+    truth_path: str | Path,
+    out: str | Path | None = None,
+    *,
+    consistency: bool = True,
+    figures: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> ComparisonResult:
+    """Score several results of ``replay`` over the same ground.
+
+    Each is evaluated as by `evaluate`, into ``out/<name>``; what shows them together goes into
+    ``out`` (default: a new folder ``results/<time>``). Runs bear the names of their directories.
+    Raises `EvaluationError` as `evaluate` does, and for two directories of one name.
+    """
+    folders = [Path(directory) for directory in results_dirs]
+    names = [folder.resolve().name for folder in folders]
+    if len(set(names)) < len(names):
+        msg = f"runs are told apart by their directories' names, but these are {', '.join(names)}"
+        raise EvaluationError(msg)
+    together = Path(out) if out is not None else new_folder(Path("results"))
+    runs = {
+        name: evaluate(
+            folder,
+            truth_path,
+            together / name,
+            consistency=consistency,
+            figures=figures,
+            progress=progress,
+        )
+        for name, folder in zip(names, folders, strict=True)
+    }
+    drawn: tuple[Path, ...] = ()
+    if figures:
+        from quadtree_lss.lab.evaluation.figures import draw_together
+
+        truth = load_truth(truth_path)
+        results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
+        heights = elevation_field(results[names[-1]].leaves, results[names[-1]].grid, truth)
+        drawn = draw_together(together, truth, heights, results)
+    result = ComparisonResult(runs, together, drawn)
+    text = json.dumps(result.as_dict()["runs"], indent=2, allow_nan=False) + "\n"
+    (together / "evaluation.json").write_text(text, encoding="utf-8")
+    return result

@@ -1,22 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's figures (9–13, 18–25) as PNG files, each named after the one it stands for."""
+"""The paper's figures (9–13, 18–25), each named after the one it stands for.
+
+Colour maps are those of the page, legible without red and green. Classes have colours of Okabe and
+Ito's palette, distinct for all common kinds of colour vision.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import MaxNLocator
+from scipy.ndimage import gaussian_filter
 
-from quadtree_lss.lab.evaluation import figures_map, figures_sites
-from quadtree_lss.lab.evaluation.metrics import ErrorField, SafetyField
-from quadtree_lss.lab.evaluation.reliability import reliability_of
-from quadtree_lss.lab.evaluation.results import Results, Truth
+from quadtree_lss.desk.report import drawing
+from quadtree_lss.desk.report.drawing import Box
+from quadtree_lss.desk.report.palette import SITE_COLOUR, even_limits
+from quadtree_lss.lab.evaluation.metrics import ErrorField, Reliability, SafetyField, reliability_of
+from quadtree_lss.lab.evaluation.results import Leaves, Results, Truth
 from quadtree_lss.onboard.arrays import Array
 
-_DPI = 130
-_TOP = 5
+SAFE_FOUND, HAZARD_FOUND = "#56b4e9", "#7f7f7f"
+VERDICTS = (
+    ("safe, found", SAFE_FOUND),
+    ("hazard, found", HAZARD_FOUND),
+    ("safe, called hazardous", "#f0e442"),
+    ("hazard, MISSED", "#d55e00"),
+    ("unseen", "#ffffff"),
+)
+"""Classes of the grid points, in the order of `verdict_classes`."""
+RUNS = ("#e69f00", "#0072b2", "#cc79a7", "#009e73", "#d55e00", "#56b4e9")
+"""One colour per run where several are in one picture."""
+EVERY = 5
+"""Figs. 9 and 10 show the outline of every fifth scan."""
+CONTOUR_SMOOTHING = 0.25
+"""m; pebbles have no contours."""
+TOP = 5
+"""Sites that are drawn and judged."""
 
 
 def draw_all(
@@ -27,57 +53,302 @@ def draw_all(
     A map of one level only stands for the paper's fixed-resolution map (Figs. 10, 13 instead of 9,
     12), one of several flights for FF13 + FF14 (Fig. 24 instead of 23).
     """
-    leaves, grid = results.leaves, results.grid
-    sites = results.sites[:_TOP]
-    cells, error = (
-        ("fig10_fixed_resolution_and_scans.png", "fig13_fixed_resolution_error.png")
-        if leaves.fixed
-        else ("fig09_quadtree_and_scans.png", "fig12_quadtree_error.png")
-    )
-    flights = truth.flights_of(results.stamps_ns)
-    risks = reliability_of(safety)
-    more = {} if risks is None else {"reliability.png": figures_sites.reliability_diagram(risks)}
-    scores = "fig23_site_score.png" if flights <= 1 else "fig24_site_score_of_several_flights.png"
-    return _save(
-        folder,
-        {
-            cells: figures_map.cells_and_scans(results, truth),
-            "fig11_processing_time.png": figures_map.processing_time({"map": results.map_ms}),
-            error: figures_map.elevation_error(heights, truth),
-            "fig18_quadtree_over_truth.png": figures_map.quadtree_over_truth(leaves, truth),
-            "fig19_elevation_estimate.png": figures_map.elevation_estimate(heights, truth),
-            "fig20_elevation_error.png": figures_map.elevation_error(heights, truth, centred=True),
-            "fig21_true_safety.png": figures_sites.true_safety(truth),
-            "fig22_classification.png": figures_sites.classification(safety, truth, sites),
-            scores: figures_sites.score(grid, truth, sites),
-            "fig25_selected_sites.png": figures_sites.selected_sites(
-                heights, truth, {"sites": sites}
-            ),
-            **more,
-        },
-    )
+    sites = {"sites": results.sites[:TOP]}
+    fixed, several = results.leaves.fixed, truth.flights_of(results.stamps_ns) > 1
+    cells = "fig10_fixed_resolution_and_scans" if fixed else "fig09_quadtree_and_scans"
+    error = "fig13_fixed_resolution_error" if fixed else "fig12_quadtree_error"
+    score = "fig24_site_score_of_several_flights" if several else "fig23_site_score"
+    figures = {
+        cells: _cells_and_scans(results, truth),
+        "fig11_processing_time": processing_time({"map": results.map_ms}),
+        error: _elevation_error(heights, truth, centred=False),
+        "fig18_quadtree_over_truth": _quadtree_over_truth(results.leaves, truth),
+        "fig19_elevation_estimate": _elevation_estimate(heights, truth),
+        "fig20_elevation_error": _elevation_error(heights, truth, centred=True),
+        "fig21_true_safety": _true_safety(truth),
+        "fig22_classification": _classification(safety, truth, sites),
+        score: _score(results, truth, sites),
+        "fig25_selected_sites": _selected_sites(heights, truth, sites),
+    }
+    if (risks := reliability_of(safety)) is not None:
+        figures["reliability"] = _reliability_diagram(risks)
+    return _save(folder, figures)
 
 
 def draw_together(
-    folder: Path,
-    truth: Truth,
-    heights: ErrorField,
-    map_ms: Mapping[str, Array],
-    sites: Mapping[str, Array],
+    folder: Path, truth: Truth, heights: ErrorField, runs: Mapping[str, Results]
 ) -> tuple[Path, ...]:
     """Figures 11 and 25 with several runs in one picture; ``heights`` are the last run's."""
-    top = {name: rows[:_TOP] for name, rows in sites.items()}
-    return _save(
-        folder,
-        {
-            "fig11_processing_time.png": figures_map.processing_time(map_ms),
-            "fig25_selected_sites.png": figures_sites.selected_sites(heights, truth, top),
-        },
+    sites = {name: run.sites[:TOP] for name, run in runs.items()}
+    times = {name: run.map_ms for name, run in runs.items()}
+    figures = {
+        "fig11_processing_time": processing_time(times),
+        "fig25_selected_sites": _selected_sites(heights, truth, sites),
+    }
+    return _save(folder, figures)
+
+
+def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """(ny, nx) of the field: which of `VERDICTS` each grid point is."""
+    called, safe = safety.called_safe & safety.seen, safety.truly_safe
+    return np.select(
+        [~safety.scored, safe & called, ~safe & ~called, safe & ~called], [4, 0, 1, 2], 3
     )
 
 
-def _save(folder: Path, drawn: Mapping[str, Figure]) -> tuple[Path, ...]:
-    for name, figure in drawn.items():
-        FigureCanvasAgg(figure)
-        figure.savefig(folder / name, dpi=_DPI)
-    return tuple(folder / name for name in drawn)
+def processing_time(runs: Mapping[str, Array]) -> Figure:
+    """Time per scan (ms) of one or several runs (Fig. 11)."""
+    figure = Figure(figsize=(7.6, 3.8), layout="constrained")
+    axes = figure.add_subplot()
+    for colour, (name, map_ms) in zip(RUNS * len(runs), runs.items(), strict=False):
+        label = f"{name}: {1e-3 * map_ms.sum():.2f} s in all"
+        scans = np.arange(1, map_ms.size + 1)
+        axes.plot(scans, map_ms, ".-", lw=0.6, ms=3, color=colour, label=label)
+    axes.set(xlabel="scan [-]", ylabel="map update [ms]")
+    axes.set_title("Processing time per scan", fontsize="medium")
+    axes.set_ylim(bottom=0.0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")
+    return figure
+
+
+def _save(folder: Path, figures: Mapping[str, Figure]) -> tuple[Path, ...]:
+    paths = tuple(folder / f"{name}.png" for name in figures)
+    for path, figure in zip(paths, figures.values(), strict=True):
+        path.write_bytes(drawing.png(figure))
+    return paths
+
+
+def _map(title: str, box: Box) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(7.6, 6.6), layout="constrained")
+    axes = figure.add_subplot()
+    drawing.map_axes(axes, title, box)
+    return figure, axes
+
+
+def _cells_and_scans(results: Results, truth: Truth) -> Figure:
+    """Boundaries of the leaves and of every fifth scan (Figs. 9, 10)."""
+    leaves = results.leaves
+    shown, total = truth.outlines_of(results.stamps_ns, EVERY)
+    box = _domain(leaves)
+    if shown.size and np.isfinite(shown).any():  # and a little of what scans saw beyond
+        room = 0.1 * leaves.domain.size
+        low, high = np.nanmin(shown, axis=(0, 1)), np.nanmax(shown, axis=(0, 1))
+        xmin, xmax, ymin, ymax = box
+        xmin, xmax = max(min(xmin, low[0]), xmin - room), min(max(xmax, high[0]), xmax + room)
+        ymin, ymax = max(min(ymin, low[1]), ymin - room), min(max(ymax, high[1]), ymax + room)
+        box = float(xmin), float(xmax), float(ymin), float(ymax)
+    kind = "Fixed-resolution cells" if leaves.fixed else "Quadtree cells"
+    scans = f"outlines of every {EVERY}th of {total} scans" if total else "no scan outlines known"
+    figure, axes = _map(f"{kind}, {_count(leaves)}; {scans}", box)
+    edges, wide = _edges(leaves), _width(leaves)
+    for part, colour, width in (
+        (~leaves.estimated, "#bbbbbb", 0.4),
+        (leaves.estimated, "black", wide),
+    ):
+        axes.add_collection(LineCollection(list(edges[part]), colors=colour, linewidths=width))
+    if total:
+        lines = LineCollection(list(shown), linewidths=0.9, cmap="viridis")
+        lines.set_array(1 + EVERY * np.arange(len(shown)))
+        axes.add_collection(lines)
+        figure.colorbar(lines, ax=axes, label="scan [-]", ticks=MaxNLocator(integer=True))
+    return figure
+
+
+def _domain(leaves: Leaves) -> Box:
+    of = leaves.domain
+    return of.xmin, of.xmin + of.size, of.ymin, of.ymin + of.size
+
+
+def _count(leaves: Leaves) -> str:
+    return f"{int(leaves.estimated.sum())} with an estimate of {leaves.level.size}"
+
+
+def _edges(leaves: Leaves) -> Array:
+    """Closed outlines of the leaves (M, 5, 2)."""
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
+    centre = np.stack([leaves.x, leaves.y], axis=-1)
+    return np.asarray(centre[:, None, :] + 0.5 * leaves.size[:, None, None] * corner)
+
+
+def _width(leaves: Leaves) -> float:
+    return float(np.clip(30.0 / np.sqrt(max(leaves.level.size, 1)), 0.15, 0.6))
+
+
+def _quadtree_over_truth(leaves: Leaves, truth: Truth) -> Figure:
+    """Leaf boundaries over the true elevation (Fig. 18)."""
+    box = _domain(leaves)
+    figure, axes = _map(f"Quadtree over the true elevation: leaves, {_count(leaves)}", box)
+    x, y, z = _window(truth, box)
+    _relief(figure, axes, x, y, z, z, "true elevation [m]")
+    edges = list(_edges(leaves))
+    axes.add_collection(LineCollection(edges, colors="black", linewidths=_width(leaves), alpha=0.4))
+    return figure
+
+
+def _elevation_estimate(heights: ErrorField, truth: Truth) -> Figure:
+    """Estimated elevation of seen ground with the true contours (Fig. 19)."""
+    box = _seen_box(heights)
+    figure, axes = _map("Elevation estimate; contours: truth", box)
+    true = truth.elevation_at(*np.meshgrid(heights.x, heights.y))[heights.seen]
+    estimate = np.where(heights.seen, heights.estimate, np.nan)
+    _relief(figure, axes, heights.x, heights.y, estimate, true, "elevation [m]")
+    _contours(axes, truth, box)
+    return figure
+
+
+def _elevation_error(heights: ErrorField, truth: Truth, *, centred: bool) -> Figure:
+    """Estimate minus truth over seen ground (Figs. 12, 13; ``centred``, without the mean, Fig. 20).
+
+    The scale holds 99 % of the errors; the paper's saturates at 3 m, where most do not show.
+    """
+    box = _seen_box(heights)
+    mean = float(np.nanmean(heights.error)) if centred and heights.seen.any() else 0.0
+    error = heights.error - mean
+    finite = np.abs(error[np.isfinite(error)])
+    title = "nothing to compare"
+    if finite.size:
+        title = f"mean absolute {finite.mean():.3f} m, largest {finite.max():.2f} m"
+        title += f"; mean of {mean:+.3f} m removed" if centred else ""
+    figure, axes = _map(f"Elevation error: {title}", box)
+    axes.set_facecolor("#dddddd")
+    low, high = even_limits(error)
+    style = {"cmap": drawing.MAPS["error"], "vmin": low, "vmax": high}
+    shown = drawing.image(axes, heights.x, heights.y, error, **style)
+    label = "estimate − truth [m]; grey: not seen"
+    figure.colorbar(shown, ax=axes, label=label, extend="both")
+    _contours(axes, truth, box)
+    return figure
+
+
+def _seen_box(heights: ErrorField) -> Box:
+    """Extent of the seen ground."""
+    seen = heights.seen if heights.seen.any() else np.ones_like(heights.seen)
+    return drawing.extent(heights.x[seen.any(axis=0)], heights.y[seen.any(axis=1)])
+
+
+def _true_safety(truth: Truth) -> Figure:
+    """The true safety map (Fig. 21)."""
+    title = f"True safety by lander contact: {100.0 * truth.safe.mean():.1f} % safe"
+    figure, axes = _map(title, truth.box)
+    colours = [HAZARD_FOUND, SAFE_FOUND]
+    drawing.classes(axes, truth.safe_x, truth.safe_y, truth.safe, colours)
+    _contours(axes, truth, truth.box)
+    handles = [Patch(color=SAFE_FOUND, label="safe"), Patch(color=HAZARD_FOUND, label="unsafe")]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    return figure
+
+
+def _classification(safety: SafetyField, truth: Truth, sites: Mapping[str, Array]) -> Figure:
+    """Verdict against truth, point by point, with the best sites (Fig. 22)."""
+    figure, axes = _map("Classification of terrain and the best sites", _around(truth))
+    kind = verdict_classes(safety)
+    labels, colours = zip(*VERDICTS, strict=True)
+    drawing.classes(axes, safety.x, safety.y, kind, colours)
+    shares = np.bincount(kind.ravel(), minlength=5) / max(kind.size, 1)
+    handles = [
+        Patch(facecolor=colour, edgecolor="black", label=f"{label} {100 * share:.2f} %")
+        for colour, label, share in zip(colours, labels, shares, strict=True)
+    ]
+    _box_and_sites(axes, truth, sites)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
+    return figure
+
+
+def _score(results: Results, truth: Truth, sites: Mapping[str, Array]) -> Figure:
+    """Score of the terrain where landing is allowed, lower is better (Figs. 23, 24)."""
+    grid, box = results.grid, _around(truth)
+    figure, axes = _map("Site score, lower is better; white: excluded", box)
+    allowed = grid.safe & np.isfinite(grid.score)
+    values = np.where(allowed, grid.score, np.nan)
+    low, high = np.percentile(grid.score[allowed], (0.5, 99.5)) if allowed.any() else (0.0, 1.0)
+    style = {"cmap": drawing.MAPS["score"], "vmin": low, "vmax": high}
+    shown = drawing.image(axes, grid.x, grid.y, values, **style)
+    figure.colorbar(shown, ax=axes, label="score [-]", extend="both")
+    _contours(axes, truth, box)
+    _box_and_sites(axes, truth, sites)
+    return figure
+
+
+def _selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, Array]) -> Figure:
+    """Sites of one or several runs over the mapped elevation (Fig. 25).
+
+    The paper shows binned measurements below them; results hold no points, so the map does here.
+    """
+    figure, axes = _map("Selected landing sites over the mapped terrain", _around(truth))
+    estimate = np.where(heights.seen, heights.estimate, np.nan)
+    _relief(figure, axes, heights.x, heights.y, estimate, estimate, "estimated elevation [m]")
+    _box_and_sites(axes, truth, runs)
+    if len(runs) > 1:
+        figure.legend(loc="outside lower center", ncols=min(len(runs), 3), fontsize="small")
+    return figure
+
+
+def _reliability_diagram(found: Reliability) -> Figure:
+    """Truly unsafe share over predicted risk."""
+    figure = Figure(figsize=(5.0, 4.6), layout="constrained")
+    axes = figure.subplots()
+    ends = np.array([1e-4, 1.0])
+    axes.fill_between(ends, ends / 2.0, ends * 2.0, color="0.9", label="within a factor of 2")
+    axes.plot(ends, ends, color="0.4", linewidth=0.8)
+    some = [b for b in found.bins if b.grid_points]
+    shares = np.array([b.unsafe for b in some])
+    axes.plot([b.predicted for b in some], np.maximum(shares, 1e-4), "o-", color="#0072b2")
+    axes.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
+    axes.set(xlabel="predicted risk", ylabel="truly unsafe share")
+    axes.set_title(f"Risk of landing: Brier score {found.brier:.4f}", fontsize="medium")
+    axes.legend(loc="upper left", fontsize="small")
+    return figure
+
+
+def _relief(figure: Figure, axes: Any, x: Array, y: Array, z: Array, of: Array, label: str) -> None:
+    """Shaded elevations; the colours are of most of those ``of`` something, in which a few rock
+    tops do not stretch them."""
+    shown = drawing.layer(axes, x, y, z, limits=_limits(of))
+    figure.colorbar(shown, ax=axes, label=label, extend="both")
+
+
+def _limits(values: Array) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    low, high = np.percentile(finite, (0.2, 99.8)) if finite.size else (0.0, 1.0)
+    return float(low), float(high)
+
+
+def _window(truth: Truth, box: Box) -> tuple[Array, Array, Array]:
+    """The part of the DEM inside a box: x, y, elevation."""
+    columns = np.flatnonzero((truth.x >= box[0]) & (truth.x <= box[1]))
+    rows = np.flatnonzero((truth.y >= box[2]) & (truth.y <= box[3]))
+    if columns.size < 2 or rows.size < 2:
+        return truth.x, truth.y, truth.elevation
+    return truth.x[columns], truth.y[rows], truth.elevation[np.ix_(rows, columns)]
+
+
+def _contours(axes: Axes, truth: Truth, box: Box) -> None:
+    """Contour lines of the true elevation."""
+    x, y, z = _window(truth, box)
+    z = gaussian_filter(z, CONTOUR_SMOOTHING / (x[1] - x[0]))
+    thin = max(1, z.shape[0] // 300)
+    x, y, z = x[::thin], y[::thin], z[::thin, ::thin]
+    low, high = _limits(z)
+    if high > low:
+        levels = np.linspace(low, high, 9)
+        axes.contour(x, y, z, levels=levels, colors="black", linewidths=0.4, alpha=0.6)
+
+
+def _around(truth: Truth) -> Box:
+    """The scanned box and the lander's reach around it."""
+    xmin, xmax, ymin, ymax = truth.box
+    reach = 0.5 * truth.lander.diameter + truth.lander.pad_radius
+    return xmin - reach, xmax + reach, ymin - reach, ymax + reach
+
+
+def _box_and_sites(axes: Axes, truth: Truth, runs: Mapping[str, Array]) -> None:
+    """The scanned box, and each run's sites with the lander's circle."""
+    xmin, xmax, ymin, ymax = truth.box
+    box = Rectangle((xmin, ymin), xmax - xmin, ymax - ymin, fill=False, edgecolor="black", lw=0.8)
+    axes.add_patch(box)
+    several = len(runs) > 1
+    for colour, (name, sites) in zip(RUNS * len(runs), runs.items(), strict=False):
+        how = (colour, name) if several else (SITE_COLOUR, "")
+        drawing.mark_sites(axes, sites, 0.5 * truth.lander.diameter, *how)

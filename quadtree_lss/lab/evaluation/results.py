@@ -7,7 +7,7 @@ import csv
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.desk.replay.result import ReplayResult
 from quadtree_lss.desk.replay.results import cells_arrays, grid_arrays
-from quadtree_lss.lab.simulation.safety import Lander
+from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
 from quadtree_lss.lab.simulation.terrain import bilinear
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
@@ -37,6 +37,16 @@ _GRID_EXTRA = ("risk",)
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
 _TRUTH_NAMES = ("bag_name", "seed", "lander")
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table for people: the first column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for first, *others in rows:
+        cells = [f"{cell:>{width}}" for cell, width in zip(others, widths[1:], strict=True)]
+        lines.append("  ".join([f"{first:<{widths[0]}}", *cells]))
+    return lines
 
 
 class EvaluationError(QuadtreeLssError):
@@ -181,7 +191,7 @@ class Truth:
     bag_name: str | None = None
     """Name of the bag beside the file; None where the file does not tell, like ``seed``."""
     seed: int | None = None
-    lander: Lander = Lander()
+    lander: LandingGear = LandingGear()
     """Whose safety it is."""
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
@@ -303,9 +313,9 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
     a.setdefault("scan_flight", np.zeros(scans, np.int64))
     for name in _TRUTH_EXTRA:
         _check_length(file, name, a[name], scans, "one per scan")
-    limits = np.asarray(a.pop("lander", Lander().limits), float)
+    limits = np.asarray(a.pop("lander", LandingGear().limits), float)
     _check_length(file, "lander", limits, 4, "diameter, pad radius, slope, roughness")
-    a["lander"] = Lander(*limits.tolist())
+    a["lander"] = LandingGear(*limits.tolist())
     for name, kind in (("bag_name", str), ("seed", int)):
         if name in a:
             a[name] = kind(a[name].item()) if a[name].size == 1 else None

@@ -13,7 +13,7 @@ import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.replay.scans import steps
-from quadtree_lss.lab.evaluation.reliability import scores
+from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.evaluation.risk_fit import (
     ABOUT_BINS,
@@ -26,10 +26,10 @@ from quadtree_lss.lab.evaluation.risk_fit import (
     rounded,
     unfitted,
 )
-from quadtree_lss.lab.simulation.flight import Simulation
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, TYPES
-from quadtree_lss.lab.simulation.safety import Lander, contact_safe, on_dem
+from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe, on_dem
+from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.risk import RiskModel
@@ -103,14 +103,13 @@ def fly(
         range_noise=conditions.noise * config.lidar.range_noise,
         outliers=conditions.outliers,
     )
-    counts = {SCAN_TOPIC: simulation.scans, POSE_TOPIC: simulation.poses}
-    topics = [Topic(name, kind, counts[name]) for name, kind in TYPES.items()]
-    bag = MessageBag("bag", topics, simulation.span_ns, simulation.messages())
     marks = {max(1, round(part * simulation.scans)) for part in parts}
     found: list[CellMap] = []
     mapper: Mapper | None = None
     number = 0
-    for number, (_, _, mapper) in enumerate(steps(bag, conditions.mapping(config)), 1):
+    for number, (_, _, mapper) in enumerate(
+        steps(in_memory(simulation), conditions.mapping(config)), 1
+    ):
         if number in marks:
             found.append(round_trip(mapper.snapshot()))
     if mapper is not None and number not in marks:  # the last scans may lack a pose
@@ -121,10 +120,17 @@ def fly(
     return [Mapped(cells, known, safe) for cells in found]
 
 
-def lander_of(config: Config) -> Lander:
+def in_memory(simulation: Simulation) -> MessageBag:
+    """A simulated flight as a bag that is no file, for once."""
+    counts = {SCAN_TOPIC: simulation.scans, POSE_TOPIC: simulation.poses}
+    topics = [Topic(name, kind, counts[name]) for name, kind in TYPES.items()]
+    return MessageBag("bag", topics, simulation.span_ns, simulation.messages())
+
+
+def lander_of(config: Config) -> LandingGear:
     """The vehicle that the parameters describe: whose safety is judged, and is true."""
     lss = config.lss
-    return Lander(
+    return LandingGear(
         diameter=lss.vehicle_diameter,
         pad_radius=lss.pad_radius,
         max_slope_deg=lss.max_slope_deg,

@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from quadtree_lss.lab.flight.gimbal import Gimbal, quaternion
 from quadtree_lss.lab.flight.ground import Ground, start
-from quadtree_lss.lab.flight.lander import Lander
 from quadtree_lss.lab.flight.pilot import Pilot, Target
 from quadtree_lss.lab.flight.settings import Fault, FlightSettings
+from quadtree_lss.lab.flight.vehicle import VehicleState
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
+from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.arrays import Array
 
 TICK = 0.01
@@ -37,11 +38,25 @@ JUMP = np.array([2.0, 0.0, 1.0])
 
 
 class Sent(NamedTuple):
-    """A message as plain values: topic, stamp, and what its type takes (see ``wire``)."""
+    """A message as plain values: topic, stamp, and the arrays that it holds."""
 
     topic: str
     stamp_ns: int
     value: Any
+
+    def message(self, make: Messages) -> Any:
+        """As a message."""
+        if self.topic == "nav/pose":
+            return make.pose(self.stamp_ns, *self.value)
+        if self.topic == "lidar/points":
+            return make.scan(self.stamp_ns, self.value)
+        if self.topic == "landing/target":
+            return make.point(self.stamp_ns, self.value)
+        if self.topic == "landing/dispersion":
+            covariance = np.diag([*self.value, 0.0, 0.0, 0.0, np.inf])  # at any heading
+            level = np.array([0.0, 0.0, 0.0, 1.0])
+            return make.pose(self.stamp_ns, np.zeros(3), level, covariance)
+        return make.polygon(self.stamp_ns, self.value)
 
 
 class Sample(NamedTuple):
@@ -80,7 +95,7 @@ class Flight:
         self.settings = settings
         self.ground = Ground.of(settings, field) if ground is None else ground
         self.began = start(settings, self.ground.planned, scatter)
-        self.lander = Lander(settings.vehicle, *self.began)
+        self.lander = VehicleState(settings.vehicle, *self.began)
         self._ticks = 0
         self._errors(navigation)
         planned = self.ground.planned + np.array([0.0, 0.0, scatter.normal(0.0, 1.0)])

@@ -3,18 +3,16 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from quadtree_lss.lab.flight.flight import TICK, Flight
+from quadtree_lss.lab.flight.flight import Flight
 from quadtree_lss.lab.flight.ground import Ground
-from quadtree_lss.lab.flight.onboard import Onboard
-from quadtree_lss.lab.flight.pilot import Target
-from quadtree_lss.lab.flight.reference import Descent, NoReference
+from quadtree_lss.lab.flight.lockstep import LockstepNodes
+from quadtree_lss.lab.flight.reference import Descent
 from quadtree_lss.lab.flight.settings import FlightSettings, flight_settings
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config, config_from_values
@@ -80,23 +78,23 @@ def flown(
         progress: Told the seconds flown, now and then.
     """
     flight = Flight(seed, settings, ground)
-    onboard = None
+    nodes = None
     if flight.looks:
         config = flight_config(settings, flight.ground)
-        onboard = Onboard(config, settings.answer_delay)
+        nodes = LockstepNodes(config, settings.answer_delay)
     down: set[str] = set()
     while not flight.outcome:
         sent = flight.step()
-        if onboard is not None:
-            _break(flight, onboard, down)
+        if nodes is not None:
+            _break(flight, nodes, down)
             for message in sent:
-                onboard.take(message, flight.stamp_ns)
-            said = onboard.work(flight.stamp_ns)
+                nodes.take(message, flight.stamp_ns)
+            said = nodes.work(flight.stamp_ns)
             if said is not None:
                 flight.hear(said)
         if progress is not None and int(100 * flight.time) % 100 == 0:
             progress(flight.time)
-    last = None if onboard is None else onboard.last
+    last = None if nodes is None else nodes.last
     figures = figures_of(seed, flight, last)
     if reference:
         figures |= least_propellant(flight)
@@ -107,16 +105,6 @@ def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dic
     """What became of a flight, ready for JSON."""
     figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
     return figures | map_said(last, figures)
-
-
-def flown_again(seed: int, settings: FlightSettings, heard: Iterable[tuple[int, Target]]) -> Flight:
-    """The flight whose guidance heard these answers at these ticks: none computes."""
-    flight, answers = Flight(seed, settings), deque(heard)
-    while not flight.outcome:
-        flight.step()
-        while answers and answers[0][0] <= round(flight.time / TICK):
-            flight.hear(answers.popleft()[1])
-    return flight
 
 
 def flight_config(settings: FlightSettings, ground: Ground) -> Config:
@@ -166,16 +154,13 @@ def least_propellant(flight: Flight) -> dict[str, Any]:
     return {"reference": least, "propellant_ratio": flight.lander.burnt / least}
 
 
-def _break(flight: Flight, onboard: Onboard, down: set[str]) -> None:
+def _break(flight: Flight, nodes: LockstepNodes, down: set[str]) -> None:
     """Nodes that are killed now, or come back."""
     for kind, node in OUTSIDE.items():
         active = kind in flight.active
         if active and kind not in down:
             down.add(kind)
-            onboard.kill(node)
+            nodes.kill(node)
         elif not active and kind in down:
             down.discard(kind)
-            onboard.respawn(node, checkpoint=kind != "forget_mapping")
-
-
-__all__ = ["Flown", "NoReference", "fly", "flown"]
+            nodes.respawn(node, checkpoint=kind != "forget_mapping")

@@ -9,7 +9,7 @@ from math import hypot, radians, sqrt
 
 import numpy as np
 
-from quadtree_lss.lab.flight.lander import turned
+from quadtree_lss.lab.flight.vehicle import turned
 from quadtree_lss.onboard.arrays import Array
 
 

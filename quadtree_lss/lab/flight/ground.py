@@ -61,7 +61,7 @@ class Ground:
         """Whether a lander whose pads are level with ``position`` (3,) is on the ground."""
         if position[2] > self._highest:
             return False
-        radius = 0.5 * safety.Lander().diameter
+        radius = 0.5 * safety.LandingGear().diameter
         angles = 0.25 * np.pi * np.arange(8)
         x = position[0] + radius * np.append(np.cos(angles), 0.0)
         y = position[1] + radius * np.append(np.sin(angles), 0.0)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import trapezoid
 
-from quadtree_lss.lab.flight.lander import Vehicle
+from quadtree_lss.lab.flight.vehicle import Vehicle
 from quadtree_lss.onboard.arrays import Array
 
 _AT = np.linspace(0.0, 1.0, 13)

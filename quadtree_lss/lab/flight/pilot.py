@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadtree_lss.lab.flight.guidance import Limits, Paths, paths, thrust_for, zem_zev
-from quadtree_lss.lab.flight.lander import Vehicle
+from quadtree_lss.lab.flight.vehicle import Vehicle
 from quadtree_lss.onboard.arrays import Array
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least propellant that any guidance could need, and what it could reach: convex programs.
+"""The least propellant that any guidance could need, by convex programs.
 
 Powered descent with free thrust direction is made convex without loss (Açıkmeşe and Ploen 2007;
 Blackmore, Açıkmeşe and Scharf 2010): the thrust's size is bounded by a slack that is bounded from
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.lab.flight.guidance import Limits
-from quadtree_lss.lab.flight.lander import Vehicle
+from quadtree_lss.lab.flight.vehicle import Vehicle
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -109,35 +109,6 @@ class Descent:
             np.asarray(v.value),
             np.asarray(self._size.value) * np.exp(log_mass),
         )
-
-    def reach(
-        self,
-        seconds: float,
-        position: Array,
-        velocity: Array,
-        height: float,
-        end_velocity: Array,
-        heading: float,
-    ) -> Array | None:
-        """The farthest place (3,) that can be reached in a time along a heading, None if none.
-
-        Args:
-            seconds: Time to go.
-            position, velocity: (3,) where it starts.
-            height: Of the end, m.
-            end_velocity: (3,) there.
-            heading: From +x, rad, seen from the place below ``position``'s straight way on.
-        """
-        cp = self._cvxpy
-        r, v, _, rules = self._problem(seconds, position, velocity)
-        n = self.steps
-        rules += [r[n, 2] == height, v[n] == end_velocity]
-        slope = np.tan(np.radians(self.limits.glide_slope_deg))
-        rules += [slope * cp.norm(r[k, :2] - r[n, :2]) <= r[k, 2] - height for k in range(1, n)]
-        along = np.array([np.cos(heading), np.sin(heading)])
-        problem = cp.Problem(cp.Maximize(r[n, :2] @ along), rules)
-        problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
-        return np.asarray(r.value[n]) if problem.status == cp.OPTIMAL else None
 
     def _problem(
         self, seconds: float, position: Array, velocity: Array

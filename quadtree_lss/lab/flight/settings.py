@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from quadtree_lss.lab.flight.gimbal import ScanPlan
-from quadtree_lss.lab.flight.lander import Vehicle
 from quadtree_lss.lab.flight.pilot import Rules
+from quadtree_lss.lab.flight.vehicle import Vehicle
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 AVOIDANCE = ("package", "paper", "none", "perfect")

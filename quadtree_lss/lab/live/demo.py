@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from quadtree_lss.desk.player.player import play
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.results import cells_arrays
-from quadtree_lss.lab.flight.page import headline, write_flight
+from quadtree_lss.lab.flight.flight_page import headline, write_flight
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.live.flight import fly_live
 from quadtree_lss.lab.live.listener import Listener

@@ -24,8 +24,8 @@ from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
 from quadtree_lss.lab.flight.fly import OUTSIDE, Flown, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
-from quadtree_lss.lab.flight.wire import Wire
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain
+from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.loading import dump_config
 from quadtree_lss.onboard.nodes.messages import TYPES, packed, time_message
 from quadtree_lss.onboard.nodes.qos import latched, stream
@@ -137,7 +137,7 @@ class _Link:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
         self._node = Node("flight", context=self._context)
-        self._wire = Wire(TYPES, packed, frame)
+        self._make = Messages(TYPES, packed, frame)
         self._clock = self._node.create_publisher(Clock, "/clock", stream(10, reliable=True))
         self._publishers = {
             topic: self._node.create_publisher(
@@ -168,7 +168,7 @@ class _Link:
 
     def send(self, sent: Sent) -> None:
         """One message."""
-        self._publishers[sent.topic].publish(self._wire.message(sent))
+        self._publishers[sent.topic].publish(sent.message(self._make))
 
     def spin(self, stamp_ns: int, until: float) -> list[Target]:
         """Tells the time and hears answers until a moment of the steady clock."""

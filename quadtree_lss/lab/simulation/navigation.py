@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,20 +24,6 @@ class Estimate:
     covariance: Array
 
 
-class Navigation(Protocol):
-    """Turns true poses at given times into estimated ones."""
-
-    def estimate(
-        self,
-        generator: np.random.Generator,
-        times: Array,
-        positions: Array,
-        rotations: Array,
-    ) -> Estimate:
-        """Estimate of poses (n, 3), (n, 3, 3) at ascending times (n,) s."""
-        ...
-
-
 def _isotropic(position_sigma: float, attitude_sigma: float) -> Array:
     return np.diag([position_sigma**2] * 3 + [attitude_sigma**2] * 3)
 
@@ -55,13 +40,9 @@ class WhiteNavigation:
     attitude_sigma_deg: float = 0.01
 
     def estimate(
-        self,
-        generator: np.random.Generator,
-        times: Array,
-        positions: Array,
-        rotations: Array,
+        self, generator: np.random.Generator, times: Array, positions: Array, rotations: Array
     ) -> Estimate:
-        """Independent Gaussian errors for every pose."""
+        """Estimate of true poses (n, 3), (n, 3, 3) at times (n,) s: independent errors for each."""
         sigma = np.radians(self.attitude_sigma_deg)
         offset = generator.normal(0.0, self.position_sigma, positions.shape)
         tilt = Rotation.from_rotvec(generator.normal(0.0, sigma, positions.shape)).as_matrix()
@@ -86,13 +67,9 @@ class DriftingNavigation:
     conservatism: float = 2.0
 
     def estimate(
-        self,
-        generator: np.random.Generator,
-        times: Array,
-        positions: Array,
-        rotations: Array,
+        self, generator: np.random.Generator, times: Array, positions: Array, rotations: Array
     ) -> Estimate:
-        """One bias for the flight plus a drift that is continuous in time."""
+        """The same: one bias for the flight plus a drift that is continuous in time."""
         offset = self._error(generator, times, self.position_bias, self.position_drift)
         bias, drift = np.radians([self.attitude_bias_deg, self.attitude_drift_deg])
         tilt = Rotation.from_rotvec(self._error(generator, times, bias, drift)).as_matrix()
@@ -116,3 +93,6 @@ class DriftingNavigation:
                 state = share * state + new
                 wander[k, axis] = state
         return np.asarray(constant + wander)
+
+
+Navigation = WhiteNavigation | DriftingNavigation

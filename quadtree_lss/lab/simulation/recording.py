@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans and poses as ROS 2 messages and bags, without ROS."""
+"""Scans, poses and wishes as messages, of rosbags' classes or of rclpy's; and bags."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,38 +12,40 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-SCAN_TOPIC = "/lidar/points"
-POSE_TOPIC = "/nav/pose"
-TYPES = {
-    SCAN_TOPIC: "sensor_msgs/msg/PointCloud2",
-    POSE_TOPIC: "geometry_msgs/msg/PoseWithCovarianceStamped",
-}
+from quadtree_lss.onboard.arrays import Array
+
+SCAN_TOPIC, POSE_TOPIC = "/lidar/points", "/nav/pose"
+CLOUD = "sensor_msgs/msg/PointCloud2"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TYPES = {SCAN_TOPIC: CLOUD, POSE_TOPIC: POSE}
 _FLOAT32 = 7  # sensor_msgs/PointField
 
 
 class Messages:
-    """Makes messages of arrays."""
+    """Makes messages of arrays.
 
-    def __init__(self, *, map_frame: str = "map", lidar_frame: str = "lidar") -> None:
-        self.types = get_typestore(Stores.ROS2_JAZZY)
-        self._map_frame, self._lidar_frame = map_frame, lidar_frame
+    Args:
+        types: Class by name, such as ``geometry_msgs/msg/Point``; by default those of rosbags.
+        pack: What the classes take as an array of uint8.
+        frame: Of the map.
+    """
 
-    def _type(self, name: str) -> Any:
-        return self.types.types[name]
+    def __init__(
+        self,
+        types: Mapping[str, Callable[..., Any]] | None = None,
+        pack: Callable[[NDArray[np.uint8]], Any] = np.asarray,
+        frame: str = "map",
+    ) -> None:
+        self._types = types or get_typestore(Stores.ROS2_JAZZY).types
+        self._pack, self._frame = pack, frame
 
-    def _header(self, stamp_ns: int, frame: str) -> Any:
-        stamp = self._type("builtin_interfaces/msg/Time")(
-            sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9
-        )
-        return self._type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame)
-
-    def scan(self, stamp_ns: int, points_lidar: NDArray[np.float64]) -> Any:
+    def scan(self, stamp_ns: int, points_lidar: Array) -> Any:
         """An organised cloud (H, W, 3): x, y, z float32, NaN = no return."""
         height, width, _ = points_lidar.shape
-        field = self._type("sensor_msgs/msg/PointField")
         data = np.ascontiguousarray(points_lidar, "<f4").view(np.uint8).reshape(-1)
-        return self._type("sensor_msgs/msg/PointCloud2")(
-            header=self._header(stamp_ns, self._lidar_frame),
+        field = self._types["sensor_msgs/msg/PointField"]
+        return self._types[CLOUD](
+            header=self._header(stamp_ns, "lidar"),
             height=height,
             width=width,
             fields=[
@@ -52,42 +55,53 @@ class Messages:
             is_bigendian=False,
             point_step=12,
             row_step=12 * width,
-            data=data,
+            data=self._pack(data),
             is_dense=bool(np.isfinite(points_lidar).all()),
         )
 
-    def pose(
-        self,
-        stamp_ns: int,
-        position_map: NDArray[np.float64],
-        quaternion_xyzw: NDArray[np.float64],
-        covariance: NDArray[np.float64],
-    ) -> Any:
-        """The lidar's pose in the map with its covariance (6, 6)."""
-        x, y, z = (float(value) for value in position_map)
-        qx, qy, qz, qw = (float(value) for value in quaternion_xyzw)
-        pose = self._type("geometry_msgs/msg/Pose")(
-            position=self._type("geometry_msgs/msg/Point")(x=x, y=y, z=z),
-            orientation=self._type("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw),
+    def pose(self, stamp_ns: int, position: Array, xyzw: Array, covariance: Array) -> Any:
+        """A pose in the map with its covariance (6, 6)."""
+        x, y, z, w = (float(value) for value in xyzw)
+        pose = self._types["geometry_msgs/msg/Pose"](
+            position=self._point("Point", position),
+            orientation=self._types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
         )
-        with_covariance = self._type("geometry_msgs/msg/PoseWithCovariance")(
-            pose=pose, covariance=np.ascontiguousarray(covariance, np.float64).reshape(36)
+        matrix = np.ascontiguousarray(covariance, np.float64).reshape(36)
+        pose = self._types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=matrix)
+        return self._types[POSE](header=self._header(stamp_ns, self._frame), pose=pose)
+
+    def point(self, stamp_ns: int, xyz: Array) -> Any:
+        """A place (3,) in the map."""
+        header = self._header(stamp_ns, self._frame)
+        point = self._point("Point", xyz)
+        return self._types["geometry_msgs/msg/PointStamped"](header=header, point=point)
+
+    def polygon(self, stamp_ns: int, corners: Array) -> Any:
+        """Corners (K, 2) in the map."""
+        points = [self._point("Point32", (x, y, 0.0)) for x, y in corners]
+        return self._types["geometry_msgs/msg/PolygonStamped"](
+            header=self._header(stamp_ns, self._frame),
+            polygon=self._types["geometry_msgs/msg/Polygon"](points=points),
         )
-        return self._type("geometry_msgs/msg/PoseWithCovarianceStamped")(
-            header=self._header(stamp_ns, self._map_frame), pose=with_covariance
-        )
+
+    def _header(self, stamp_ns: int, frame: str) -> Any:
+        seconds, nanoseconds = divmod(stamp_ns, 10**9)
+        stamp = self._types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+        return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+
+    def _point(self, kind: str, xyz: Any) -> Any:
+        x, y, z = (float(value) for value in xyz)
+        return self._types[f"geometry_msgs/msg/{kind}"](x=x, y=y, z=z)
 
 
 class BagRecorder:
-    """Context manager that records messages of `TYPES` into a new mcap bag."""
+    """Context manager that records messages of `TYPES` into a new mcap bag at ``path``."""
 
-    def __init__(self, path: Path, messages: Messages) -> None:
-        """Prepare a bag at ``path``, which must not exist."""
-        self._store = messages.types
+    def __init__(self, path: Path) -> None:
+        self._store = get_typestore(Stores.ROS2_JAZZY)
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
 
     def __enter__(self) -> BagRecorder:
-        """Open the bag and declare the topics."""
         self._writer.open()
         self._topics = {
             topic: self._writer.add_connection(topic, kind, typestore=self._store)
@@ -96,7 +110,6 @@ class BagRecorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Finish the bag."""
         self._writer.close()
 
     def write(self, topic: str, received_ns: int, message: Any) -> None:

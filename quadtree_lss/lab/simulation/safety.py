@@ -25,7 +25,7 @@ _TOLERANCE = 1e-9  # m: a lander that reaches to the very edge of the DEM is on 
 
 
 @dataclass(frozen=True)
-class Lander:
+class LandingGear:
     """Dimensions (m) and limits of the vehicle."""
 
     diameter: float = 3.7
@@ -45,14 +45,14 @@ def contact_safe(
     y: ArrayLike,
     elevation: ArrayLike,
     points: ArrayLike,
-    lander: Lander | None = None,
+    lander: LandingGear | None = None,
 ) -> Mask:
     """Whether a lander centred at each of ``points`` (K, 2), map frame, m, stands safely: (K,).
 
     ``x`` (nx,), ``y`` (ny,), ``elevation`` (ny, nx) are the DEM. A point whose lander would reach
     over the edge of the DEM is unsafe.
     """
-    lander = lander or Lander()
+    lander = lander or LandingGear()
     slope, rise = worst_contact(x, y, elevation, points, lander)
     return np.asarray(
         (slope <= np.tan(np.radians(lander.max_slope_deg))) & (rise <= lander.max_roughness)
@@ -64,7 +64,7 @@ def worst_contact(
     y: ArrayLike,
     elevation: ArrayLike,
     points: ArrayLike,
-    lander: Lander,
+    lander: LandingGear,
 ) -> tuple[Array, Array]:
     """The worst over yaws and resting planes, for landers at each of ``points`` (K, 2).
 
@@ -92,7 +92,7 @@ def worst_contact(
     return worst[:, 0], worst[:, 1]
 
 
-def on_dem(x: ArrayLike, y: ArrayLike, points: ArrayLike, lander: Lander) -> Mask:
+def on_dem(x: ArrayLike, y: ArrayLike, points: ArrayLike, lander: LandingGear) -> Mask:
     """Whether all of a lander centred at ``points`` (K, 2) is over the DEM: (K,)."""
     posts_x, posts_y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     centres = np.asarray(points, np.float64).reshape(-1, 2)
@@ -111,7 +111,7 @@ def safety_map(
     elevation: ArrayLike,
     grid_x: ArrayLike,
     grid_y: ArrayLike,
-    lander: Lander | None = None,
+    lander: LandingGear | None = None,
 ) -> Mask:
     """True safety at the points of a grid: (len(grid_y), len(grid_x)); see `contact_safe`."""
     x_of, y_of = np.asarray(grid_x, np.float64), np.asarray(grid_y, np.float64)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,13 @@ from scipy.spatial.transform import Rotation
 from quadtree_lss.lab.simulation.hazard_field import HazardField, hazard_field, strewn
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
-from quadtree_lss.lab.simulation.parabola import Parabola
-from quadtree_lss.lab.simulation.terrain import SimulationError, Surface, Terrain, load_terrain
+from quadtree_lss.lab.simulation.terrain import (
+    Parabola,
+    SimulationError,
+    Surface,
+    Terrain,
+    load_terrain,
+)
 from quadtree_lss.lab.simulation.trajectory import (
     Sweep,
     Trajectory,
@@ -31,7 +36,7 @@ EDGE = 2.25
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlightPlan:
     """One flight: what is seen, from where, when, and how well the vehicle knows its pose."""
 
     surface: Surface
@@ -44,21 +49,79 @@ class Flight:
     box: tuple[float, float, float, float]
 
 
-Planner = Callable[["Request", int], Flight]
+LIMITS = {
+    "glide_slope_deg": (10.0, 80.0),
+    "navigation_error": (0.0, 100.0),
+    "conservatism": (0.01, 100.0),
+    "rocks": (0.0, 0.3),
+    "slope_deg": (0.0, 20.0),
+}
 
 
 @dataclass(frozen=True)
-class Request:
-    """What the user asked for, with the terrain made or read."""
+class Conditions:
+    """What the user asks of a flight.
 
-    terrain: Terrain | None
-    duration: float
-    range_noise: float | None
-    outliers: float
-    dropouts: float
-    glide_slope_deg: float
-    navigation_error: float
-    conservatism: float
+    Attributes:
+        duration: Of the flight, s; None for the scenario's own.
+        terrain: A DEM or the path of one; None for the scenario's own.
+        range_noise: One sigma of a range, m; None for the scenario's own.
+        outliers, dropouts: Shares of false and of missing returns.
+        glide_slope_deg: Of the morpheus scenario.
+        navigation_error: How many times the usual errors of morpheus and descent.
+        conservatism: How many times its errors the navigation claims.
+        rocks: Share of the ground that rocks cover, the k of Golombek and Rapp (a made field has
+            0.05); on a given terrain rocks are added, over 100 m about its centre at most.
+        slope_deg: Root mean square slope of a made field (1.5).
+
+    Raises `SimulationError` for values that make no sense.
+    """
+
+    duration: float | None = None
+    terrain: Terrain | str | Path | None = None
+    range_noise: float | None = None
+    outliers: float = 0.0
+    dropouts: float = 0.0
+    glide_slope_deg: float = 30.0
+    navigation_error: float = 1.0
+    conservatism: float = 2.0
+    rocks: float | None = None
+    slope_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.duration is not None and not 1.0 <= self.duration <= 600.0:
+            msg = f"duration must be between 1 and 600 s, not {self.duration:g}"
+            raise SimulationError(msg)
+        for name in ("outliers", "dropouts"):
+            if not 0.0 <= (fraction := getattr(self, name)) <= 1.0:
+                msg = f"{name} must be a fraction between 0 and 1, not {fraction:g}"
+                raise SimulationError(msg)
+        noise = self.range_noise
+        if noise is not None and not (np.isfinite(noise) and noise >= 0.0):
+            msg = f"range noise must be a length in metres, not {noise:g}"
+            raise SimulationError(msg)
+        for name, (low, high) in LIMITS.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                msg = f"{name} must be between {low:g} and {high:g}, not {value:g}"
+                raise SimulationError(msg)
+
+    def ground(self, scenario: str, generator: np.random.Generator) -> Terrain | None:
+        """The terrain, made or read; None for the one of Section VI."""
+        terrain, rocks, slope_deg = self.terrain, self.rocks, self.slope_deg
+        if isinstance(terrain, (str, Path)):
+            terrain = load_terrain(terrain)
+        if terrain is None and SCENARIOS[scenario].default_field:
+            given = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
+            field = HazardField(**{k: v for k, v in given.items() if v is not None})
+            return hazard_field(generator, field)
+        if terrain is None and (rocks is not None or slope_deg is not None):
+            msg = f"{scenario} has no rocks and no field: give a terrain"
+            raise SimulationError(msg)
+        if terrain is not None and slope_deg is not None:
+            msg = "slope_deg is of a made field, not of a given terrain"
+            raise SimulationError(msg)
+        return strewn(generator, terrain, rocks) if terrain is not None and rocks else terrain
 
     def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
         """Lidar of a scenario with the user's noise where one is given."""
@@ -105,21 +168,23 @@ def _times(duration: float, rate: float, first: float = 0.0) -> Array:
     return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1, dtype=np.float64) / rate
 
 
-def _parabola(request: Request, flight: int) -> Flight:
+def _parabola(
+    given: Conditions, terrain: Terrain | None, duration: float, flight: int
+) -> FlightPlan:
     """Section VI; ``duration`` cuts the flight short."""
     parabola = Parabola()
-    truth = request.terrain or parabola.terrain()
-    surface: Surface = request.terrain or parabola
+    truth = terrain or parabola.terrain()
+    surface: Surface = terrain or parabola
     target_z = float(surface.elevation_at(10.0, 0.0))
     if not np.isfinite(target_z):
         msg = "terrain: the parabola flight looks at (10, 0) m, which this DEM does not cover"
         raise SimulationError(msg)
-    box = _box(request.terrain, 60.0) if request.terrain else (-60.0, 60.0, -60.0, 60.0)
-    times = _times(request.duration, 1.0)
-    return Flight(
+    box = _box(terrain, 60.0) if terrain else (-60.0, 60.0, -60.0, 60.0)
+    times = _times(min(duration, 60.0), 1.0)
+    return FlightPlan(
         surface=surface,
         truth=truth,
-        lidar=request.lidar(10.0, 0.08),
+        lidar=given.lidar(10.0, 0.08),
         trajectory=section_vi_trajectory(target_z),
         navigation=WhiteNavigation(),
         scan_times=times,
@@ -128,55 +193,55 @@ def _parabola(request: Request, flight: int) -> Flight:
     )
 
 
-def _morpheus(request: Request, flight: int) -> Flight:
+def _morpheus(
+    given: Conditions, terrain: Terrain | None, duration: float, flight: int
+) -> FlightPlan:
     """Section VII; a shorter ``duration`` sweeps a smaller box (20 m at least) as densely."""
-    terrain = request.terrain
     assert terrain is not None
-    half = float(np.clip(30.0 * np.sqrt(request.duration / 20.0), 10.0, 30.0))
+    half = float(np.clip(30.0 * np.sqrt(duration / 20.0), 10.0, 30.0))
     box = _box(terrain, half)
     rate, lead = 20.0, 0.1
     sweep = Sweep(
         centre_map=tuple(_centre(terrain, box)),
         half_x=0.5 * (box[1] - box[0]),
         half_y=0.5 * (box[3] - box[2]),
-        duration=request.duration,
+        duration=duration,
         field_of_view_deg=1.0,
-        glide_slope_deg=request.glide_slope_deg,
+        glide_slope_deg=given.glide_slope_deg,
         reverse=flight % 2 == 1,
     )
     # Scans at 20 Hz, none on a pose; poses begin before the first scan and end after the last.
-    scans = (
-        np.arange(int(np.floor(request.duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0
-    ) / rate
-    return Flight(
+    scans = (np.arange(int(np.floor(duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0) / rate
+    return FlightPlan(
         surface=terrain,
         truth=terrain,
-        lidar=request.lidar(1.0, 0.06),
+        lidar=given.lidar(1.0, 0.06),
         trajectory=sweep.trajectory(),
-        navigation=request.drifting(0.01, 0.0015),
+        navigation=given.drifting(0.01, 0.0015),
         scan_times=scans,
-        pose_times=_times(request.duration + 2.0 * lead, 100.0, -lead),
+        pose_times=_times(duration + 2.0 * lead, 100.0, -lead),
         box=box,
     )
 
 
-def _descent(request: Request, flight: int) -> Flight:
+def _descent(
+    given: Conditions, terrain: Terrain | None, duration: float, flight: int
+) -> FlightPlan:
     """From 200 m to 50 m above any terrain, looking down with 20°, 5 Hz; faster if shorter."""
-    terrain = request.terrain
     assert terrain is not None
     box = _box(terrain, 30.0)
     lead = 0.1
     scans = (
-        np.arange(max(int(np.floor(request.duration * 5.0 + 1e-9)), 1), dtype=np.float64) + 0.137
+        np.arange(max(int(np.floor(duration * 5.0 + 1e-9)), 1), dtype=np.float64) + 0.137
     ) / 5.0
-    return Flight(
+    return FlightPlan(
         surface=terrain,
         truth=terrain,
-        lidar=request.lidar(20.0, 0.06),
-        trajectory=descent_trajectory(_centre(terrain, box), request.duration),
-        navigation=request.drifting(0.02, 0.005),
+        lidar=given.lidar(20.0, 0.06),
+        trajectory=descent_trajectory(_centre(terrain, box), duration),
+        navigation=given.drifting(0.02, 0.005),
         scan_times=scans,
-        pose_times=_times(request.duration + 2.0 * lead, 50.0, -lead),
+        pose_times=_times(duration + 2.0 * lead, 50.0, -lead),
         box=box,
     )
 
@@ -185,7 +250,7 @@ def _descent(request: Request, flight: int) -> Flight:
 class Scenario:
     """A named flight: how to plan it, how long it lasts (s) and what it needs."""
 
-    plan: Planner
+    plan: Callable[[Conditions, Terrain | None, float, int], FlightPlan]
     duration: float
     default_field: bool
 
@@ -197,91 +262,20 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
-def make_request(
-    scenario: str,
-    generator: np.random.Generator,
-    *,
-    duration: float | None = None,
-    terrain: Terrain | str | Path | None = None,
-    range_noise: float | None = None,
-    outliers: float = 0.0,
-    dropouts: float = 0.0,
-    glide_slope_deg: float = 30.0,
-    navigation_error: float = 1.0,
-    conservatism: float = 2.0,
-    rocks: float | None = None,
-    slope_deg: float | None = None,
-) -> Request:
-    """Check the options and make or read the terrain.
+def plans(
+    scenario: str, flights: int, generator: np.random.Generator, conditions: Conditions
+) -> list[FlightPlan]:
+    """Flights over one ground, made or read.
 
-    Args:
-        duration: Of the flight, s.
-        terrain: A DEM or the path of one; by default the scenario's own.
-        range_noise: One sigma of a range, m.
-        outliers, dropouts: Shares of false and of missing returns.
-        glide_slope_deg: Of the morpheus scenario.
-        navigation_error: How many times the usual errors of morpheus and descent.
-        conservatism: How many times its errors the navigation claims.
-        rocks: Share of the ground that rocks cover, the k of Golombek and Rapp (a made field has
-            0.05); on a given terrain rocks are added, over 100 m about its centre at most.
-        slope_deg: Root mean square slope of a made field (1.5).
+    Raises `SimulationError` if there is no such scenario, or if they do not fit the terrain.
     """
     if scenario not in SCENARIOS:
         msg = f"unknown scenario {scenario!r}; there are {', '.join(sorted(SCENARIOS))}"
         raise SimulationError(msg)
-    longest = SCENARIOS[scenario].duration
-    seconds = longest if duration is None else float(duration)
-    if not 1.0 <= seconds <= 600.0:
-        msg = f"duration must be between 1 and 600 s, not {seconds:g}"
-        raise SimulationError(msg)
-    if scenario == "parabola":
-        seconds = min(seconds, longest)
-    for name, fraction in (("outliers", outliers), ("dropouts", dropouts)):
-        if not 0.0 <= fraction <= 1.0:
-            msg = f"{name} must be a fraction between 0 and 1, not {fraction:g}"
-            raise SimulationError(msg)
-    if range_noise is not None and not (np.isfinite(range_noise) and range_noise >= 0.0):
-        msg = f"range noise must be a length in metres, not {range_noise:g}"
-        raise SimulationError(msg)
-    limits = {
-        "glide_slope_deg": (glide_slope_deg, 10.0, 80.0),
-        "navigation_error": (navigation_error, 0.0, 100.0),
-        "conservatism": (conservatism, 0.01, 100.0),
-        "rocks": (0.05 if rocks is None else rocks, 0.0, 0.3),
-        "slope_deg": (0.0 if slope_deg is None else slope_deg, 0.0, 20.0),
-    }
-    for name, (value, low, high) in limits.items():
-        if not low <= value <= high:
-            msg = f"{name} must be between {low:g} and {high:g}, not {value:g}"
-            raise SimulationError(msg)
-    if isinstance(terrain, (str, Path)):
-        terrain = load_terrain(terrain)
-    if terrain is None and SCENARIOS[scenario].default_field:
-        usual = HazardField()
-        field = replace(
-            usual,
-            rock_abundance=usual.rock_abundance if rocks is None else rocks,
-            slope_rms_deg=usual.slope_rms_deg if slope_deg is None else slope_deg,
-        )
-        terrain = hazard_field(generator, field)
-    elif terrain is not None:
-        if slope_deg is not None:
-            msg = "slope_deg is of a made field, not of a given terrain"
-            raise SimulationError(msg)
-        terrain = strewn(generator, terrain, rocks) if rocks else terrain
-    elif rocks is not None or slope_deg is not None:
-        msg = f"{scenario} has no rocks and no field: give a terrain"
-        raise SimulationError(msg)
-    return Request(
-        terrain,
-        seconds,
-        range_noise,
-        outliers,
-        dropouts,
-        glide_slope_deg,
-        navigation_error,
-        conservatism,
-    )
+    of = SCENARIOS[scenario]
+    seconds = of.duration if conditions.duration is None else float(conditions.duration)
+    terrain = conditions.ground(scenario, generator)
+    return [of.plan(conditions, terrain, seconds, number) for number in range(flights)]
 
 
 def quaternions(rotations: Array) -> Array:

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.lab.simulation.flight import Leg, Simulation
 from quadtree_lss.lab.simulation.recording import SCAN_TOPIC, BagRecorder
-from quadtree_lss.lab.simulation.safety import Lander
-from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
+from quadtree_lss.lab.simulation.safety import LandingGear
+from quadtree_lss.lab.simulation.simulation import Leg, Simulation
+from quadtree_lss.lab.simulation.terrain import SimulationError
 
 TRUTH_NAME = "truth.npz"
 
@@ -74,15 +74,10 @@ def simulate(
     bag_path: str | Path,
     *,
     seed: int,
-    duration: float | None = None,
-    terrain: Terrain | str | Path | None = None,
-    range_noise: float | None = None,
-    outliers: float = 0.0,
-    dropouts: float = 0.0,
     flights: int = 1,
     truth: bool = True,
     overwrite: bool = False,
-    lander: Lander | None = None,
+    lander: LandingGear | None = None,
     progress: Callable[[int, int], None] | None = None,
     stop: Callable[[], bool] | None = None,
     **conditions: Any,
@@ -92,11 +87,11 @@ def simulate(
     Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
     lidar's estimated pose in frame ``map``, with covariance). ``truth.npz`` goes into the bag's
     parent directory; one of another bag that is there is replaced with ``overwrite`` only, as is a
-    bag. Its ``bag_name`` and ``seed`` tell which flight it is of. ``terrain`` is a DEM or the path
-    of one; ``flights`` > 1 flies again over the same ground with new navigation errors, into the
-    same bag. ``progress(done, total)`` is called after every scan. The same arguments give the same
-    messages. ``lander`` is whose safety is in the truth; further ``conditions`` are those of
-    `scenarios.make_request`.
+    bag. Its ``bag_name`` and ``seed`` tell which flight it is of. ``flights`` > 1 flies
+    again over the same ground with new navigation errors, into the same bag.
+    ``progress(done, total)`` is called after every scan. The same arguments give the same
+    messages. ``lander`` is whose safety is in the truth; ``conditions``, such as ``duration``,
+    ``terrain`` and ``range_noise``, are those of `scenarios.Conditions`.
     ``stop`` is asked before every message; once it answers True, bag and truth are of what was
     flown so far.
 
@@ -104,24 +99,14 @@ def simulate(
     KeyboardInterrupt if it is stopped before the first scan.
     """
     path = Path(bag_path)
-    simulation = Simulation(
-        scenario,
-        seed,
-        flights=flights,
-        duration=duration,
-        terrain=terrain,
-        range_noise=range_noise,
-        outliers=outliers,
-        dropouts=dropouts,
-        **conditions,
-    )
+    simulation = Simulation(scenario, seed, flights=flights, **conditions)
     safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None
     if truth_path is not None and not overwrite:
         _spare_truth(truth_path, path.name)
     _make_room(path, overwrite)
     done = 0
     try:
-        with BagRecorder(path, simulation.make) as recorder:
+        with BagRecorder(path) as recorder:
             for topic, received_ns, message in simulation.messages(stop):
                 recorder.write(topic, received_ns, message)
                 if progress is not None and topic == SCAN_TOPIC:

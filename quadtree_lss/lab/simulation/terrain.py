@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Terrain as a digital elevation model: posts, bilinear in between."""
+"""Terrain that a lidar can look at: an elevation model, bilinear in between; Section VI's."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.lab.simulation.raycast import WindowMaxima, cast_heightfield
+from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.errors import QuadtreeLssError
+
+WINDOWS = (64, 16, 4)
+"""Posts; see `march`."""
 
 
 class SimulationError(QuadtreeLssError):
@@ -106,15 +109,69 @@ class Terrain:
         return bilinear(self.x, self.y, self.elevation, x, y)
 
     @cached_property
-    def window_maxima(self) -> WindowMaxima:
-        """Maxima over windows of posts, with which rays skip empty space."""
-        return WindowMaxima.of(self.elevation)
+    def window_maxima(self) -> tuple[Array, ...]:
+        """For each of `WINDOWS` the highest post within one window of each block of that size,
+        with which rays skip empty space."""
+        maxima = []
+        for window in WINDOWS:
+            rows, columns = (-(-n // window) for n in self.elevation.shape)
+            blocks = np.full((rows + 2, columns + 2), -np.inf)
+            edges_y, edges_x = np.arange(rows) * window, np.arange(columns) * window
+            by_row = np.maximum.reduceat(self.elevation, edges_y, axis=0)
+            blocks[1:-1, 1:-1] = np.maximum.reduceat(by_row, edges_x, axis=1)
+            along_x = np.maximum(np.maximum(blocks[:, :-2], blocks[:, 1:-1]), blocks[:, 2:])
+            maxima.append(np.maximum(np.maximum(along_x[:-2], along_x[1:-1]), along_x[2:]))
+        return tuple(maxima)
 
     def cast(self, origin_map: Array, directions_map: Array) -> Array:
         """Range (N,) to the first hit of each ray, with occlusion; NaN where a ray misses."""
-        return cast_heightfield(
-            self.x, self.y, self.elevation, self.window_maxima, origin_map, directions_map
-        )
+        dx, dy = self.post
+        box = np.array([self.elevation.min(), self.elevation.max()])
+        origin = np.asarray(origin_map, float)
+        # From here on horizontal coordinates count posts; the ray parameter stays a length.
+        start = np.array([(origin[0] - self.x[0]) / dx, (origin[1] - self.y[0]) / dy, origin[2]])
+        speed = np.ascontiguousarray(np.asarray(directions_map, float) / np.array([dx, dy, 1.0]))
+        ranges = np.empty(len(speed))
+        march(self.elevation, *self.window_maxima, box, start, speed, ranges)
+        return ranges
+
+
+@dataclass(frozen=True)
+class Parabola:
+    """z = a (x² + y² − r²) where that is positive, else 0 (Eq. 60: a = 3·10⁻³/m, r = 12 m)."""
+
+    curvature: float = 3e-3
+    flat_radius: float = 12.0
+
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Elevation (m) at map coordinates (m)."""
+        squared = np.square(np.asarray(x, float)) + np.square(np.asarray(y, float))
+        return np.asarray(np.maximum(self.curvature * (squared - self.flat_radius**2), 0.0))
+
+    def cast(self, origin_map: Array, directions_map: Array) -> Array:
+        """Range (N,) to the first hit; NaN where a ray misses.
+
+        The surface is the higher of plane and paraboloid, hence the first hit is the nearer of
+        the two. The height above the paraboloid is concave along a ray, so a ray that starts
+        above it meets it at the larger root.
+        """
+        o, d = np.asarray(origin_map, float), np.asarray(directions_map, float)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            plane = np.where(d[:, 2] < 0.0, -o[2] / d[:, 2], np.inf)
+            a = self.curvature * (d[:, 0] ** 2 + d[:, 1] ** 2)
+            b = 2.0 * self.curvature * (o[0] * d[:, 0] + o[1] * d[:, 1]) - d[:, 2]
+            c = self.curvature * (o[0] ** 2 + o[1] ** 2 - self.flat_radius**2) - o[2]
+            root = np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))
+            # The larger root of a t² + b t + c, written so that a → 0 loses no digits.
+            bowl = np.where(b > 0.0, -2.0 * c / (b + root), (root - b) / (2.0 * a))
+        hit = np.fmin(plane, bowl)
+        return np.where(np.isfinite(hit) & (hit > 0.0), hit, np.nan)
+
+    def terrain(self, half_width: float = 70.0, post: float = 0.25) -> Terrain:
+        """Sample as a DEM about the origin (for the truth file)."""
+        count = round(2.0 * half_width / post) + 1
+        axis = np.linspace(-half_width, half_width, count)
+        return Terrain(axis, axis, self.elevation_at(axis[None, :], axis[:, None]))
 
 
 def load_terrain(path: str | Path) -> Terrain:

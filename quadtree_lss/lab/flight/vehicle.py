@@ -51,7 +51,7 @@ class Vehicle:
         return np.array([0.0, 0.0, -self.gravity])
 
 
-class Lander:
+class VehicleState:
     """The true state of a vehicle, and what its actuators make of commands.
 
     Args:

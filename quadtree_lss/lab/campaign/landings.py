@@ -64,7 +64,7 @@ def fly(case: Case) -> Flown:
 
 def keep(case: Case, folder: Path) -> None:
     """Record, picture and page of the flight."""
-    from quadtree_lss.lab.flight.page import write_flight
+    from quadtree_lss.lab.flight.flight_page import write_flight
 
     settings, reference = settings_of(case)
     write_flight(folder, lockstep.flown(case.seed, settings, reference=reference))

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss.lab.campaign.flights import FLY, settings_of
 from quadtree_lss.lab.campaign.kinds import Case
+from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.campaign.study import read_study
 from quadtree_lss.lab.flight.fly import fly
 

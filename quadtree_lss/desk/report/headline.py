@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answer in a sentence: where to land and how sure that is, or what stands in the way."""
+"""What was found in a sentence: where to land and how sure that is, or what stands in the way."""
 
 from __future__ import annotations
 

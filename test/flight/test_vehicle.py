@@ -4,13 +4,13 @@
 import numpy as np
 import pytest
 
-from quadtree_lss.lab.flight.lander import Lander, Vehicle
+from quadtree_lss.lab.flight.vehicle import Vehicle, VehicleState
 
 DT = 0.01
 
 
 def at_rest(vehicle):
-    return Lander(vehicle, np.array([0.0, 0.0, 100.0]), np.zeros(3))
+    return VehicleState(vehicle, np.array([0.0, 0.0, 100.0]), np.zeros(3))
 
 
 def test_thrust_and_tilt_change_no_faster_than_they_can():

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messages
-from quadtree_lss.lab.simulation.safety import Lander, safety_map
+from quadtree_lss.lab.simulation.safety import LandingGear, safety_map
 from quadtree_lss.lab.simulation.scenarios import (
     GRID_SPACING,
-    SCENARIOS,
-    Flight,
-    make_request,
+    Conditions,
+    FlightPlan,
+    plans,
     quaternions,
 )
 from quadtree_lss.lab.simulation.terrain import SimulationError
@@ -40,7 +40,7 @@ class Arrival(NamedTuple):
 class Leg:
     """One flight of several over the same ground: its schedule, and what has been flown of it."""
 
-    plan: Flight
+    plan: FlightPlan
     start_ns: int
     outlines: list[Array] = field(default_factory=list)
     poses: int = 0
@@ -67,7 +67,7 @@ class Simulation:
         scenario: ``morpheus``, ``parabola`` or ``descent``.
         seed: Of terrain, navigation and noise.
         flights: How many, over the same ground with other navigation errors.
-        conditions: As of `scenarios.make_request`.
+        conditions: As of `scenarios.Conditions`.
 
     Attributes:
         legs: The flights, and what has been flown.
@@ -88,13 +88,11 @@ class Simulation:
         terrain, navigation, lidar = map(
             np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
         )
-        request = make_request(scenario, terrain, **conditions)
         self._navigation, self._noise = navigation, lidar
         self.make = Messages()
         self.legs: list[Leg] = []
         start_ns = _START_NS
-        for number in range(flights):
-            plan = SCENARIOS[scenario].plan(request, number)
+        for plan in plans(scenario, flights, terrain, Conditions(**conditions)):
             self.legs.append(Leg(plan, start_ns))
             start_ns += round((plan.pose_times[-1] + _GAP_S) * 1e9)
 
@@ -142,9 +140,9 @@ class Simulation:
                 cloud = self.make.scan(int(leg.scan_ns[k]), scan)
                 yield Arrival(SCAN_TOPIC, received_ns, cloud)
 
-    def truth(self, bag_name: str, lander: Lander | None = None) -> dict[str, NDArray[Any]]:
+    def truth(self, bag_name: str, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
         """Content of ``truth.npz`` for what has been flown."""
-        lander = lander or Lander()
+        lander = lander or LandingGear()
         flown = [leg for leg in self.legs if leg.scans]
         xmin, xmax, ymin, ymax = self.box
         safe_x = xmin + GRID_SPACING * np.arange(round((xmax - xmin) / GRID_SPACING) + 1)

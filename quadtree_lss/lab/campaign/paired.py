@@ -11,9 +11,9 @@ import numpy as np
 
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity, kind_of
-from quadtree_lss.lab.campaign.statistics import bootstrap
 from quadtree_lss.lab.campaign.store import Record
-from quadtree_lss.lab.campaign.summary import number, read_campaign
+from quadtree_lss.lab.campaign.summary import bootstrap, number, read_campaign
+from quadtree_lss.lab.evaluation.results import aligned
 
 
 @dataclass(frozen=True)
@@ -60,12 +60,7 @@ class Comparison:
                     flight,
                 )
             )
-        widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-        lines = [
-            f"{row[0]:<{widths[0]}}"
-            + "".join(f"  {row[k]:>{widths[k]}}" for k in range(1, len(head)))
-            for row in rows
-        ]
+        lines = aligned(rows)
         pairs = max((d.count for d in self.differences), default=0)
         lines.append(f"{pairs} pairs of flights; the flight is where the second lost most")
         if self.unpaired:
@@ -118,7 +113,7 @@ def _difference(quantity: Quantity, pairs: list[tuple[Record, Record]]) -> Diffe
     values = values[known]
     change = values[:, 1] - values[:, 0]
     gain = change if quantity.worst == "smallest" else -change
-    low, high = bootstrap(change) if change.size > 1 else (float("nan"), float("nan"))
+    low, high = bootstrap(change)
     at = int(gain.argmin())
     flight = pairs[int(np.flatnonzero(known)[at])][0].index if gain[at] < 0.0 else None
     return Difference(

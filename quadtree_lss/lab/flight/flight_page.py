@@ -3,28 +3,23 @@
 
 from __future__ import annotations
 
-import base64
 import csv
-import html
-import io
 import json
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from quadtree_lss.desk.report.palette import MAPS, colour_limits, shaded
-from quadtree_lss.desk.report.template import document, plain_table, table
+from quadtree_lss.desk.report import drawing
+from quadtree_lss.desk.report.pages import render
 from quadtree_lss.lab.flight.fly import Flown
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.pilot import Decision
-from quadtree_lss.lab.simulation.safety import Lander
+from quadtree_lss.lab.simulation.safety import LandingGear
 
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 
@@ -42,10 +37,9 @@ def write_flight(out: Path, flown: Flown, *, page: bool = True) -> None:
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
     if page:
-        picture = io.BytesIO()
-        figure(flown).savefig(picture, format="png", dpi=110)
-        (out / "flight.png").write_bytes(picture.getvalue())
-        (out / "flight.html").write_text(_page(flown, picture.getvalue()), encoding="utf-8")
+        picture = drawing.png(figure(flown), dpi=110)
+        (out / "flight.png").write_bytes(picture)
+        (out / "flight.html").write_text(_page(flown, picture), encoding="utf-8")
 
 
 def figure(flown: Flown) -> Figure:
@@ -109,7 +103,7 @@ def _above(axes: Axes, flown: Flown) -> None:
 
 def _touchdown(axes: Axes, flown: Flown) -> None:
     """The lander's circle and pads at two headings on the true ground."""
-    ground, lander = flown.flight.ground, Lander()
+    ground, lander = flown.flight.ground, LandingGear()
     x, y = flown.figures["x"], flown.figures["y"]
     shown = _terrain(axes, ground, np.array([x, y]), 4.0)
     if shown is not None:
@@ -128,23 +122,16 @@ def _touchdown(axes: Axes, flown: Flown) -> None:
     axes.set_title("touchdown on the true ground; + is the aim", fontsize="medium")
 
 
-def _terrain(axes: Axes, ground: Ground, middle: np.ndarray, half: float) -> Any:
+def _terrain(axes: Axes, ground: Ground, middle: np.ndarray, half: float) -> ScalarMappable | None:
+    """The true ground about a place; None if there is none."""
     terrain = ground.terrain
     rows = np.abs(terrain.y - middle[1]) <= half
     columns = np.abs(terrain.x - middle[0]) <= half
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     if rows.sum() < 2 or columns.sum() < 2:
         return None
-    x, y = terrain.x[columns], terrain.y[rows]
     z = terrain.elevation[np.ix_(rows, columns)]
-    spacing = float(x[1] - x[0])
-    half = 0.5 * spacing
-    norm = Normalize(*colour_limits(z))
-    colours = matplotlib.colormaps[MAPS["elevation"]]
-    image = shaded(colours(norm(z))[..., :3], z, spacing)
-    extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
-    axes.imshow(image, origin="lower", extent=extent)
-    return ScalarMappable(norm, colours)
+    return drawing.layer(axes, terrain.x[columns], terrain.y[rows], z)
 
 
 def _unsafe(axes: Axes, ground: Ground) -> None:
@@ -187,25 +174,20 @@ def headline(flown: Flown) -> str:
 def _page(flown: Flown, picture: bytes) -> str:
     """One page with the look of all others."""
     figures = flown.figures
-    title = "A flight that lands by landing/selected"
-    image = base64.b64encode(picture).decode()
-    decisions = [
-        (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
-        for d in flown.flight.pilot.decisions
-    ]
-    values = (
-        (name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else value)
-        for name, value in sorted(figures.items())
-    )
-    good = figures["outcome"] == "touchdown" and figures["safe"]
-    header = ("time, s", "height over the aim, m", "decision", "x, m", "y, m")
-    return document(
-        f"Flight, seed {figures['seed']}",
-        f'<header><h1>{title}</h1></header>\n<p class="verdict{"" if good else " none"}">'
-        f"{html.escape(headline(flown))}.</p>\n"
-        f'<p><img class="picture" alt="path and touchdown" src="data:image/png;base64,{image}"></p>'
-        f"\n<h2>Decisions</h2>\n{table(header, decisions)}\n"
-        f"<h2>Figures</h2>\n{plain_table(values)}",
+    return render(
+        "lab/flight/flight.html",
+        title=f"Flight, seed {figures['seed']}",
+        good=figures["outcome"] == "touchdown" and figures["safe"],
+        headline=headline(flown),
+        image=picture,
+        decisions=[
+            (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
+            for d in flown.flight.pilot.decisions
+        ],
+        figures=[
+            (name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else value)
+            for name, value in sorted(figures.items())
+        ],
     )
 
 

@@ -11,13 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.lab.flight.flight import Sent
 from quadtree_lss.lab.flight.pilot import Target
-from quadtree_lss.lab.flight.wire import Wire
+from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -30,7 +28,7 @@ REPEAT_NS = 400_000_000
 
 
 @dataclass
-class _Answers:
+class _Assessments:
     """Sink of the passes: answers reach guidance after a delay."""
 
     delay_ns: int
@@ -56,7 +54,7 @@ class _Answers:
         return None
 
 
-class Onboard:
+class LockstepNodes:
     """mapping_node and lss_node without transport.
 
     Args:
@@ -70,7 +68,7 @@ class Onboard:
 
     def __init__(self, config: Config, answer_delay: float) -> None:
         self._config = config
-        self._wire = Wire(typestore(ros1=False).types, np.asarray, config.frames.map)
+        self._make = Messages(typestore(ros1=False).types, frame=config.frames.map)
         self._delay_ns = round(1e9 * answer_delay)
         self._wishes = LandingWishes(config.frames.map)
         self._checkpoint: Any = None
@@ -85,14 +83,14 @@ class Onboard:
         """A message arrives."""
         topic = sent.topic
         if topic.startswith("landing/"):
-            self._wishes.take(topic.removeprefix("landing/"), self._wire.message(sent))
+            self._wishes.take(topic.removeprefix("landing/"), sent.message(self._make))
             self._passes.landing_changed()
         elif "mapping" in self._down:
             return
         elif topic == "nav/pose":
-            self._intake.on_pose(self._wire.message(sent))
+            self._intake.on_pose(sent.message(self._make))
         else:
-            self._intake.on_cloud(self._wire.message(sent), now_ns)
+            self._intake.on_cloud(sent.message(self._make), now_ns)
 
     def work(self, now_ns: int) -> Target | None:
         """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
@@ -107,7 +105,7 @@ class Onboard:
         if "lss" in self._down:
             return None
         self._passes.tick(now_ns, self._mapper.snapshot)
-        said = self._answers.due(now_ns)
+        said = self._assessments.due(now_ns)
         if said is None:
             return None
         self.last = said
@@ -138,5 +136,5 @@ class Onboard:
         self._intake, self._mapper = Intake(self._config), Mapper(self._config)
 
     def _start_lss(self) -> None:
-        self._answers, self._chosen = _Answers(self._delay_ns), False
-        self._passes = Passes(self._config, self._wishes.arguments, (self._answers,))
+        self._assessments, self._chosen = _Assessments(self._delay_ns), False
+        self._passes = Passes(self._config, self._wishes.arguments, (self._assessments,))

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What figures share: images on a lattice, shaded ground, scale bars, marked sites."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
+from numpy.typing import ArrayLike
+
+from quadtree_lss.desk.report.palette import MAPS, SITE_COLOUR, colour_limits, shaded
+from quadtree_lss.onboard.arrays import Array
+
+Box = tuple[float, float, float, float]
+"""xmin, xmax, ymin, ymax; m."""
+
+
+def extent(x: Array, y: Array) -> Box:
+    """Of an image whose samples stand at x (nx,), y (ny,): half a step beyond the outer ones."""
+    half = [0.5 * float(axis[1] - axis[0]) if len(axis) > 1 else 0.5 for axis in (x, y)]
+    return x[0] - half[0], x[-1] + half[0], y[0] - half[1], y[-1] + half[1]
+
+
+def image(axes: Any, x: Array, y: Array, values: Any, **style: Any) -> Any:
+    """An array (ny, nx) with samples at x, y; leaves the limits of the axes alone."""
+    limits = axes.get_xlim(), axes.get_ylim()
+    style = {"interpolation": "nearest", "origin": "lower", **style}
+    drawn = axes.imshow(values, extent=extent(x, y), **style)
+    axes.set(xlim=limits[0], ylim=limits[1])
+    return drawn
+
+
+def classes(
+    axes: Any, x: Array, y: Array, kind: Any, colours: Any, heights: Array | None = None
+) -> None:
+    """Numbers (ny, nx) of classes in their colours, shaded where the ``heights`` are given."""
+    drawn = ListedColormap(colours)(np.asarray(kind, dtype=np.int64))[..., :3]
+    if heights is not None:
+        drawn = shaded(drawn, heights, float(x[1] - x[0]), 0.6)
+    image(axes, x, y, drawn)
+
+
+def layer(
+    axes: Any,
+    x: Array,
+    y: Array,
+    values: Array,
+    kind: str = "elevation",
+    limits: tuple[float, float] | None = None,
+    *,
+    heights: Array | None = None,
+    unknown: str = "white",
+) -> ScalarMappable:
+    """Values (ny, nx) with a colour map of `palette.MAPS` on ground lit from the north-west.
+
+    The ground's ``heights`` are the values by default. What is returned makes a colour bar.
+    """
+    norm = Normalize(*(limits or colour_limits(values)))
+    colours = matplotlib.colormaps[MAPS[kind]].with_extremes(bad=unknown)
+    drawn = colours(norm(np.ma.masked_invalid(values)))[..., :3]
+    strength = 0.75 if kind == "elevation" else 0.4
+    ground = values if heights is None else heights
+    image(axes, x, y, shaded(drawn, ground, float(x[1] - x[0]), strength))
+    return ScalarMappable(norm, colours)
+
+
+def map_axes(axes: Any, title: str, box: Box) -> None:
+    """Axes in metres, equal in scale, that show a box, with a scale bar."""
+    axes.set(xlabel="x (map), m", ylabel="y (map), m", aspect="equal")
+    axes.set(xlim=box[:2], ylim=box[2:])
+    axes.set_title(title, fontsize="medium")
+    about = 0.2 * (box[1] - box[0])
+    power = 10.0 ** np.floor(np.log10(about))
+    length = power * max(m for m in (1.0, 2.0, 5.0) if m * power <= about * (1.0 + 1e-9))
+    bar = AnchoredSizeBar(axes.transData, length, f"{length:g} m", "lower left", pad=0.4)
+    bar.patch.set_alpha(0.85)
+    bar.set_zorder(9)
+    axes.add_artist(bar)
+
+
+def mark_sites(
+    axes: Any, places: ArrayLike, radius: float = 0.0, colour: str = SITE_COLOUR, name: str = ""
+) -> list[Any]:
+    """Ranked places (K, 2 or 3) with their ranks, and circles of a radius in m around them."""
+    drawn = []
+    for rank, (x, y, *_) in enumerate(np.asarray(places, np.float64), start=1):
+        if radius > 0.0:
+            axes.add_patch(Circle((x, y), radius, fill=False, color="white", linewidth=2.6))
+            ring = Circle((x, y), radius, fill=False, color=colour, linewidth=1.2)
+            if name and rank == 1:
+                ring.set_label(name)
+            axes.add_patch(ring)
+        box = {"boxstyle": "circle,pad=0.2", "facecolor": colour, "edgecolor": "white"}
+        text = {"color": "white", "size": 8, "ha": "center", "va": "center", "bbox": box}
+        drawn.append(axes.annotate(str(rank), (x, y), annotation_clip=True, **text))
+    return drawn
+
+
+def png(figure: Figure, dpi: int = 130) -> bytes:
+    """A figure as the content of a file."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=dpi)
+    return content.getvalue()

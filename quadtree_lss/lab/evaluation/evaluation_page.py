@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of an evaluation: that of the results, with the truth, the error and the verdicts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.report.page_data import Layer
+from quadtree_lss.desk.report.palette import colour_limits, even_limits
+from quadtree_lss.desk.report.report import page, short_name
+from quadtree_lss.lab.evaluation.figures import VERDICTS, verdict_classes
+from quadtree_lss.lab.evaluation.metrics import SafetyField
+from quadtree_lss.lab.evaluation.results import Truth
+
+if TYPE_CHECKING:
+    from quadtree_lss.lab.evaluation.evaluate import EvaluationResult
+
+
+def evaluation_page(
+    folder: Path, truth: Truth, safety: SafetyField, result: EvaluationResult
+) -> str:
+    """The page as text.
+
+    Raises:
+        KeyError: the results lack an array that a page shows.
+    """
+    content = read(folder)
+    grid = content.grid
+    true = truth.elevation_at(*np.meshgrid(grid["x"], grid["y"]))
+    error = np.where(content.seen, grid["elevation"] - true, np.nan)
+    mean = float(np.nanmean(error)) if np.isfinite(error).any() else 0.0
+    classes = np.full(grid["hazard"].shape, 4, dtype=np.uint8)
+    rows = np.searchsorted(grid["y"], safety.y - 1e-6)
+    classes[np.ix_(rows, np.searchsorted(grid["x"], safety.x - 1e-6))] = verdict_classes(safety)
+    note = f"Estimate less truth; the mean of {mean:+.3f} m, navigation's, is taken away."
+    title, limits = "Error of the elevation, mean removed", even_limits(error - mean)
+    layers = (
+        Layer(
+            "verdict",
+            "Verdict against the truth",
+            classes,
+            classes=VERDICTS,
+            note="Where the lander's centre would be. ",
+        ),
+        Layer("truth", "True elevation", true, "m", limits=colour_limits(true[content.seen])),
+        Layer("error", title, error - mean, "m", "error", limits, note=note),
+    )
+    found, heights = result.detection, result.elevation
+    return page(
+        content,
+        layers,
+        "lab/evaluation/evaluation.html",
+        title=f"Evaluation of {short_name(content.summary['bag'])}",
+        lead=(
+            f"{result.unsafe_in_top_five} of the first {len(result.site_verdicts)} sites truly"
+            f" unsafe, {_percent(found.hazardous_found)} of the hazardous and"
+            f" {_percent(found.safe_found)} of the safe terrain found, elevation RMS"
+            f" {heights.rms:.3f} m ({heights.rms_mean_removed:.3f} m with the mean removed)"
+        ),
+        bad=bool(result.unsafe_in_top_five or found.missed_depth > 0.5),
+        sites=[(*at, v) for at, v in zip(content.places, result.site_verdicts, strict=False)],
+        missed=result.missed,
+        scores=result.table(),
+    )
+
+
+def _percent(share: float) -> str:
+    return "–" if share != share else f"{100.0 * share:.1f} %"
