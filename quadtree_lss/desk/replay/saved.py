@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.loading import load_config
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.loading import load_config, read_values
+from quadtree_lss.onboard.config.settings import Config, still_parameters
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -82,7 +82,8 @@ class Results:
     @cached_property
     def config(self) -> Config:
         """The configuration of the run."""
-        return load_config([self.folder / "config.yaml"])
+        path = self.folder / "config.yaml"
+        return load_config([], still_parameters(read_values(path)), origin=str(path))
 
     @cached_property
     def sites(self) -> Table:

@@ -27,6 +27,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Single
+from quadtree_lss.onboard.config.limits import YAWS
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry import feature
 from quadtree_lss.onboard.core.landing.lattice import disc
@@ -105,7 +106,7 @@ class Lander:
         self.pad_radius = config.pad_radius
         self.low_rise, self.high_rise = limits.rise
         self.low_slope, self.high_slope = limits.slope
-        self.yaws = config.touchdown_yaws if heading is None else 1
+        self.yaws = YAWS if heading is None else 1
         self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
         self.width = BLOCK - 1 + 2 * self.reach
         self.offset = (np.arange(self.width) - 0.5 * (self.width - 1)) * side

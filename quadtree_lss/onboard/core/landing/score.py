@@ -26,6 +26,13 @@ from quadtree_lss.onboard.core.landing.zones import greatest_in_zones, lower_roo
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
+#: Weights of Eq. 58, of which the paper prints none: alpha_theta, per radian; alpha_R, per metre of
+#: roughness over the leaf's area, so that a centimetre counts like a degree of slope; alpha_H, per
+#: metre of distance to a hazard; alpha_s, per metre of subscale height.
+WEIGHT_SLOPE, WEIGHT_ROUGHNESS, WEIGHT_DISTANCE, WEIGHT_SUBSCALE = 1.0, 2.0, 0.02, 1.0
+#: Farther hazards do not improve a score, m.
+DISTANCE_CAP = 10.0
+
 
 @dataclass(frozen=True)
 class PointAssessment:
@@ -98,24 +105,24 @@ def assess_points(
         hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
         safe = ~grown(spoiled, lss.margin, side)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.
-        near, reach = distance_from(spoiled, side, lss.hazard_distance_cap), lss.margin
+        near, reach = distance_from(spoiled, side, DISTANCE_CAP), lss.margin
         near += radius
-        of_slope, of_leaves = lss.weight_slope, np.zeros(len(cells.level))
+        of_slope, of_leaves = WEIGHT_SLOPE, np.zeros(len(cells.level))
     else:
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0
         safe = ~grown(near_feature, zone, side)
-        near, reach = distance_from(near_feature, side, lss.hazard_distance_cap), zone
-        of_slope, of_leaves = 0.0, np.nan_to_num(lss.weight_slope * hazards.slope(cells.normal))
+        near, reach = distance_from(near_feature, side, DISTANCE_CAP), zone
+        of_slope, of_leaves = 0.0, np.nan_to_num(WEIGHT_SLOPE * hazards.slope(cells.normal))
     safe &= inside >= zone - 1e-9
     over = disc(min(zone, widest), side)
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
-    of_leaves += lss.weight_roughness * rough
+    of_leaves += WEIGHT_ROUGHNESS * rough
     # Eq. 58 on the finest cells; Eq. 56's integral as Eq. 59's mean over the disc of each point.
     density = np.empty(raster.leaf.shape)
-    weights = of_slope, lss.weight_hazard_distance, lss.weight_subscale, lss.hazard_distance_cap
+    weights = of_slope, WEIGHT_DISTANCE, WEIGHT_SUBSCALE, DISTANCE_CAP
     score_density(
         planes.slope,
         near,
@@ -166,7 +173,7 @@ def seen_about(raster: TerrainRaster, lss: LssConfig) -> Array:
     Something was hit on ground that is seen but not yet mapped: pads must not reach over it
     either, so it is nearer by their radius.
     """
-    limit = max(0.5 * lss.vehicle_diameter + lss.margin, lss.hazard_distance_cap)
+    limit = max(0.5 * lss.vehicle_diameter + lss.margin, DISTANCE_CAP)
     n, side = raster.domain.finest_count, raster.domain.finest_size
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
     out = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)

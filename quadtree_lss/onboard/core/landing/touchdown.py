@@ -41,7 +41,7 @@ class TouchdownCheck:
     Args:
         config: The lander.
         limits: Between what rests to tell apart; by default the touchdown limits alone.
-        heading: Of the lander, about z from x, rad; None for all of ``touchdown_yaws``.
+        heading: Of the lander, about z from x, rad; None for all `YAWS`.
     """
 
     def __init__(
