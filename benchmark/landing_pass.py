@@ -53,7 +53,6 @@ CASES: tuple[tuple[str, dict[str, object]], ...] = (
     ("  grid 1 m", {"lss__grid_spacing": 1.0}),
     ("  the paper's rules", {"lss__assessment": "paper"}),
     ("  margin 2 m", {"lss__margin": 2.0}),
-    ("  24 yaws", {"lss__touchdown_yaws": 24}),
     ("64 m, all leaves 0.25 m", {"domain__min_level": 8}),
     ("64 m, leaves to 0.5 m", {"domain__max_level": 7}),
     (

@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 
+from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import (
+    REMOVED,
     Config,
     ConfigError,
     Parameter,
@@ -104,6 +107,21 @@ def test_errors_are_for_users():
     assert issubclass(ConfigError, QuadtreeLssError)
 
 
+@pytest.mark.parametrize("key", REMOVED)
+def test_a_name_of_before_is_an_error_that_says_what_holds_now(key):
+    assert key not in {row.name for row in ROWS}
+    text = re.escape(f"{key} is no parameter any more: {REMOVED[key]}")
+    for wrong in (lambda: config_from_values({key: 1.0}), lambda: load_config([], {key: 1.0})):
+        with pytest.raises(ConfigError, match=text):
+            wrong()
+
+
+def test_what_follows_from_other_parameters():
+    config = config_from_values({"pose.max_wait": 3.0, "diagnostics.warn_age": 0.5})
+    assert (config.pose.queue, config.diagnostics.error_age) == (60, 2.5)
+    assert (Config().pose.queue, Config().diagnostics.error_age) == (20, 5.0)
+
+
 @pytest.mark.parametrize("key", ["domain", "", "domain.", "x.y.z", "lss.sites.more"])
 def test_odd_keys_are_configuration_errors_too(key):
     with pytest.raises(ConfigError):
@@ -121,7 +139,6 @@ def test_odd_keys_are_configuration_errors_too(key):
         ({"domain.max_level": 12}, "domain.max_level"),
         ({"domain.max_level": 11, "domain.size": 2000.0}, "GB for a landing site pass"),
         ({"domain.max_level": 11, "lss.grid_spacing": 0.1}, "lss.vehicle_diameter"),
-        ({"domain.size": 60.0, "domain.max_level": 10, "lss.touchdown_yaws": 360}, "yaws"),
         ({"domain.max_level": 11, "domain.size": 900.0, "lss.sites": 1000}, "lss.sites"),
     ],
 )

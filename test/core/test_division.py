@@ -34,8 +34,8 @@ def run_of(points: float, statistic: float, unseen: float = 0.0, square: float =
 
 
 def test_a_scan_weighs_by_the_residuals_its_fit_left_free():
-    """Its points less three; from `division_min_residuals` of them on the leaf asks."""
-    rules = Rules(configured(mapping={"division_confidence": 0.0, "division_min_residuals": 8}))
+    """Its points less three; from eight of them on the leaf asks."""
+    rules = Rules(configured())
     leaf = four_leaves().rows
     division.asks_in(rules, leaf, 1, run_of(4.0, 9.0), 0)
     division.asks_in(rules, leaf, 1, run_of(12.0, 0.5), 0)
@@ -57,10 +57,10 @@ def test_a_scan_weighs_by_the_residuals_its_fit_left_free():
     ],
 )
 def test_a_leaf_asks_above_its_threshold_and_the_doubt_of_few(criterion, mean, spread):
-    """Factor times E[chi], and so many deviations of a mean of n chi variables."""
-    rules = Rules(configured(mapping={"division": criterion, "division_confidence": 2.0}))
+    """Factor times E[chi], and half a deviation of a mean of n chi variables."""
+    rules = Rules(configured(mapping={"division": criterion}))
     for free in (10.0, 1000.0):
-        bound = 1.2 * mean + 2.0 * spread / np.sqrt(free)
+        bound = 1.2 * mean + 0.5 * spread / np.sqrt(free)
         for factor, asked in ((0.999, False), (1.001, True)):
             leaf = four_leaves().rows
             assert division.asks_in(rules, leaf, 0, run_of(free + 3.0, factor * bound), 0) == asked

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from core.builders import configured, lattice, make_pose, mapped, scan, slope
 
 from quadtree_lss.onboard.core.geometry import feature as bump
+from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -139,9 +142,9 @@ def test_off_is_off():
 
 #: Each limit, and what of a published state (M, 5) it is about: at least, but for the last.
 LIMITS = {
-    "min_height": (0.3, bump.peak),
-    "min_volume": (0.05, lambda state: state[:, K] ** 2),
-    "max_sigma_fraction": (-0.08, lambda state: -state[:, SIGMA] / (np.sqrt(SHAPE) * 2.0)),
+    "FEATURE_HEIGHT": (0.3, bump.peak),
+    "FEATURE_VOLUME": (0.05, lambda state: state[:, K] ** 2),
+    "FEATURE_WIDTH": (-0.08, lambda state: -state[:, SIGMA] / (np.sqrt(SHAPE) * 2.0)),
 }
 
 
@@ -152,8 +155,9 @@ def test_limits_are_obeyed(limit):
     ground = rocky(*hemispheres(4))
 
     def found(**limits: float) -> np.ndarray:
-        config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04}, features=limits)
-        state = by_place(mapped(config, ground, density=100.0).snapshot())
+        config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
+        with mock.patch.dict(vars(measure), limits):
+            state = by_place(mapped(config, ground, density=100.0).snapshot())
         return of(state[np.isfinite(state[:, K])])
 
     without, limited = found(), found(**{limit: abs(least)})

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.config.risk import RiskModel, risk_model, risk_model_text
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig
-from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     Remainder,
@@ -296,8 +297,8 @@ def test_where_the_probability_is_the_same_the_score_decides():
     """In the middle of bare ground no place is more probable: the first is far from the rock."""
     config = configured(domain={"size": 32.0})
     cells = mapped(config, block, density=60.0).snapshot()
-    near = {"dispersion": 0.1, "hazard_distance_cap": 12.0}
-    found = probable(**near).assess(cells)
+    with mock.patch.object(score, "DISTANCE_CAP", 12.0):
+        found = probable(dispersion=0.1).assess(cells)
     first = found.sites.position[0, :2]
     best = found.probability == found.probability[found.safe].max()
     assert best.sum() > 100

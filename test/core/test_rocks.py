@@ -4,29 +4,37 @@
 from __future__ import annotations
 
 import functools
+from unittest import mock
 
 import numpy as np
 import pytest
 from core.builders import configured, four_leaves, mapped
 
 from quadtree_lss.onboard.core.geometry.feature import SHAPE, peak
-from quadtree_lss.onboard.core.mapping import division
+from quadtree_lss.onboard.core.mapping import division, measure
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 NOISE = 0.05
 LEAVES_4M = {"xmin": 0.0, "ymin": 0.0, "size": 16.0, "min_level": 2, "max_level": 6}
 ROWS = slice(0, 4)
+NEVER = np.inf
+
+
+def by(**constants: float):
+    """Other constants of the kernels' rules while a mapper is made."""
+    return mock.patch.dict(vars(measure), constants)
 
 
 def hides(
-    leaves: LeafTable, noise: float = 0.02, view: tuple[int, int] = (0, 0), **mapping: object
+    leaves: LeafTable, noise: float = 0.02, view: tuple[int, int] = (0, 0), **constants: float
 ) -> list[bool]:
     """Which of `four_leaves` hold a rock, by the default limits but for those given.
 
     The last view was of so many points, so many of them raised.
     """
-    rules = Rules(configured(mapping=mapping, lidar={"range_noise": noise}))
+    with by(**constants):
+        rules = Rules(configured(lidar={"range_noise": noise}))
     runs = np.zeros(1, dtype=RUN).view(np.recarray)
     runs.points, runs.raised = view
     return [division.hides_rock_in(rules, leaves.rows, row, runs, 0, 8.0) for row in range(4)]
@@ -41,7 +49,7 @@ def test_exceptions_beyond_their_noise_divide():
     for factor, expected in ((0.99, False), (1.01, True)):
         leaves.rows.exception_sum[ROWS] = factor * least
         assert hides(leaves) == [expected] * 4
-    assert hides(leaves, divide_exceptions=0.0) == [False] * 4
+    assert hides(leaves, ROCK_EXCEPTIONS=NEVER) == [False] * 4
 
 
 def test_raised_points_over_an_area_divide():
@@ -56,11 +64,11 @@ def test_raised_points_over_an_area_divide():
     for factor, expected in ((0.99, False), (1.01, True)):
         leaves.rows.raised_sum[ROWS] = factor * least
         assert hides(leaves) == [expected] * 4
-        assert hides(leaves, divide_area=1e-6)[1] == expected
+        assert hides(leaves, ROCK_AREA=1e-6)[1] == expected
     for raised, expected in ((3.9, False), (4.1, True)):
         leaves.rows.raised_sum[0] = raised
-        assert hides(leaves, divide_area=1e-6)[0] == expected
-    assert hides(leaves, divide_area=0.0) == [False] * 4
+        assert hides(leaves, ROCK_AREA=1e-6)[0] == expected
+    assert hides(leaves, ROCK_AREA=NEVER) == [False] * 4
 
 
 def test_a_rock_in_one_view_is_not_outvoted_by_many_views_of_the_rest():
@@ -98,31 +106,24 @@ def test_raised_points_alone_divide():
 
     Each leaf's half of it is 0.09 m^2 above four deviations.
     """
-    for area in (0.0, 0.04):
-        config = configured(
-            domain=LEAVES_4M,
-            lidar={"range_noise": NOISE},
-            mapping={"divide_area": area, "divide_exceptions": 0.0},
-            features={"divide_sigma": 0.0},
-        )
-        ground = functools.partial(bump, x0=8.0, y0=6.0, radius=0.45, height=0.29)
-        cells = mapped(config, ground, density=900.0, scans=2).snapshot()
+    config = configured(domain=LEAVES_4M, lidar={"range_noise": NOISE})
+    ground = functools.partial(bump, x0=8.0, y0=6.0, radius=0.45, height=0.29)
+    for area in (NEVER, 0.04):
+        with by(ROCK_AREA=area, ROCK_EXCEPTIONS=NEVER, ROCK_SIGMA=0.0):
+            cells = mapped(config, ground, density=900.0, scans=2).snapshot()
         under = (np.abs(cells.x - 8.0) < 4.0) & (np.abs(cells.y - 6.0) < 2.0)
-        np.testing.assert_array_equal(cells.size < 4.0, under & (area > 0.0))
+        np.testing.assert_array_equal(cells.size < 4.0, under & (area < NEVER))
 
 
 def test_pits_divide_by_their_exceptions():
     """A pit as narrow as a rock has no raised points, and too few points to move a mean."""
-    for exceptions in (0.0, 1.5):
-        config = configured(
-            domain=LEAVES_4M,
-            lidar={"range_noise": NOISE},
-            mapping={"divide_exceptions": exceptions},
-        )
-        ground = functools.partial(bump, x0=6.0, y0=6.0, radius=0.3, height=-0.6)
-        cells = mapped(config, ground, density=400.0, scans=2).snapshot()
+    config = configured(domain=LEAVES_4M, lidar={"range_noise": NOISE})
+    ground = functools.partial(bump, x0=6.0, y0=6.0, radius=0.3, height=-0.6)
+    for exceptions in (NEVER, 1.5):
+        with by(ROCK_EXCEPTIONS=exceptions):
+            cells = mapped(config, ground, density=400.0, scans=2).snapshot()
         under = (np.abs(cells.x - 6.0) < 2.0) & (np.abs(cells.y - 6.0) < 2.0)
-        np.testing.assert_array_equal(cells.size < 4.0, under & (exceptions > 0.0))
+        np.testing.assert_array_equal(cells.size < 4.0, under & (exceptions < NEVER))
 
 
 @pytest.mark.parametrize(
@@ -137,8 +138,7 @@ def test_pits_divide_by_their_exceptions():
 def test_noise_and_curvature_are_no_rocks(ground):
     """Bowls raise a leaf's corners by 0.27 m; division by lack of fit is kept out of it."""
     config = configured(
-        domain=LEAVES_4M,
-        lidar={"range_noise": NOISE},
-        mapping={"divide_exceptions": 0.0, "division_factor": 20.0},
+        domain=LEAVES_4M, lidar={"range_noise": NOISE}, mapping={"division_factor": 20.0}
     )
-    assert mapped(config, ground, density=900.0, scans=3).leaves.count == 16
+    with by(ROCK_EXCEPTIONS=NEVER):
+        assert mapped(config, ground, density=900.0, scans=3).leaves.count == 16

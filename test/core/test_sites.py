@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from core.builders import configured, elevation, flat, mapped, slope, strip
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
-from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -104,8 +105,8 @@ def test_leaves_with_many_exceptions_are_kept_off(level_ground, assessment):
     share = np.where((level_ground.x > 8.0) & (level_ground.y > 8.0), 0.1, 0.0)
     cells = dataclasses.replace(level_ground, exception_fraction=share)
     for limit, hazardous in ((0.05, True), (0.15, False), (1.0, False)):
-        config = small(assessment=assessment, max_exception_fraction=limit, hazard_growth=0.0)
-        found = assess(cells, config)
+        with mock.patch.object(hazards, "MAX_EXCEPTION_FRACTION", limit):
+            found = assess(cells, small(assessment=assessment, hazard_growth=0.0))
         for row, y in enumerate(found.y):
             for column, x in enumerate(found.x):
                 inside = min(x, y, 16.0 - x, 16.0 - y) > RADIUS
@@ -122,11 +123,11 @@ def test_leaves_with_exceptions_divide_rather_than_stay_hazards():
         return 0.4 * ((np.abs(x - 9.0) < 0.3) & (np.abs(y - 9.0) < 0.3))
 
     cells = mapped(config, ground, density=100.0).snapshot()
-    often = np.nan_to_num(cells.exception_fraction) > config.lss.max_exception_fraction
+    often = np.nan_to_num(cells.exception_fraction) > hazards.MAX_EXCEPTION_FRACTION
     assert (cells.level[often] == cells.domain.max_level).all()
-    for limit in (config.lss.max_exception_fraction, 1.0):
-        found = assess(cells, with_lss(config, max_exception_fraction=limit))
-        assert not found.safe[17:20, 17:20].any()
+    for limit in (hazards.MAX_EXCEPTION_FRACTION, 1.0):
+        with mock.patch.object(hazards, "MAX_EXCEPTION_FRACTION", limit):
+            assert not assess(cells, config).safe[17:20, 17:20].any()
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.7, 1.3])
@@ -147,9 +148,9 @@ def densities(cells: CellMap, config: Config) -> np.ndarray:
     leaf, lss = cells.leaf_raster(), config.lss
     subscale = rasterise(cells, lss.max_gap).subscale
     return (
-        lss.weight_slope * np.arccos(np.minimum(cells.normal[:, 2], 1.0))[leaf]
-        + lss.weight_roughness * np.nan_to_num(cells.roughness / cells.size**2)[leaf]
-        + lss.weight_subscale * subscale
+        score.WEIGHT_SLOPE * np.arccos(np.minimum(cells.normal[:, 2], 1.0))[leaf]
+        + score.WEIGHT_ROUGHNESS * np.nan_to_num(cells.roughness / cells.size**2)[leaf]
+        + score.WEIGHT_SUBSCALE * subscale
     )
 
 
@@ -160,8 +161,9 @@ def zone_cells(x: float, y: float, zone: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def test_the_score_is_the_mean_density_over_the_zone(cells):
-    config = small(assessment="paper", weight_hazard_distance=0.0, weight_subscale=2.0, margin=0.4)
-    found, density = assess(cells, config), densities(cells, config)
+    config = small(assessment="paper", margin=0.4)
+    with mock.patch.multiple(score, WEIGHT_DISTANCE=0.0, WEIGHT_SUBSCALE=2.0):
+        found, density = assess(cells, config), densities(cells, config)
     assert found.safe.any()
     for row, column in np.argwhere(found.safe):
         over = zone_cells(found.x[column], found.y[row], RADIUS + 0.4)
@@ -180,15 +182,10 @@ def test_the_slope_counts_in_radians(assessment):
 def test_the_distance_to_the_nearest_hazard_counts_up_to_its_cap(cells):
     """d_H of a cell varies by less than half its diagonal within the cell, so that much error."""
     weight, cap = 0.5, 3.0
-    config = small(
-        assessment="paper",
-        weight_slope=0.0,
-        weight_roughness=0.0,
-        weight_subscale=0.0,
-        weight_hazard_distance=weight,
-        hazard_distance_cap=cap,
-    )
-    found = assess(cells, config)
+    config = small(assessment="paper")
+    others = dict.fromkeys(("WEIGHT_SLOPE", "WEIGHT_ROUGHNESS", "WEIGHT_SUBSCALE"), 0.0)
+    with mock.patch.multiple(score, WEIGHT_DISTANCE=weight, DISTANCE_CAP=cap, **others):
+        found = assess(cells, config)
     bad = marked(hazards.avoided_features(cells, config.lss)[cells.leaf_raster()] > 0)
     for row, column in np.argwhere(found.safe)[::7]:
         over = zone_cells(found.x[column], found.y[row], RADIUS)

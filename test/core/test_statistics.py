@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from core.builders import (
@@ -17,16 +19,13 @@ from core.builders import (
     slope,
 )
 
+from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
-def fixed(level: int, noise: float, **mapping: object):
-    return configured(
-        domain={"min_level": level, "max_level": level},
-        lidar={"range_noise": noise},
-        mapping=mapping,
-    )
+def fixed(level: int, noise: float):
+    return configured(domain={"min_level": level, "max_level": level}, lidar={"range_noise": noise})
 
 
 def seen_on_lattice(config, surface, per_side: int, covariance=None) -> CellMap:
@@ -102,15 +101,14 @@ def test_points_on_the_tolerance_count_half():
     assert cells.exception_fraction[at] == pytest.approx(0.5 / 64.0, rel=0.03)
 
 
-def test_tolerance_is_the_configured_one():
+def test_exceptions_are_beyond_the_tolerance():
     def ground(x, y):
         return 0.2 * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
 
     for tolerance, share in ((0.3, 0.0), (0.1, 1.0 / 64.0)):
-        config = fixed(2, 0.01, roughness_tolerance=tolerance)
-        assert seen_on_lattice(config, ground, 256).exception_fraction.max() == pytest.approx(
-            share, abs=1e-4
-        )
+        with mock.patch.object(measure, "TOLERANCE", tolerance):
+            cells = seen_on_lattice(fixed(2, 0.01), ground, 256)
+        assert cells.exception_fraction.max() == pytest.approx(share, abs=1e-4)
 
 
 def test_pose_uncertainty_makes_no_exception_of_flat_ground():
@@ -120,7 +118,7 @@ def test_pose_uncertainty_makes_no_exception_of_flat_ground():
 
 
 def test_wild_points_count_at_most_the_clip():
-    """One point a kilometre off adds residual_clip to the sum, not a kilometre.
+    """One point a kilometre off adds the clip to the sum, not a kilometre.
 
     About the scan's own mean the others lie as far off on one side, all together, as the wild one
     on the other: clipped, it leaves their half of the sum.
@@ -132,7 +130,8 @@ def test_wild_points_count_at_most_the_clip():
     wild[0, 2] -= 1000.0
     roughness = {}
     for clip in (0.5, 1000.0):
-        mapper = Mapper(fixed(1, 1e-3, residual_clip=clip))
+        with mock.patch.object(measure, "CLIP", clip):
+            mapper = Mapper(fixed(1, 1e-3))
         for cloud in (points, wild):
             mapper.update(cloud, pose)
         roughness[clip] = mapper.snapshot().roughness.max()

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, leaf_by_descent, mapped, slope
 
-from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.geometry.feature import height
-from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing import hazards, touchdown
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.touchdown import Limits, TouchdownCheck
@@ -70,8 +70,8 @@ class SlowLander:
         config = self.config
         radius, tops = 0.5 * config.vehicle_diameter, np.array(self.tops(row, column))
         steepest, highest = 0.0, -np.inf
-        for k in range(config.touchdown_yaws):
-            yaw = k * 0.5 * np.pi / config.touchdown_yaws
+        for k in range(touchdown.YAWS):
+            yaw = k * 0.5 * np.pi / touchdown.YAWS
             c, s = np.cos(yaw), np.sin(yaw)
             feet = [(c, s), (-s, c), (-c, -s), (s, -c)]
             feet = [(radius * x, radius * y) for x, y in feet]
@@ -138,22 +138,29 @@ def uneven(rng: np.random.Generator, size: float, mounds: int):
     return ground
 
 
-def lander(domain: dict[str, object], yaws: int, **lss: object):
-    values = {"touchdown_yaws": yaws, "vehicle_diameter": 2.9, "hazard_growth": 0.0, **lss}
-    return configured(domain=domain, lidar={"range_noise": 0.02}, lss=values)
+@pytest.fixture
+def landing_at(monkeypatch):
+    """Configurations of a lander of 2.9 m that is set down at so many headings."""
+
+    def configuration(domain: dict[str, object], yaws: int, **lss: object) -> Config:
+        monkeypatch.setattr(touchdown, "YAWS", yaws)
+        values = {"vehicle_diameter": 2.9, "hazard_growth": 0.0, **lss}
+        return configured(domain=domain, lidar={"range_noise": 0.02}, lss=values)
+
+    return configuration
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("yaws", [1, 5])
-def test_rough_ground_against_the_slow_check(seed, yaws):
-    config = lander(SMALL, yaws)
+def test_rough_ground_against_the_slow_check(landing_at, seed, yaws):
+    config = landing_at(SMALL, yaws)
     ground = uneven(np.random.default_rng(seed), 8.0, 12)
     assert_agrees(mapped(config, ground, density=150.0, scans=1, seed=seed).snapshot(), config)
 
 
-def test_subscale_features_stand_out_of_the_ground():
+def test_subscale_features_stand_out_of_the_ground(landing_at):
     """Rocks a little lower than the limit on smooth ground, their bells some over it."""
-    config = lander(SMALL, 3)
+    config = landing_at(SMALL, 3)
     cells = mapped(config, slope(0.02, -0.03), density=100.0, scans=1).snapshot()
     feature = np.full((len(cells.z), 5), np.nan)
     sigma = 0.3
@@ -168,8 +175,8 @@ def test_subscale_features_stand_out_of_the_ground():
 )
 def test_unsafe_ground_grows_by_the_set_length_rounded_outwards(growth, reach):
     """Points lie half a metre apart: the next one at the least is unsafe, if it grows at all."""
-    lander = {"vehicle_diameter": 2.9, "hazard_growth": 0.0}
-    config = configured(domain=SMALL, lidar={"range_noise": 0.02}, lss=lander)
+    lss = {"vehicle_diameter": 2.9, "hazard_growth": 0.0}
+    config = configured(domain=SMALL, lidar={"range_noise": 0.02}, lss=lss)
 
     def ground(x, y):
         return 0.5 * ((np.abs(x - 3.3) < 0.5) & (np.abs(y - 4.8) < 0.5))
@@ -221,9 +228,11 @@ def placed(raster: TerrainRaster, rows: int, columns: int) -> TerrainRaster:
 @pytest.mark.parametrize("yaws", [1, 4, 7])
 @pytest.mark.parametrize("diameter", [0.4, 2.0, 3.7])
 @pytest.mark.parametrize("shift", [(0, 3), (5, 1), (2, 6)])
-def test_how_grid_points_fall_into_blocks_changes_nothing(yaws, diameter, shift):
+def test_how_grid_points_fall_into_blocks_changes_nothing(landing_at, yaws, diameter, shift):
     """Other blocks are other planes to compare with and other bounds."""
-    config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, yaws, vehicle_diameter=diameter)
+    config = landing_at(
+        {"size": 16.0, "min_level": 1, "max_level": 6}, yaws, vehicle_diameter=diameter
+    )
     ground = uneven(np.random.default_rng(9), 16.0, 40)
     raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
     candidates = np.zeros((65, 65), dtype=np.bool_)
@@ -237,8 +246,8 @@ def test_how_grid_points_fall_into_blocks_changes_nothing(yaws, diameter, shift)
     assert not found[candidates].all()
 
 
-def test_far_from_sea_level_the_verdict_is_the_same():
-    config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, 5)
+def test_far_from_sea_level_the_verdict_is_the_same(landing_at):
+    config = landing_at({"size": 16.0, "min_level": 1, "max_level": 6}, 5)
     ground = uneven(np.random.default_rng(9), 16.0, 40)
     raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
     high = dataclasses.replace(raster, elevation=raster.elevation + 3000.0)
@@ -248,10 +257,10 @@ def test_far_from_sea_level_the_verdict_is_the_same():
 
 
 @pytest.mark.parametrize("layer", ["elevation", "slope_x", "slope_y", "subscale"])
-def test_a_cell_that_changes_is_judged_again(layer):
+def test_a_cell_that_changes_is_judged_again(landing_at, layer):
     """Whatever changes in it, and wherever in a block: who follows the map says what a new checker
     does, to the bit."""
-    config = lander({"size": 16.0, "min_level": 1, "max_level": 6}, 3)
+    config = landing_at({"size": 16.0, "min_level": 1, "max_level": 6}, 3)
     ground = uneven(np.random.default_rng(9), 16.0, 40)
     raster = rasterise(mapped(config, ground, density=60.0, scans=1).snapshot(), 0.6)
     candidates = np.zeros((65, 65), dtype=np.bool_)

@@ -12,7 +12,7 @@ from quadtree_lss.onboard.messages.intake import Intake, noise_notice
 from quadtree_lss.onboard.messages.lost_points import unused_points_text
 
 MS = 1_000_000
-CONFIG = config_from_values({"pose.max_wait": 0.2, "pose.queue": 4})
+CONFIG = config_from_values({"pose.max_wait": 0.2})
 
 
 def scan(stamp_ms, n=5):
@@ -96,7 +96,6 @@ def test_a_wrong_range_noise_is_told(ratio, effect):
     notice = noise_notice(ratio, CONFIG)
     assert (notice is not None) == bool(effect)
     assert notice is None or effect in notice.text
-    assert noise_notice(ratio, config_from_values({"mapping.noise_check": False})) is None
 
 
 def test_only_too_large_a_scatter_may_be_the_ground():

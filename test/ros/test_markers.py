@@ -96,9 +96,7 @@ def test_sites_have_circle_normal_and_rank(mapper):
 
 
 def test_markers_come_to_whom_subscribes_late_and_go_with_a_reset(ros):
-    rate = ("-p", "publish.marker_rate:=5.0")
-    mapping = ros.start("mapping_node", *rate)
-    lss = ros.start("lss_node", *rate)
+    mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:
         sensors = Sensors(listener)
         sensors.wait_for_subscribers()

@@ -267,7 +267,8 @@ def test_wrong_usage_and_missing_home(ros):
 
 def test_scans_lost_on_the_way_are_counted(ros):
     """Every scan sent is either lost and counted, or arrives and is dropped for want of a pose."""
-    mapping = ros.start("mapping_node", "-p", "qos.scan_depth:=1", "-p", "pose.max_wait:=0.2")
+    depth = ("-p", "qos_overrides./lidar/points.subscription.depth:=1")
+    mapping = ros.start("mapping_node", *depth, "-p", "pose.max_wait:=0.2")
     listener = ros.listen()
     with listener:
         sensors = Sensors(listener)

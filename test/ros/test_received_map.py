@@ -68,7 +68,7 @@ def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells):
 
 
 def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
-    lss = ros.start("lss_node", "-p", "lss.max_map_age:=8.0", "-p", "diagnostics.error_age:=2.0")
+    lss = ros.start("lss_node", "-p", "lss.max_map_age:=8.0", "-p", "diagnostics.warn_age:=0.4")
     with ros.listen({}) as listener:
         vehicle, wait = Vehicle(listener, cells), listener.wait_for
         stamp = vehicle.send_map(0)

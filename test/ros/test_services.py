@@ -200,7 +200,7 @@ def _same(listener, places):
 
 
 def test_levels_follow_the_age_of_the_data(ros):
-    limits = ("-p", "diagnostics.warn_age:=1.5", "-p", "diagnostics.error_age:=2.5")
+    limits = ("-p", "diagnostics.warn_age:=0.5")
     limits += ("-p", "lidar.range_noise:=0.02")
     nodes = ("mapping_node", "lss_node")
     for node in nodes:

@@ -93,7 +93,7 @@ def replay(
             if record is not None:
                 from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
 
-                options = {"maps": pairs is None, "viewer_rate": config.publish.marker_rate}
+                options = {"maps": pairs is None}
                 recorder = Recorder(Path(record), config.frames.map, **options)
                 sinks.append(stack.enter_context(recorder))
             passes = run.passes = Passes(config, wishes.arguments, sinks)

@@ -25,7 +25,7 @@ from quadtree_lss.desk.replay.result import ReplayResult, ScanTiming
 from quadtree_lss.desk.replay.stream import ReplayError
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.loading import dump_config, load_config
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import Config, still_parameters
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -188,7 +188,8 @@ class Results:
     @cached_property
     def config(self) -> Config:
         """The configuration of the run."""
-        return load_config([self.folder / "config.yaml"])
+        path = self.folder / "config.yaml"
+        return load_config([], still_parameters(read_values(path)), origin=str(path))
 
     @cached_property
     def sites(self) -> Table:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Mask
-from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.config.settings import Config, config_from_values, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -44,7 +44,7 @@ class Content:
     @cached_property
     def config(self) -> Config:
         """What the run was made with."""
-        return config_from_values(self.summary["config"])
+        return config_from_values(still_parameters(self.summary["config"]))
 
     @property
     def seen(self) -> Mask:

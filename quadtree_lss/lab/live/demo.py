@@ -77,7 +77,14 @@ def run_live(
     """
     # No scan may be lost, however busy the computer is: this is compared with a replay.
     args = ["--params-file", str(params), "-p", "qos.scan_reliability:=reliable"]
-    args += ["-p", "qos.scan_depth:=500", "-p", "pose.max_wait:=10.0", "-p", "qos.overload:=all"]
+    args += [
+        "-p",
+        "qos_overrides./lidar/points.subscription.depth:=500",
+        "-p",
+        "pose.max_wait:=10.0",
+        "-p",
+        "qos.overload:=all",
+    ]
     with ExitStack() as stack:
         domain = stack.enter_context(local_domain(folder))
         listener = stack.enter_context(Listener(domain.number))

@@ -30,12 +30,12 @@ from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
     Parameter,
-    checked_value,
+    checked_values,
     config_from_values,
     contradictions,
     flatten,
-    nearest_key,
     parameters,
+    unknown_parameter,
     values_from_config,
 )
 from quadtree_lss.onboard.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
@@ -66,11 +66,11 @@ def load_config(
     for path in paths:
         found = find_config(path)
         read = read_values(found)
-        _check_keys(read, str(found))
+        _check(read, str(found))
         values |= read
         files.append(str(found))
     wanted = flatten(overrides or {})
-    _check_keys(wanted, origin)
+    _check(wanted, origin)
     try:
         return config_from_values(values | wanted)
     except ConfigError as error:  # values that contradict one another
@@ -79,26 +79,13 @@ def load_config(
         raise ConfigError(msg) from None
 
 
-def _check_keys(values: Mapping[str, object], where: str) -> None:
+def _check(values: Mapping[str, object], where: str) -> None:
     """Each key by itself, so that the message can name the file."""
-    table = {row.name: row for row in parameters()}
-    for key, value in values.items():
-        try:
-            _check_key(table, key, value)
-        except ConfigError as error:
-            msg = f"{where}: {error}"
-            raise ConfigError(msg) from None
-
-
-def _check_key(table: Mapping[str, Parameter], key: str, value: object) -> None:
-    if key not in table:
-        msg = f"unknown parameter '{key}'{_suggestion(key)}"
-        raise ConfigError(msg)
-    checked_value(table[key], value)
-
-
-def _suggestion(key: str) -> str:
-    return f"; did you mean '{nearest_key(key)}'?" if key.strip(" .") else ""
+    try:
+        checked_values(values)
+    except ConfigError as error:
+        msg = f"{where}: {error}"
+        raise ConfigError(msg) from None
 
 
 def find_config(path: str | os.PathLike[str]) -> Path:
@@ -252,16 +239,7 @@ def _errors_of(path: str | os.PathLike[str]) -> list[str]:
         values = read_values(found, errors)
     except ConfigError as error:
         return [str(error).removeprefix(f"{path}: ")]
-    sound: dict[str, dict[str, object]] = {}
-    table = {row.name: row for row in parameters()}
-    for key, value in values.items():
-        try:
-            _check_key(table, key, value)
-        except ConfigError as error:
-            errors.append(str(error))
-        else:
-            section, _, name = key.partition(".")
-            sound.setdefault(section, {})[name] = checked_value(table[key], value)
+    sound = checked_values(values, errors)
     sections = {
         item.name: dataclasses.replace(getattr(Config(), item.name), **sound.get(item.name, {}))
         for item in dataclasses.fields(Config)
@@ -279,7 +257,7 @@ def explain(name: str) -> list[Parameter]:
     rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
     if not rows:
         sections = sorted({row.name.partition(".")[0] for row in table})
-        msg = f"unknown parameter '{name}'{_suggestion(name)} (sections: {', '.join(sections)})"
+        msg = f"{unknown_parameter(name)} (sections: {', '.join(sections)})"
         raise ConfigError(msg)
     return rows
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import numbers
 import typing
@@ -47,23 +48,20 @@ class Parameter:
 def declared(
     default: typing.Any,
     doc: str,
-    *,
+    limits: tuple[float, float] = (-math.inf, math.inf),
     unit: str = "",
-    low: float = -math.inf,
-    high: float = math.inf,
+    *,
     choices: Sequence[str] = (),
     live: bool = False,
 ) -> typing.Any:
     """A dataclass field that is a row of the table; see `Parameter` for the arguments."""
-    metadata = {
-        "doc": doc,
-        "unit": unit,
-        "low": low,
-        "high": high,
-        "choices": tuple(choices),
-        "live": live,
-    }
-    return field(default=default, metadata=metadata)
+    low, high = limits
+    meta = {"low": low, "high": high, "choices": tuple(choices), "live": live}
+    return field(default=default, metadata={"doc": doc, "unit": unit, **meta})
+
+
+#: The same of a parameter that a running node accepts.
+live = functools.partial(declared, live=True)
 
 
 def checked_value(row: Parameter, value: object) -> Value:
@@ -72,24 +70,16 @@ def checked_value(row: Parameter, value: object) -> Value:
     Raises:
         ConfigError: wrong type, out of range, not finite or not among the choices.
     """
-    kind = row.type
-    fits = {
-        bool: isinstance(value, bool),
-        str: isinstance(value, str),
-        int: isinstance(value, numbers.Integral) and not isinstance(value, bool),
-        float: isinstance(value, numbers.Real) and not isinstance(value, bool),
-    }
-    if fits[kind]:
-        value = kind(value)
-    else:
-        msg = f"{row.name} must be {kind.__name__}, got {value!r}"
+    kinds = {bool: bool, str: str, int: numbers.Integral, float: numbers.Real}
+    if not isinstance(value, kinds[row.type]) or (row.type is not bool and isinstance(value, bool)):
+        msg = f"{row.name} must be {row.type.__name__}, got {value!r}"
         raise ConfigError(msg)
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        if not math.isfinite(value) or not row.low <= value <= row.high:
-            unit = f" {row.unit}" if row.unit else ""
-            msg = f"{row.name} = {value} is outside [{row.low:g}, {row.high:g}]{unit}"
-            raise ConfigError(msg)
-    if row.choices and value not in row.choices:
-        msg = f"{row.name} = {value!r} is not one of {', '.join(row.choices)}"
+    checked: Value = row.type(value)
+    if row.type in (int, float) and not (math.isfinite(checked) and row.low <= checked <= row.high):
+        unit = f" {row.unit}" if row.unit else ""
+        msg = f"{row.name} = {checked} is outside [{row.low:g}, {row.high:g}]{unit}"
         raise ConfigError(msg)
-    return value  # type: ignore[return-value]
+    if row.choices and checked not in row.choices:
+        msg = f"{row.name} = {checked!r} is not one of {', '.join(row.choices)}"
+        raise ConfigError(msg)
+    return checked

@@ -7,22 +7,22 @@ from dataclasses import dataclass
 
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS
 from quadtree_lss.onboard.config.parameter import declared as _p
+from quadtree_lss.onboard.config.parameter import live as _live
 
 
 @dataclass(frozen=True)
 class DomainConfig:
     """Where the map lies and how finely it may be divided."""
 
-    xmin: float = _p(-60.0, "western edge of the square domain", unit="m", low=-1e8, high=1e8)
-    ymin: float = _p(-60.0, "southern edge of the square domain", unit="m", low=-1e8, high=1e8)
-    size: float = _p(120.0, "side of the square domain", unit="m", low=0.01, high=1e5)
-    min_level: int = _p(4, "level to which the tree is divided at start", low=0, high=MOST_LEVELS)
+    xmin: float = _p(-60.0, "western edge of the square domain", (-1e8, 1e8), "m")
+    ymin: float = _p(-60.0, "southern edge of the square domain", (-1e8, 1e8), "m")
+    size: float = _p(120.0, "side of the square domain", (0.01, 1e5), "m")
+    min_level: int = _p(4, "level to which the tree is divided at start", (0, MOST_LEVELS))
     max_level: int = _p(
         8,
         "finest level; a cell is size / 2^level. At 11 a landing site pass takes 1.3 GB, at 12 it"
         " would take five",
-        low=0,
-        high=MOST_LEVELS,
+        (0, MOST_LEVELS),
     )
 
 
@@ -30,28 +30,24 @@ class DomainConfig:
 class LidarConfig:
     """What the lidar measures."""
 
-    range_noise: float = _p(
-        0.06, "standard deviation of a range (Eq. 13)", unit="m", low=1e-4, high=10.0
-    )
+    range_noise: float = _p(0.06, "standard deviation of a range (Eq. 13)", (1e-4, 10.0), "m")
     range_noise_per_metre: float = _p(
-        0.0, "what each metre of range adds to this deviation", unit="", low=0.0, high=1.0
+        0.0, "what each metre of range adds to this deviation", (0.0, 1.0)
     )
     beam_divergence: float = _p(
         0.0,
         "standard deviation of the beam across its axis: on inclined ground its footprint is deep",
-        unit="rad",
-        low=0.0,
-        high=0.1,
+        (0.0, 0.1),
+        "rad",
     )
-    min_range: float = _p(0.5, "shorter ranges are no returns", unit="m", low=0.0, high=1e5)
-    max_range: float = _p(5000.0, "longer ranges are no returns", unit="m", low=0.1, high=1e6)
+    min_range: float = _p(0.5, "shorter ranges are no returns", (0.0, 1e5), "m")
+    max_range: float = _p(5000.0, "longer ranges are no returns", (0.1, 1e6), "m")
     outlier_gate: float = _p(
         0.4,
         "returns no farther from a neighbour than this (or than five times the scan's usual"
         " spacing) hang together; fewer than three that do are noise; 0 keeps every return",
-        unit="m",
-        low=0.0,
-        high=1000.0,
+        (0.0, 1000.0),
+        "m",
     )
     deskew: bool = _p(
         True, "a cloud with a time for each point is taken point by point, each at its own pose"
@@ -80,64 +76,45 @@ class PoseConfig:
         " that has this type not, the other is taken",
         choices=("pose", "odometry"),
     )
-    max_wait: float = _p(
-        1.0, "a scan waits this long after arrival for its pose", unit="s", low=0.0, high=60.0
-    )
-    buffer: float = _p(30.0, "poses older than this are forgotten", unit="s", low=0.1, high=3600.0)
-    max_gap: float = _p(
-        1.5, "no interpolation between poses farther apart", unit="s", low=0.001, high=60.0
-    )
-    queue: int = _p(20, "scans that may wait for their pose or their turn", low=1, high=1000)
+    max_wait: float = _p(1.0, "a scan waits this long after arrival for its pose", (0.0, 60.0), "s")
+    max_gap: float = _p(1.5, "no interpolation between poses farther apart", (0.001, 60.0), "s")
     correlation_time: float = _p(
         300.0,
         "time over which the pose's error is forgotten; 0 if it is another one in each scan",
-        unit="s",
-        low=0.0,
-        high=1e6,
+        (0.0, 1e6),
+        "s",
     )
     unknown_position_sigma: float = _p(
-        0.1,
-        "position standard deviation where the message says unknown",
-        unit="m",
-        low=0.0,
-        high=1e3,
+        0.1, "position standard deviation where the message says unknown", (0.0, 1e3), "m"
     )
     unknown_attitude_sigma_deg: float = _p(
-        0.05,
-        "attitude standard deviation where the message says unknown",
-        unit="deg",
-        low=0.0,
-        high=90.0,
+        0.05, "attitude standard deviation where the message says unknown", (0.0, 90.0), "deg"
     )
+
+    @property
+    def queue(self) -> int:
+        """Scans that may wait for their pose or their turn: those of a lidar of 20 Hz."""
+        return max(20, round(20.0 * self.max_wait))
 
 
 @dataclass(frozen=True)
 class MountConfig:
     """Where the lidar sits on the body, when poses are those of the body."""
 
-    x: float = _p(0.0, "lidar's origin in body axes", unit="m", low=-1e3, high=1e3)
-    y: float = _p(0.0, "lidar's origin in body axes", unit="m", low=-1e3, high=1e3)
-    z: float = _p(0.0, "lidar's origin in body axes", unit="m", low=-1e3, high=1e3)
+    x: float = _p(0.0, "lidar's origin in body axes", (-1e3, 1e3), "m")
+    y: float = _p(0.0, "lidar's origin in body axes", (-1e3, 1e3), "m")
+    z: float = _p(0.0, "lidar's origin in body axes", (-1e3, 1e3), "m")
     roll_deg: float = _p(
         0.0,
         "from lidar to body axes, first: about the body's x (ROS's roll, pitch, yaw)",
-        unit="deg",
-        low=-360.0,
-        high=360.0,
+        (-360.0, 360.0),
+        "deg",
     )
     pitch_deg: float = _p(
-        0.0,
-        "from lidar to body axes, second: about the body's y",
-        unit="deg",
-        low=-360.0,
-        high=360.0,
+        0.0, "from lidar to body axes, second: about the body's y", (-360.0, 360.0), "deg"
     )
     yaw_deg: float = _p(
-        0.0,
-        "from lidar to body axes, third: about the body's z",
-        unit="deg",
-        low=-360.0,
-        high=360.0,
+        0.0, "from lidar to body axes, third: about the body's z", (-360.0, 360.0), "deg"
     )
     axes: str = _p(
         "same",
@@ -175,54 +152,10 @@ class MappingConfig:
         choices=("lack_of_fit", "mahalanobis"),
     )
     division_factor: float = _p(
-        1.2,
-        "a cell divides above this multiple of the expected value (Eq. 47)",
-        low=1.0,
-        high=100.0,
-    )
-    division_confidence: float = _p(
-        0.5,
-        "by how many standard deviations the mean must exceed the threshold",
-        low=0.0,
-        high=10.0,
-    )
-    divide_exceptions: float = _p(
-        1.5,
-        "exceptions, in measurements, that show a rock and divide a leaf; 0 is off",
-        low=0.0,
-        high=1e6,
-    )
-    divide_area: float = _p(
-        0.04,
-        "points raised by features.divide_height over this area show a rock and divide a leaf; "
-        "0 is off",
-        unit="m^2",
-        low=0.0,
-        high=1e6,
-    )
-    division_min_residuals: int = _p(
-        8,
-        "free residuals (points less three a scan) before the statistic counts",
-        low=1,
-        high=100000,
+        1.2, "a cell divides above this multiple of the expected value (Eq. 47)", (1.0, 100.0)
     )
     align: bool = _p(True, "let each scan and the map meet at one height")
-    min_points: int = _p(3, "points of one scan that make a first fit", low=3, high=10000)
-    slope_prior_points: float = _p(
-        5.0, "weight of the parent's slope in a first height fit, in points", low=0.0, high=1000.0
-    )
-    max_cells: int = _p(200000, "leaves the map may hold, at up to 1.5 kB", low=1, high=MOST_LEAVES)
-    residual_clip: float = _p(
-        1.0, "residuals count at most this much in running statistics", unit="m", low=0.01, high=1e3
-    )
-    roughness_tolerance: float = _p(
-        0.3,
-        "a measurement farther from its plane is an exception (Eq. 48)",
-        unit="m",
-        low=0.01,
-        high=100.0,
-    )
-    noise_check: bool = _p(True, "warn when the observed range noise differs from the configured")
+    max_cells: int = _p(200000, "leaves the map may hold, at up to 1.5 kB", (1, MOST_LEAVES))
 
 
 @dataclass(frozen=True)
@@ -230,27 +163,6 @@ class FeaturesConfig:
     """Subscale features (paper V.C)."""
 
     enabled: bool = _p(True, "estimate one subscale feature in each leaf that shows one")
-    min_height: float = _p(0.1, "lower features are discarded", unit="m", low=0.0, high=100.0)
-    divide_height: float = _p(
-        0.15,
-        "a feature this high (and three range noises) divides its leaf",
-        unit="m",
-        low=0.0,
-        high=1e3,
-    )
-    divide_sigma: float = _p(
-        0.5, "wider features divide nothing: they are no rocks", unit="m", low=0.0, high=1e3
-    )
-    min_volume: float = _p(
-        0.002, "features of less volume (k^2) are discarded", unit="m^3", low=0.0, high=1e4
-    )
-    max_sigma_fraction: float = _p(
-        0.3,
-        "features wider (sigma) than this fraction of the cell are discarded",
-        low=0.01,
-        high=2.0,
-    )
-    min_points: int = _p(12, "points of one scan a cell needs for a feature", low=6, high=100000)
 
 
 @dataclass(frozen=True)
@@ -269,174 +181,93 @@ class LssConfig:
         " or the paper's score (Eq. 59)",
         choices=("probability", "score"),
     )
-    max_risk: float = _p(
+    max_risk: float = _live(
         0.003,
         "greatest probability that landing at a place fails there; with assessment probability",
-        low=0.0,
-        high=1.0,
-        live=True,
+        (0.0, 1.0),
     )
-    dispersion: float = _p(
+    dispersion: float = _live(
         2.0,
         "standard deviation, along x and along y, of where the lander comes down about its aim;"
         " what guidance says on landing/dispersion goes before it",
-        unit="m",
-        low=0.0,
-        high=100.0,
-        live=True,
+        (0.0, 100.0),
+        "m",
     )
     risk_model: str = _p(
         "",
         "file of the fit that turns the worst rest on the map into a probability (fit-risk writes"
         " one); empty for the one that comes with the package",
     )
-    grid_spacing: float = _p(0.5, "spacing of candidate sites", unit="m", low=0.01, high=1000.0)
-    vehicle_diameter: float = _p(
-        3.7, "diameter of the pads' circle", unit="m", low=0.1, high=1000.0
-    )
-    margin: float = _p(
-        0.0,
-        "guidance error added to the vehicle's radius",
-        unit="m",
-        low=0.0,
-        high=1000.0,
-        live=True,
-    )
-    max_slope_deg: float = _p(
+    grid_spacing: float = _p(0.5, "spacing of candidate sites", (0.01, 1000.0), "m")
+    vehicle_diameter: float = _p(3.7, "diameter of the pads' circle", (0.1, 1000.0), "m")
+    margin: float = _live(0.0, "guidance error added to the vehicle's radius", (0.0, 1000.0), "m")
+    max_slope_deg: float = _live(
         10.0,
         "steepest ground that the lander stands on; with assessment paper the slope tolerance of"
         " leaves, only shown with touchdown",
-        unit="deg",
-        low=0.1,
-        high=89.0,
-        live=True,
+        (0.1, 89.0),
+        "deg",
     )
-    max_roughness: float = _p(
+    max_roughness: float = _live(
         0.3,
         "highest ground over its pads' plane that the lander clears; with assessment paper the"
         " elevation tolerance of leaves, only shown with touchdown",
-        unit="m",
-        low=0.01,
-        high=100.0,
-        live=True,
+        (0.01, 100.0),
+        "m",
     )
-    max_exception_fraction: float = _p(
-        0.05,
-        "a leaf with a larger share of exceptions is a hazard, with either assessment; since rocks "
-        "divide leaves, few are left: finest ones, all at mapping.max_cells, and with "
-        "mapping.divide_exceptions 0",
-        low=0.0,
-        high=1.0,
-        live=True,
+    touchdown_slope_deg: float = _live(
+        9.0, "slope limit of the touchdown check on the map", (0.1, 89.0), "deg"
     )
-    elevation_reference_size: float = _p(
-        4.0,
-        "cell size of the fused plane that leaves are compared with",
-        unit="m",
-        low=0.01,
-        high=1e5,
+    touchdown_roughness: float = _live(
+        0.25, "roughness limit of the touchdown check on the map", (0.01, 100.0), "m"
     )
-    touchdown_slope_deg: float = _p(
-        9.0,
-        "slope limit of the touchdown check on the map",
-        unit="deg",
-        low=0.1,
-        high=89.0,
-        live=True,
-    )
-    touchdown_roughness: float = _p(
-        0.25,
-        "roughness limit of the touchdown check on the map",
-        unit="m",
-        low=0.01,
-        high=100.0,
-        live=True,
-    )
-    touchdown_yaws: int = _p(12, "headings of the touchdown check", low=1, high=360)
-    pad_radius: float = _p(0.15, "radius of a landing pad", unit="m", low=0.0, high=10.0)
-    hazard_growth: float = _p(
+    pad_radius: float = _p(0.15, "radius of a landing pad", (0.0, 10.0), "m")
+    hazard_growth: float = _live(
         0.25,
         "unsafe ground is taken to reach this much farther: what the map's place is wrong by; "
         "rounded up to whole finest cells",
-        unit="m",
-        low=0.0,
-        high=100.0,
-        live=True,
+        (0.0, 100.0),
+        "m",
     )
-    max_gap: float = _p(
-        0.6,
-        "ground farther from any that is mapped is unseen",
-        unit="m",
-        low=0.0,
-        high=1000.0,
-        live=True,
+    max_gap: float = _live(
+        0.6, "ground farther from any that is mapped is unseen", (0.0, 1000.0), "m"
     )
-    weight_slope: float = _p(1.0, "alpha_theta of Eq. 58, per radian", low=0.0, high=1e6, live=True)
-    weight_roughness: float = _p(
-        2.0,
-        "alpha_R of Eq. 58 over the leaf's area, per metre: as it is, a centimetre of roughness "
-        "counts like a degree of slope",
-        low=0.0,
-        high=1e6,
-        live=True,
+    weight_target: float = _live(
+        0.02, "added score per metre from the target, when one is given", (0.0, 1e6)
     )
-    weight_hazard_distance: float = _p(
-        0.02, "alpha_H of Eq. 58, per metre", low=0.0, high=1e6, live=True
-    )
-    weight_subscale: float = _p(1.0, "alpha_s of Eq. 58, per metre", low=0.0, high=1e6, live=True)
-    weight_target: float = _p(
-        0.02,
-        "added score per metre from the target, when one is given",
-        low=0.0,
-        high=1e6,
-        live=True,
-    )
-    target_risk: float = _p(
+    target_risk: float = _live(
         0.001,
         "what a metre nearer to the target is worth, as a probability of a safe touchdown, when"
         " sites are ranked by that",
-        unit="1/m",
-        low=0.0,
-        high=1.0,
-        live=True,
+        (0.0, 1.0),
+        "1/m",
     )
-    hazard_distance_cap: float = _p(
-        10.0, "farther hazards do not improve a score", unit="m", low=0.1, high=1e5, live=True
-    )
-    sites: int = _p(5, "sites to rank", low=1, high=1000, live=True)
-    min_separation: float = _p(
-        3.7, "least distance between ranked sites", unit="m", low=0.0, high=1e5, live=True
-    )
+    sites: int = _live(5, "sites to rank", (1, 1000))
+    min_separation: float = _live(3.7, "least distance between ranked sites", (0.0, 1e5), "m")
     required_input: str = _p(
         "none",
         "lss_node gives out no site before it has heard these topics of landing/: for a vehicle "
         "that flies with an area or a keep-out",
         choices=("none", "area", "keep_out", "both"),
     )
-    max_map_age: float = _p(
+    max_map_age: float = _live(
         30.0,
         "lss_node withdraws its sites when no map it could use has come for longer; 0 is never",
-        unit="s",
-        low=0.0,
-        high=1e5,
-        live=True,
+        (0.0, 1e5),
+        "s",
     )
-    switch_margin: float = _p(
+    switch_margin: float = _live(
         0.01,
         "the target gives way to a site that is better by more than this, in the unit of the "
         "ranking: 0.01 is one per cent more probably safe; with ranking score 0.08 buys 4 m more "
         "room to the nearest hazard, or 4.6 degrees less slope",
-        low=0.0,
-        high=1e6,
-        live=True,
+        (0.0, 1e6),
     )
-    hysteresis: float = _p(
+    hysteresis: float = _live(
         0.0,
         "each ranked site keeps its rank unless another scores better by this; 0 is off: the list "
         "follows from the map alone",
-        low=0.0,
-        high=1e6,
-        live=True,
+        (0.0, 1e6),
     )
 
 
@@ -455,48 +286,33 @@ class QosConfig:
         "younger than diagnostics.warn_age, or map all, however late",
         choices=("newest", "all"),
     )
-    scan_depth: int = _p(50, "scans the middleware may queue", low=1, high=1000)
-    pose_depth: int = _p(200, "poses the middleware may queue", low=100, high=100000)
 
 
 @dataclass(frozen=True)
 class PublishConfig:
     """What the nodes send, and how often."""
 
-    rate: float = _p(10.0, "map publications per second at most", unit="Hz", low=0.01, high=1000.0)
-    lss_rate: float = _p(
-        4.0, "landing site passes per second at most", unit="Hz", low=0.01, high=1000.0
-    )
-    marker_rate: float = _p(
-        1.0,
-        "markers and landing/grid_map for viewers per second at most, while somebody subscribes",
-        unit="Hz",
-        low=0.01,
-        high=100.0,
-    )
-    diagnostics_rate: float = _p(1.0, "diagnostics per second", unit="Hz", low=0.01, high=100.0)
+    rate: float = _p(10.0, "map publications per second at most", (0.01, 1000.0), "Hz")
+    lss_rate: float = _p(4.0, "landing site passes per second at most", (0.01, 1000.0), "Hz")
+    diagnostics_rate: float = _p(1.0, "diagnostics per second", (0.01, 100.0), "Hz")
 
 
 @dataclass(frozen=True)
 class DiagnosticsConfig:
     """From which age on data are too old."""
 
-    warn_age: float = _p(
+    warn_age: float = _live(
         1.0,
-        "the status warns when scans, poses or (lss_node) maps stay away for longer",
-        unit="s",
-        low=0.01,
-        high=1e5,
-        live=True,
+        "the status warns when scans, poses or (lss_node) maps stay away for longer; it is an error"
+        " when they do for five times as long",
+        (0.01, 1e5),
+        "s",
     )
-    error_age: float = _p(
-        5.0,
-        "the status is an error when they stay away for longer",
-        unit="s",
-        low=0.01,
-        high=1e5,
-        live=True,
-    )
+
+    @property
+    def error_age(self) -> float:
+        """From which age on the status is an error, s."""
+        return 5.0 * self.warn_age
 
 
 @dataclass(frozen=True)
@@ -522,6 +338,4 @@ class CheckpointConfig:
     """The map on disk, taken up again when mapping_node starts."""
 
     path: str = _p("", "file of the checkpoints; empty = none are written or taken up")
-    interval: float = _p(
-        2.0, "least time between two checkpoints", unit="s", low=0.05, high=86400.0, live=True
-    )
+    interval: float = _live(2.0, "least time between two checkpoints", (0.05, 86400.0), "s")

@@ -9,52 +9,49 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
+from quadtree_lss.onboard.config import sections
 from quadtree_lss.onboard.config.limits import why_too_much
-from quadtree_lss.onboard.config.parameter import ConfigError, Parameter, Value, checked_value
-from quadtree_lss.onboard.config.sections import (
-    CheckpointConfig,
-    DiagnosticsConfig,
-    DomainConfig,
-    FeaturesConfig,
-    FilesConfig,
-    FramesConfig,
-    LidarConfig,
-    LssConfig,
-    MapFileConfig,
-    MappingConfig,
-    MountConfig,
-    PoseConfig,
-    PublishConfig,
-    QosConfig,
-)
+from quadtree_lss.onboard.config.parameter import ConfigError as ConfigError
+from quadtree_lss.onboard.config.parameter import Parameter as Parameter
+from quadtree_lss.onboard.config.parameter import Value, checked_value
+from quadtree_lss.onboard.config.sections import DiagnosticsConfig as DiagnosticsConfig
+from quadtree_lss.onboard.config.sections import DomainConfig as DomainConfig
+from quadtree_lss.onboard.config.sections import LidarConfig as LidarConfig
+from quadtree_lss.onboard.config.sections import LssConfig as LssConfig
+from quadtree_lss.onboard.config.sections import MountConfig as MountConfig
 
-__all__ = [
-    "CheckpointConfig",
-    "Config",
-    "ConfigError",
-    "DiagnosticsConfig",
-    "DomainConfig",
-    "FeaturesConfig",
-    "FilesConfig",
-    "FramesConfig",
-    "LidarConfig",
-    "LssConfig",
-    "MapFileConfig",
-    "MappingConfig",
-    "MountConfig",
-    "Parameter",
-    "PoseConfig",
-    "PublishConfig",
-    "QosConfig",
-    "Value",
-    "checked_value",
-    "config_from_values",
-    "contradictions",
-    "flatten",
-    "nearest_key",
-    "parameters",
-    "values_from_config",
-]
+#: What were parameters once, and what holds now.
+REMOVED = {
+    "pose.buffer": "poses are kept for 30 s",
+    "pose.queue": "20 scans may wait for each second of pose.max_wait, and at least 20",
+    "mapping.division_confidence": "it is fixed at 0.5 standard deviations",
+    "mapping.divide_exceptions": "it is fixed at 1.5 measurements",
+    "mapping.divide_area": "it is fixed at 0.04 m^2",
+    "mapping.division_min_residuals": "it is fixed at 8",
+    "mapping.min_points": "it is fixed at 3: a plane has as many unknowns",
+    "mapping.slope_prior_points": "it is fixed at 5 points",
+    "mapping.residual_clip": "it is fixed at 1 m",
+    "mapping.roughness_tolerance": "it is fixed at 0.3 m",
+    "mapping.noise_check": "the check costs nothing and is always on",
+    "features.min_height": "it is fixed at 0.1 m",
+    "features.divide_height": "it is fixed at 0.15 m, or three lidar.range_noise if that is more",
+    "features.divide_sigma": "it is fixed at 0.5 m",
+    "features.min_volume": "it is fixed at 0.002 m^3",
+    "features.max_sigma_fraction": "it is fixed at 0.3",
+    "features.min_points": "it is fixed at 12",
+    "lss.max_exception_fraction": "it is fixed at 0.05",
+    "lss.elevation_reference_size": "it is fixed at 4 m",
+    "lss.touchdown_yaws": "it is fixed at 12 headings",
+    "lss.hazard_distance_cap": "it is fixed at 10 m",
+    "lss.weight_slope": "it is fixed at 1 per radian (Eq. 58)",
+    "lss.weight_roughness": "it is fixed at 2 per metre (Eq. 58)",
+    "lss.weight_hazard_distance": "it is fixed at 0.02 per metre (Eq. 58)",
+    "lss.weight_subscale": "it is fixed at 1 per metre (Eq. 58)",
+    "qos.scan_depth": "it is 50; qos_overrides.TOPIC.subscription.depth sets another",
+    "qos.pose_depth": "it is 200; qos_overrides.TOPIC.subscription.depth sets another",
+    "publish.marker_rate": "it is fixed at 1 Hz",
+    "diagnostics.error_age": "it is five times diagnostics.warn_age",
+}
 
 
 @dataclass(frozen=True)
@@ -63,18 +60,18 @@ class Config:
 
     domain: DomainConfig = field(default_factory=DomainConfig)
     lidar: LidarConfig = field(default_factory=LidarConfig)
-    frames: FramesConfig = field(default_factory=FramesConfig)
-    pose: PoseConfig = field(default_factory=PoseConfig)
+    frames: sections.FramesConfig = field(default_factory=sections.FramesConfig)
+    pose: sections.PoseConfig = field(default_factory=sections.PoseConfig)
     mount: MountConfig = field(default_factory=MountConfig)
-    mapping: MappingConfig = field(default_factory=MappingConfig)
-    features: FeaturesConfig = field(default_factory=FeaturesConfig)
+    mapping: sections.MappingConfig = field(default_factory=sections.MappingConfig)
+    features: sections.FeaturesConfig = field(default_factory=sections.FeaturesConfig)
     lss: LssConfig = field(default_factory=LssConfig)
-    qos: QosConfig = field(default_factory=QosConfig)
-    publish: PublishConfig = field(default_factory=PublishConfig)
+    qos: sections.QosConfig = field(default_factory=sections.QosConfig)
+    publish: sections.PublishConfig = field(default_factory=sections.PublishConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
-    files: FilesConfig = field(default_factory=FilesConfig)
-    map_file: MapFileConfig = field(default_factory=MapFileConfig)
-    checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
+    files: sections.FilesConfig = field(default_factory=sections.FilesConfig)
+    map_file: sections.MapFileConfig = field(default_factory=sections.MapFileConfig)
+    checkpoint: sections.CheckpointConfig = field(default_factory=sections.CheckpointConfig)
 
     def __post_init__(self) -> None:
         found = "; ".join(contradictions(self))
@@ -87,33 +84,30 @@ _TYPES: dict[str, type] = {"bool": bool, "int": int, "float": float, "str": str}
 
 def parameters() -> tuple[Parameter, ...]:
     """All parameters in the order of their sections."""
-    return tuple(_rows())
+    return tuple(
+        Parameter(
+            name=f"{section.name}.{item.name}",
+            type=_TYPES[str(item.type)],
+            default=item.default,
+            **item.metadata,
+        )
+        for section in dataclasses.fields(Config)
+        for item in dataclasses.fields(section.default_factory)  # type: ignore[arg-type]
+    )
 
 
-def _rows() -> Iterator[Parameter]:
-    default = Config()
-    for section in dataclasses.fields(Config):
-        values = getattr(default, section.name)
-        for item in dataclasses.fields(values):
-            meta = item.metadata
-            yield Parameter(
-                name=f"{section.name}.{item.name}",
-                type=_TYPES[str(item.type)],
-                default=getattr(values, item.name),
-                unit=meta["unit"],
-                low=meta["low"],
-                high=meta["high"],
-                choices=meta["choices"],
-                live=meta["live"],
-                doc=meta["doc"],
-            )
-
-
-def nearest_key(key: str) -> str:
-    """The known parameter name most like ``key``."""
+def unknown_parameter(key: str) -> str:
+    """What to say of a name that no parameter has: what replaced it, or the nearest one."""
+    if key in REMOVED:
+        return f"{key} is no parameter any more: {REMOVED[key]}"
     names = [row.name for row in parameters()]
-    close = difflib.get_close_matches(key, names, n=1, cutoff=0.0)
-    return close[0]
+    near = difflib.get_close_matches(key, names, n=1, cutoff=0.0) if key.strip(" .") else []
+    return f"unknown parameter '{key}'" + "".join(f"; did you mean '{name}'?" for name in near)
+
+
+def still_parameters(values: Mapping[str, object]) -> dict[str, object]:
+    """Dotted values of an earlier run, without what are parameters no more."""
+    return {key: value for key, value in values.items() if key not in REMOVED}
 
 
 def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]:
@@ -128,6 +122,33 @@ def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]
     return flat
 
 
+def checked_values(
+    values: Mapping[str, object], faults: list[str] | None = None
+) -> dict[str, dict[str, Value]]:
+    """Dotted values converted to their parameters' types, by section and name.
+
+    Args:
+        values: Each is looked at by itself.
+        faults: Gets what is wrong with single ones, instead of an error.
+
+    Raises:
+        ConfigError: unknown key (see `unknown_parameter`), wrong type or range.
+    """
+    table = {row.name: row for row in parameters()}
+    found: dict[str, dict[str, Value]] = {}
+    for key, value in values.items():
+        try:
+            if key not in table:
+                raise ConfigError(unknown_parameter(key))
+            section, _, name = key.partition(".")
+            found.setdefault(section, {})[name] = checked_value(table[key], value)
+        except ConfigError as error:
+            if faults is None:
+                raise
+            faults.append(str(error))
+    return found
+
+
 def config_from_values(values: Mapping[str, object], base: Config | None = None) -> Config:
     """A configuration from dotted or nested values laid over ``base``.
 
@@ -135,29 +156,17 @@ def config_from_values(values: Mapping[str, object], base: Config | None = None)
         ConfigError: unknown key (names the nearest), wrong type or range, values that
             contradict one another.
     """
-    table = {row.name: row for row in parameters()}
-    sections: dict[str, dict[str, Value]] = {}
-    for key, value in flatten(values).items():
-        if key not in table:
-            msg = f"unknown parameter {key!r}; did you mean {nearest_key(key)!r}?"
-            raise ConfigError(msg)
-        section, _, name = key.partition(".")
-        sections.setdefault(section, {})[name] = checked_value(table[key], value)
     start = Config() if base is None else base
     changed = {
         section: dataclasses.replace(getattr(start, section), **entries)
-        for section, entries in sections.items()
+        for section, entries in checked_values(flatten(values)).items()
     }
     return dataclasses.replace(start, **changed)
 
 
 def values_from_config(config: Config) -> dict[str, Value]:
     """Flat dotted values of a configuration."""
-    flat: dict[str, Value] = {}
-    for row in parameters():
-        section, _, name = row.name.partition(".")
-        flat[row.name] = getattr(getattr(config, section), name)
-    return flat
+    return flatten(dataclasses.asdict(config))  # type: ignore[return-value]
 
 
 def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
@@ -183,12 +192,6 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     if (mount.gimbal or mount.tf) and mount != elsewhere:
         name, topic = ("gimbal", "lidar/gimbal") if mount.gimbal else ("tf", "/tf_static")
         yield f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
-    ages = config.diagnostics
-    if ages.warn_age > ages.error_age:
-        yield (
-            f"diagnostics.warn_age = {ages.warn_age} exceeds"
-            f" diagnostics.error_age = {ages.error_age}"
-        )
     reason = why_too_much(domain.size, 1 << domain.max_level, config.lss)
     if reason is not None:
         yield f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"

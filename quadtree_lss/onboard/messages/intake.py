@@ -32,6 +32,9 @@ from quadtree_lss.onboard.messages.times import offsets_from_cloud
 NOISE_RATIO_LIMIT = 1.4
 """Observed over configured range noise that is worth a warning, either way."""
 
+BUFFER_NS = 30 * SECOND_NS
+"""Older poses are forgotten: by far more than a scan may wait for its own, or a pose come late."""
+
 
 class Notice(NamedTuple):
     """Something to tell the user: a short key to count and throttle by, and one line of text."""
@@ -249,8 +252,7 @@ class Intake:
 
     def _buffer(self, what: str = "pose") -> PoseBuffer:
         limits = self._pose_config
-        span_ns, gap_ns = round(limits.buffer * SECOND_NS), round(limits.max_gap * SECOND_NS)
-        return PoseBuffer(span_ns, gap_ns, what=what)
+        return PoseBuffer(BUFFER_NS, round(limits.max_gap * SECOND_NS), what=what)
 
     def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> bool:
         """Whether the pose is used; one that is not, is counted as rejected."""
@@ -274,10 +276,10 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
 
     Args:
         ratio: Observed over configured, as in ``ScanReport.noise_ratio``; NaN if unknown.
-        config: Of which ``lidar.range_noise`` and ``mapping.noise_check`` matter.
+        config: Of which ``lidar.range_noise`` matters.
     """
     agrees = 1.0 / NOISE_RATIO_LIMIT <= ratio <= NOISE_RATIO_LIMIT
-    if not config.mapping.noise_check or math.isnan(ratio) or agrees:
+    if math.isnan(ratio) or agrees:
         return None
     configured = config.lidar.range_noise
     cause = (

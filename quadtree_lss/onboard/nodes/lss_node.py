@@ -86,15 +86,13 @@ class LssNode(Node):
         self._target = TargetOutput(self, self._age, self._release)
         self._markers = MarkerPublisher(
             self,
-            config.publish.marker_rate,
             advertise(self, MarkerArray, "landing/markers", latched()),
             self._site_markers,
         )
         self._grid_map = None
         if GridMap is not None:
             publisher = advertise(self, GridMap, GRID_MAP, latched())
-            rate = config.publish.marker_rate
-            self._grid_map = MarkerPublisher(self, rate, publisher, self._grid_map_message)
+            self._grid_map = MarkerPublisher(self, publisher, self._grid_map_message)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
         # This takes a while to load, in which the middleware already finds mapping_node.

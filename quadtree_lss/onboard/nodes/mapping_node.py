@@ -49,6 +49,8 @@ from quadtree_lss.onboard.nodes.scan_gaps import ScanGaps
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
 ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"
 MAP_LATE = "by the scans' stamps and this node's clock, maps are sent after"
+SCAN_DEPTH, POSE_DEPTH = 50, 200
+"""What the middleware may queue: 2.5 s of scans of 20 Hz, and of poses ten times as many."""
 LOOK_PERIOD_S = 0.1
 """How often poses are taken and waiting scans looked at while nothing wakes the node."""
 
@@ -95,7 +97,6 @@ class MappingNode(Node):
         self._observed = advertise(self, OccupancyGrid, "map/observed", latched())
         self._markers = MarkerPublisher(
             self,
-            config.publish.marker_rate,
             advertise(self, MarkerArray, "map/markers", latched()),
             lambda: cell_markers(self._mapper.snapshot(), self._frame),
         )
@@ -124,8 +125,8 @@ class MappingNode(Node):
 
     def _subscribe(self) -> None:
         qos = self._settings.config.qos
-        scan_qos = stream(qos.scan_depth, reliable=qos.scan_reliability == "reliable")
-        pose_qos = stream(qos.pose_depth, reliable=True)
+        scan_qos = stream(SCAN_DEPTH, reliable=qos.scan_reliability == "reliable")
+        pose_qos = stream(POSE_DEPTH, reliable=True)
         subscribe(self, PointCloud2, SCANS, self._on_scan, scan_qos, self._gaps.on_publishers)
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
         poses = self._topics[POSES]

@@ -38,6 +38,7 @@ LOW_TO_HIGH = np.array(
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 """Two triangles that make a square of side one, counter-clockwise."""
 
+VIEWER_PERIOD_S = 1.0
 CIRCLE_POINTS = 48
 FIRST_COLOUR = ColorRGBA(r=0.1, g=0.9, b=0.2, a=1.0)
 OTHER_COLOUR = ColorRGBA(r=0.2, g=0.6, b=1.0, a=1.0)
@@ -48,7 +49,6 @@ class MarkerPublisher:
 
     Args:
         node: Owner of the timer.
-        rate: Hz.
         publisher: Of a ``MarkerArray`` or another message.
         build: The message, or its bytes.
     """
@@ -56,7 +56,6 @@ class MarkerPublisher:
     def __init__(
         self,
         node: Node,
-        rate: float,
         publisher: Publisher,
         build: Callable[[], MarkerArray | bytes | None],
     ) -> None:
@@ -64,7 +63,9 @@ class MarkerPublisher:
         self._build = build
         self._changed = False
         self._subscribers = 0
-        node.create_timer(1.0 / rate, self._send, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(
+            VIEWER_PERIOD_S, self._send, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def changed(self) -> None:
         """What the markers show changed."""

@@ -25,8 +25,8 @@ from quadtree_lss.onboard.config.settings import (
     ConfigError,
     Parameter,
     config_from_values,
-    nearest_key,
     parameters,
+    unknown_parameter,
     values_from_config,
 )
 from quadtree_lss.onboard.nodes.files import is_below
@@ -182,7 +182,7 @@ class _UnknownParameterError(ParameterNotDeclaredException):
     """As rclpy's, whose services answer with its text, but with the name and the nearest one."""
 
     def __init__(self, name: str) -> None:
-        Exception.__init__(self, f"unknown parameter '{name}'; did you mean '{nearest_key(name)}'?")
+        Exception.__init__(self, unknown_parameter(name))
 
 
 def _converted(changes: list[RosParameter]) -> list[RosParameter]:

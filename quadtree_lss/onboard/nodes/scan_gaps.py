@@ -37,6 +37,6 @@ class ScanGaps:
         if last > 0 and missing > 0 and self._publishers.number <= 1:
             text = (
                 f"{missing} scans on '{self._topic}' were lost before number {number}: best"
-                " effort, or more than qos.scan_depth were waiting"
+                " effort, or more than the middleware queues (50) were waiting"
             )
             self._problems.report("scan_lost", text, missing)

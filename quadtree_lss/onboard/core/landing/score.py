@@ -26,6 +26,13 @@ from quadtree_lss.onboard.core.landing.probability import RiskTable
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstContact
 
+#: Weights of Eq. 58, of which the paper prints none: alpha_theta, per radian; alpha_R, per metre of
+#: roughness over the leaf's area, so that a centimetre counts like a degree of slope; alpha_H, per
+#: metre of distance to a hazard; alpha_s, per metre of subscale height.
+WEIGHT_SLOPE, WEIGHT_ROUGHNESS, WEIGHT_DISTANCE, WEIGHT_SUBSCALE = 1.0, 2.0, 0.02, 1.0
+#: Farther hazards do not improve a score, m.
+DISTANCE_CAP = 10.0
+
 
 @dataclass(frozen=True)
 class Surroundings:
@@ -62,7 +69,7 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     n, side = domain.finest_count, domain.finest_size
     radius = min(ground_radius(lss), 0.5 * domain.size)
     planes = ground_planes(raster.elevation, raster.seen, side, radius)
-    limit = max(zone_radius(lss), lss.hazard_distance_cap)
+    limit = max(zone_radius(lss), DISTANCE_CAP)
     room = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
     unmapped = touching(raster.unmapped.view(np.uint8)) > 0
     to_unmapped = distance_from(unmapped, side, limit + lss.pad_radius)
@@ -132,8 +139,8 @@ def assess_points(
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0
         safe = ~grown(near_feature, zone, side)
-        near, reach = distance_from(near_feature, side, lss.hazard_distance_cap), zone
-        of_slope, of_leaves = 0.0, np.nan_to_num(lss.weight_slope * hazards.slope(cells.normal))
+        near, reach = distance_from(near_feature, side, DISTANCE_CAP), zone
+        of_slope, of_leaves = 0.0, np.nan_to_num(WEIGHT_SLOPE * hazards.slope(cells.normal))
     else:
         excepted = grown(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
@@ -150,22 +157,22 @@ def assess_points(
         hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
         safe = ~grown(spoiled, lss.margin, side)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.
-        near, reach = distance_from(spoiled, side, lss.hazard_distance_cap), lss.margin
+        near, reach = distance_from(spoiled, side, DISTANCE_CAP), lss.margin
         near += radius
-        of_slope, of_leaves = lss.weight_slope, np.zeros(len(cells.level))
+        of_slope, of_leaves = WEIGHT_SLOPE, np.zeros(len(cells.level))
     safe &= around.room >= zone - 1e-9
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
     # Eq. 58, of the four grid points of each finest cell and of its leaf.
     free = np.minimum(near, around.room, out=near)
-    np.minimum(free, lss.hazard_distance_cap, out=free)
-    free *= lss.weight_hazard_distance
+    np.minimum(free, DISTANCE_CAP, out=free)
+    free *= WEIGHT_DISTANCE
     line = of_slope * around.planes.slope - free
     line = line[:n] + line[1:]
     density = 0.25 * (line[:, :n] + line[:, 1:])
-    density += (of_leaves + lss.weight_roughness * rough).take(raster.leaf)
-    density += lss.weight_subscale * raster.subscale
+    density += (of_leaves + WEIGHT_ROUGHNESS * rough).take(raster.leaf)
+    density += WEIGHT_SUBSCALE * raster.subscale
     # Eq. 56's integral as Eq. 59's mean over the disc of each point. No zone fits a domain smaller
     # than itself: none needs sums over more than that.
     over = disc(min(zone, 0.5 * cells.domain.size), side)

@@ -29,6 +29,7 @@ import numpy as np
 from cython.cimports.libc.math import fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Single
+from quadtree_lss.onboard.config.limits import YAWS
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry import feature
 from quadtree_lss.onboard.core.landing.lattice import disc
@@ -109,7 +110,7 @@ class TouchdownCheck:
         Args:
             raster: The map on its finest cells.
             candidates: (n + 1, n + 1) points to check; their lander circle lies inside the domain.
-            heading: Of the lander, about z from x, rad; None for all of ``touchdown_yaws``.
+            heading: Of the lander, about z from x, rad; None for all `YAWS`.
         """
         if not candidates.any():  # of a lander wider than the domain the window would be wider, too
             return WorstContact(*np.full((2, *candidates.shape), np.nan, dtype=np.float32))
@@ -196,7 +197,7 @@ class Blocks:
         self.pad_radius = config.pad_radius
         self.low_rise, self.high_rise = limits.rise
         self.low_slope, self.high_slope = limits.slope
-        self.yaws = config.touchdown_yaws if heading is None else 1
+        self.yaws = YAWS if heading is None else 1
         self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
         self.width = BLOCK - 1 + 2 * self.reach
         self.offset = (np.arange(self.width) - 0.5 * (self.width - 1)) * side

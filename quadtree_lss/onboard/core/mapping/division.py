@@ -167,7 +167,7 @@ def asks(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     fit left free, N - 3: near the edge of a scan cells get four or five points at a time, and the
     single free residual of many such scans would outvote one full view. A mean of n residuals
     scatters by its chi distribution's deviation over sqrt(n); it must exceed the threshold by
-    ``division_confidence`` of these, or cells with few points would divide by chance. A view of
+    `CONFIDENCE` of these, or cells with few points would divide by chance. A view of
     less than half of the cell does not judge it: no corner outvotes the whole.
     """
     if run.unseen >= 0.5:
@@ -190,27 +190,24 @@ def hides_rock(rules: Rules, leaf: Record, run: Record, side: float) -> cython.b
 
     A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows in one of
     three ways: by its exceptions (Eq. 48), if beyond what noise makes of them they amount to
-    ``mapping.divide_exceptions`` measurements and to more than stray returns leave; by raised
-    measurements, lower than these, over ``mapping.divide_area`` of the leaf; or as a feature of
-    ``features.divide_height`` and narrow as a rock is. A leaf has one feature, so a rock beside
-    another, or one that lies across the border of leaves, shows by its raised measurements alone.
+    `ROCK_EXCEPTIONS` measurements and to more than stray returns leave; by raised
+    measurements, lower than these, over `ROCK_AREA` of the leaf; or as a feature as high and narrow
+    as a rock. A leaf has one feature, so a rock beside another, or one that lies across the border
+    of leaves, shows by its raised measurements alone.
     """
     counted = leaf.residuals
-    if rules.divide_exceptions > 0.0:
-        noise = leaf.exception_noise
-        least = max(rules.divide_exceptions, STRAY * counted)
-        if leaf.exception_sum >= noise + max(least, 3.0 * sqrt(noise)):
-            return True
-    if rules.divide_area > 0.0:
-        noise = leaf.raised_noise
-        least = max(1.0, max(rules.divide_area / (side * side), STRAY) * counted)
-        if leaf.raised_sum >= noise + max(least, 3.0 * sqrt(noise)):
-            return True
-        # A look at ground that no other saw.
-        noise *= run.points / max(counted, 1.0)
-        least = max(2.0, max(rules.divide_area / (side * side), STRAY) * run.points)
-        if run.raised >= noise + max(least, 3.0 * sqrt(noise)):
-            return True
+    noise = leaf.exception_noise
+    least = max(rules.divide_exceptions, STRAY * counted)
+    if leaf.exception_sum >= noise + max(least, 3.0 * sqrt(noise)):
+        return True
+    noise = leaf.raised_noise
+    share = max(rules.divide_area / (side * side), STRAY)
+    if leaf.raised_sum >= noise + max(max(1.0, share * counted), 3.0 * sqrt(noise)):
+        return True
+    # A look at ground that no other saw.
+    noise *= run.points / max(counted, 1.0)
+    if run.raised >= noise + max(max(2.0, share * run.points), 3.0 * sqrt(noise)):
+        return True
     return leaf.feature[4] <= rules.rock_sigma and feature_height(leaf.feature) >= rules.rock_height
 
 

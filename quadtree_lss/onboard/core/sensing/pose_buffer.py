@@ -143,7 +143,8 @@ class PoseBuffer:
                 f"{held}: {what} are {ahead:.3f} s behind, late (pose.max_wait) or no longer sent"
             )
         if behind > 0.0:
-            return f"{held}: the scan is {behind:.3f} s older (pose.buffer), or {what} began later"
+            kept = f"{self.span_ns / SECOND_NS:g} s are kept"
+            return f"{held}: the scan is {behind:.3f} s older ({kept}), or {what} began later"
         place = bisect.bisect_left(self._stamps, stamp_ns)
         gap = (self._stamps[place] - self._stamps[max(place - 1, 0)]) / SECOND_NS
         limit = self.max_gap_ns / SECOND_NS

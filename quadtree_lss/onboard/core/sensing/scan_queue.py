@@ -115,7 +115,7 @@ class ScanQueue:
         self._waiting.append(_Waiting(stamp_ns, scan, arrival_ns, first, last))
         if len(self._waiting) > self.max_scans:
             oldest = self._waiting.popleft()
-            more = f"{self.max_scans} scans wait already (pose.queue); {self._why(oldest)}"
+            more = f"{self.max_scans} scans wait already (pose.max_wait); {self._why(oldest)}"
             self._drop(oldest.stamp_ns, "queue_full", more)
 
     def pop_ready(self) -> list[tuple[int, Any, Pose]]:
