@@ -24,7 +24,7 @@ from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.desk.replay.result import ReplayResult, ScanTiming
 from quadtree_lss.desk.replay.stream import ReplayError
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.loading import dump_config, load_config
+from quadtree_lss.onboard.config.loading import dump_config, load_config, read_values
 from quadtree_lss.onboard.config.settings import Config, still_parameters
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
