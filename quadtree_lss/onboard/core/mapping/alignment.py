@@ -141,7 +141,8 @@ def weighted_median(values: Array, weights: Array) -> float:
         below += weight[order[i]]
         if below >= 0.5 * total:
             break
-    return value[order[i]]
+    median: float = value[order[i]]
+    return median
 
 
 def lower(points: Array, found: Departure) -> None:

@@ -13,6 +13,7 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.alignment import (
     JUMP,
     LEAST_LIFT,
+    Offset,
     lift,
     lower,
     offset_of,
@@ -222,7 +223,7 @@ class Mapper:
             now: Time of the scan, s.
         """
         cells[0] -= self._owed
-        offset = offset_of(cells, now, self.config.pose.correlation_time)
+        offset: Offset | None = offset_of(cells, now, self.config.pose.correlation_time)
         if offset is None:
             return 0.0
         self._owed += offset.map
