@@ -27,7 +27,7 @@ cdef class ScanUpdate:
     cdef double[::1] ratios
     cdef double[::1] weights
     cdef double origin[3]
-    cdef double now
+    cdef double now, common_at, common_is
     cdef readonly Py_ssize_t cells
     cdef Py_ssize_t rested
     cdef bint aligned

@@ -76,7 +76,8 @@ class ScanUpdate:
         self.origin = [x, y, z]
         self.sigma = scan.pose.covariance
         self.aligned = False
-        self.now = now
+        self.now = self.common_at = now
+        self.common_is = 1.0
         self.residual = np.empty(count)
         self.heights = Heights(min(count, 1024))
         self.divisions = self.refused = self.rested = 0
@@ -162,7 +163,10 @@ class ScanUpdate:
         """Correlation of this scan's pose error with that of another time, s."""
         if self.rules.correlation_time <= 0.0:
             return 0.0
-        return exp(-fabs(self.now - time) / self.rules.correlation_time)
+        if time != self.common_at:  # many leaves were last seen by the same scan
+            self.common_at = time
+            self.common_is = exp(-fabs(self.now - time) / self.rules.correlation_time)
+        return self.common_is
 
     def settle(self) -> None:
         """Fuse, judge and divide until no cell asks for it; then count the residuals."""
