@@ -82,7 +82,7 @@ def log_at(normal: Vector, out: Vector, jacobian: Vector) -> None:
         across = 3.0 / 40.0 + square * (5.0 / 112.0 + square * (35.0 / 1152.0))
         across = 1.0 + square * (1.0 / 6.0 + square * across)
     else:
-        across = atan2(sine, normal[2]) / sine
+        across = atan2(sine, normal[2]) / sine if sine > 1e-9 else 1.0
     out[0] = across * normal[0]
     out[1] = across * normal[1]
     jacobian[0] = normal[2] * x * x + across * y * y
