@@ -44,6 +44,20 @@ def test_exp_of_zero_is_up_and_its_log_is_zero():
     np.testing.assert_array_equal(sphere.log([0.0, 0.0, 1.0]), [0.0, 0.0])
 
 
+@pytest.mark.parametrize("most", [0.05, 0.2])
+def test_series_of_small_turns_are_right_to_the_last_bit(most):
+    """On both sides of where they end, 0.1 and 0.032 rad, against numbers of more digits."""
+    for angle in np.random.default_rng(7).uniform(0.0, most, 500):
+        exact = np.longdouble(angle)
+        found = sphere.exp([angle, 0.0])
+        np.testing.assert_allclose(found[0], float(np.sin(exact)), rtol=2.5e-16)
+        np.testing.assert_allclose(found[2], float(np.cos(exact)), rtol=2.5e-16)
+        # Of the sine alone, which knows the angle to its own last bit.
+        sine = np.longdouble(found[0])
+        back = sphere.log([found[0], 0.0, found[2]])[0]
+        np.testing.assert_allclose(back, float(np.arcsin(sine)), rtol=5e-16)
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 0.99e-4, 1.01e-4, 1e-3, 0.3, 1.2, 1.57, 2.8])
 def test_exp_jacobian_is_the_derivative(angle):
     for heading in np.linspace(0.0, 2.0 * np.pi, 7):

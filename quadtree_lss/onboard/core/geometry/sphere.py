@@ -37,11 +37,20 @@ def basis_at(normal: Vector, out: Vector) -> None:
 
 def exp_at(tangent: Vector, out: Vector) -> None:
     """Eq. 3: (sinc(phi) phi, cos(phi)), phi (2) to (3)."""
-    angle = sqrt(tangent[0] * tangent[0] + tangent[1] * tangent[1])
-    along = sin(angle) / angle if angle > 1e-9 else 1.0
+    square = tangent[0] * tangent[0] + tangent[1] * tangent[1]
+    if square < 1e-2:
+        # Their series, to the last bit.
+        along = 1.0 - square * (1.0 / 42.0) * (1.0 - square * (1.0 / 72.0))
+        along = 1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0) * along)
+        up = 1.0 - square * (1.0 / 30.0) * (1.0 - square * (1.0 / 56.0))
+        up = 1.0 - square * (1.0 / 2.0) * (1.0 - square * (1.0 / 12.0) * up)
+    else:
+        angle = sqrt(square)
+        along = sin(angle) / angle
+        up = cos(angle)
     out[0] = along * tangent[0]
     out[1] = along * tangent[1]
-    out[2] = cos(angle)
+    out[2] = up
 
 
 def exp_jacobian_at(tangent: Vector, out: Vector) -> None:
@@ -64,10 +73,16 @@ def log_at(normal: Vector, out: Vector, jacobian: Vector) -> None:
     phi, a change dn turns the angle by lambda k.dkappa - |kappa| dlambda and moves across k by
     (phi / sin phi) of dkappa.
     """
-    sine = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
+    square = normal[0] * normal[0] + normal[1] * normal[1]
+    sine = sqrt(square)
     x = normal[0] / sine if sine > 1e-9 else 1.0
     y = normal[1] / sine if sine > 1e-9 else 0.0
-    across = atan2(sine, normal[2]) / sine if sine > 1e-9 else 1.0
+    if square < 1e-3 and normal[2] > 0.0:
+        # The series of the arc sine, to the last bit.
+        across = 3.0 / 40.0 + square * (5.0 / 112.0 + square * (35.0 / 1152.0))
+        across = 1.0 + square * (1.0 / 6.0 + square * across)
+    else:
+        across = atan2(sine, normal[2]) / sine if sine > 1e-9 else 1.0
     out[0] = across * normal[0]
     out[1] = across * normal[1]
     jacobian[0] = normal[2] * x * x + across * y * y

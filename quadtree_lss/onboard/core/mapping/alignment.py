@@ -8,7 +8,6 @@ otherwise average other errors: level ground would come out in steps.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cython
@@ -19,17 +18,18 @@ from quadtree_lss.onboard.core.mapping.departure import BEYOND, FLOOR, Departure
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 if not cython.compiled:
+    from math import exp, fabs, sqrt
+    from math import inf as INFINITY
+
     HINTS = 1
 
 
-#: A cell that is off by more deviations than this is of other ground than the map's.
-AGREES = 4.5
 #: A cell that departs from the others by more than this many deviations counts less.
-HUBER = 2.0
+HUBER = cython.declare(cython.double, 2.0)
 #: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2.
-MODEL_VARIANCE = 0.02**2
+MODEL_VARIANCE = cython.declare(cython.double, 0.02**2)
 #: Variance of an exact pose, m^2.
-EXACT = 1e-9
+EXACT = cython.declare(cython.double, 1e-9)
 #: An offset of so many deviations is a jump of the pose's error.
 JUMP = 3.0
 #: The map is lifted when it ought to be by so much, m: landing looks anew at ground that moved.
@@ -59,6 +59,7 @@ class Offset:
     variance: float
 
 
+@cython.boundscheck(False)
 def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | None:
     """How a scan's offset from the map divides between the two; None if there is no overlap.
 
@@ -82,33 +83,66 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
         now: Time of the scan, s.
         correlation_time: s; 0 if the error is another one in each scan.
     """
-    may = cells[1] + cells[2] + cells[3] + FLOOR
-    cells = cells[:, cells[0] ** 2 <= AGREES**2 * may]
-    rise, own = cells[:2]
-    if len(rise) < MIN_CELLS:
+    i: cython.Py_ssize_t
+    column = cython.declare(cython.double[:, :], cells)
+    count: cython.Py_ssize_t = column.shape[1]
+    if count < MIN_CELLS:
         return None
-    weight = 1.0 / (own + MODEL_VARIANCE)
-    order = np.argsort(rise)
-    half = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
-    away = np.abs(rise - rise[order[half]]) * np.sqrt(weight)
-    weight *= np.minimum(1.0, HUBER / np.maximum(away, HUBER))
-    total = float(weight.sum())
-    # The products of BLAS end in other bits on other processors.
-    height, _, of_scan, _, since, until = ((cells[:6] * weight).sum(axis=1) / total).tolist()
-    # On slopes either error is another one: the cell best known for what the scan knows of it.
-    of_map = (of_scan + EXACT) * float(np.min(cells[3] / (cells[2] + EXACT)))
+    floor: cython.double = FLOOR
+    jump: cython.double = JUMP
+    beyond: cython.double = BEYOND
+    weights = np.empty(count)
+    weight = cython.declare(cython.double[::1], weights)
+    for i in range(count):
+        weight[i] = 1.0 / (column[1, i] + MODEL_VARIANCE)
+    middle: cython.double = weighted_median(cells[0], weights)
+    total = height = of_scan = since = until = 0.0
+    least = INFINITY
+    for i in range(count):
+        away = fabs(column[0, i] - middle) * sqrt(weight[i])
+        w = weight[i] * min(1.0, HUBER / max(away, HUBER))
+        total += w
+        height += w * column[0, i]
+        of_scan += w * column[2, i]
+        since += w * column[4, i]
+        until += w * column[5, i]
+        # On slopes either error is another one: the cell best known for what the scan knows of it.
+        least = min(least, column[3, i] / (column[2, i] + EXACT))
+    height /= total
+    of_scan /= total
+    since /= total
+    until /= total
+    of_map = (of_scan + EXACT) * least
     news = 1.0
     if correlation_time > 0.0:
-        news -= math.exp(-abs(now - until) / correlation_time)
-    noise = 1.0 / total + FLOOR
-    if height * height > JUMP**2 * (news * (of_scan + of_map) + noise):
+        news -= exp(-fabs(now - until) / correlation_time)
+    noise = 1.0 / total + floor
+    if height * height > jump * jump * (news * (of_scan + of_map) + noise):
         news = 1.0
     of_scan, of_map = news * of_scan, news * of_map
     if until > since:
-        excess = height * height / (JUMP**2 * max(of_scan, of_map, noise))
-        of_scan *= min(max(excess, 1.0) ** 3, BEYOND**2)
+        excess = max(height * height / (jump * jump * max(of_scan, of_map, noise)), 1.0)
+        of_scan *= min(excess * excess * excess, beyond * beyond)
     share = height / (of_scan + of_map + noise)
     return Offset(height, share * of_scan, share * of_map, since, noise)
+
+
+@cython.boundscheck(False)
+def weighted_median(values: Array, weights: Array) -> float:
+    """The value of (N,), one at least, up to which in their order half of the weights (N,) lie."""
+    i: cython.Py_ssize_t
+    order = cython.declare(cython.Py_ssize_t[::1], np.argsort(values))
+    value = cython.declare(cython.double[:], values)
+    weight = cython.declare(cython.double[:], weights)
+    total = below = 0.0
+    for i in range(order.shape[0]):
+        total += weight[order[i]]
+    for i in range(order.shape[0]):
+        below += weight[order[i]]
+        if below >= 0.5 * total:
+            break
+    median: float = value[order[i]]
+    return median
 
 
 def lower(points: Array, found: Departure) -> None:

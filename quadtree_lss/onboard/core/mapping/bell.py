@@ -83,29 +83,33 @@ def _linearise(
     cost = sum (z - h(X))^2 / variance + (X - mean)^T information (X - mean), returned; the
     measurements' part of it is system[30], all of it system[31].
     """
-    row = cython.declare(cython.double[5])
+    # Whole rows of sums, of which the lower half is not used, are computed two at a time.
+    row = cython.declare(cython.double[6])
+    total = cython.declare(cython.double[30])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int)
-    for j in range(32):
-        system[j] = 0.0
-    inverse = 1.0 / (state[4] * state[4])
-    twice = state[1] * inverse / PI
+    for j in range(30):
+        total[j] = 0.0
+    level, root, x, y, sigma = state[0], state[1], state[2], state[3], state[4]
+    inverse = 1.0 / (sigma * sigma)
+    twice = root * inverse / PI
     row[0] = 1.0
     cost = 0.0
     for i in range(heights.count):
-        dx = heights.x[i] - state[2]
-        dy = heights.y[i] - state[3]
+        dx = heights.x[i] - x
+        dy = heights.y[i] - y
         square = (dx * dx + dy * dy) * inverse
         row[1] = twice * exp(-0.5 * square) if square < 80.0 else 0.0
-        bump = 0.5 * state[1] * row[1]
+        bump = 0.5 * root * row[1]
         row[2] = dx * bump * inverse
         row[3] = dy * bump * inverse
-        row[4] = (square - 2.0) * bump / state[4]
-        left = heights.z[i] - bump - state[0]
+        row[4] = (square - 2.0) * bump / sigma
+        row[5] = heights.z[i] - bump - level
         for j in range(5):
-            for k in range(j, 5):
-                system[6 * j + k] += row[j] * row[k]
-            system[6 * j + 5] += row[j] * left
-        cost += left * left
+            for k in range(6):
+                total[6 * j + k] += row[j] * row[k]
+        cost += row[5] * row[5]
+    for j in range(30):
+        system[j] = total[j]
     cost *= heights.weight
     system[30] = cost
     for j in range(5):

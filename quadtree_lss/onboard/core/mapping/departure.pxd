@@ -4,4 +4,3 @@ from quadtree_lss.onboard.core.geometry.plane cimport inverse_symmetric
 
 cpdef departure(double[:, :] cells, double[:, ::1] sigma, double now, double correlation_time, double limit)
 cdef void _motion(double[:, :] cells, Py_ssize_t i, double* out) noexcept nogil
-cdef double _weight(double[:, :] cells, Py_ssize_t i, double limit, double floor, double off) noexcept nogil

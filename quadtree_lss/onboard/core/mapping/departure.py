@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cython
+import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 
@@ -80,14 +81,6 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
     out[5] = x * out[1] - y * out[0]
 
 
-def _weight(cells: Array, i: cython.Py_ssize_t, limit: float, floor: float, off: float) -> float:
-    """w_i / v_i of a cell that is off by so much, m; 0 where neither pose explains its b_i."""
-    may = cells[1, i] + cells[2, i] + cells[3, i] + floor
-    variance = cells[1, i] + SMOOTHED
-    weight = min(1.0, HUBER / max(fabs(off) / sqrt(variance), HUBER)) / variance
-    return weight if cells[0, i] * cells[0, i] <= limit * limit * may else 0.0
-
-
 @cython.boundscheck(False)
 def departure(
     cells: Array, sigma: Array, now: float, correlation_time: float, limit: float
@@ -147,48 +140,60 @@ def departure(
     if count < MIN_CELLS:
         return None
     early = late = 0.5 * (cells[4, 0] + cells[5, 0])
+    for j in range(18):
+        moved[j] = 0.0
+    kept = cython.declare(cython.Py_ssize_t[::1], np.empty(count, dtype=np.intp))
+    spread = cython.declare(cython.double[:, ::1], np.empty((2, count)))
     for i in range(count):
-        w = _weight(cells, i, limit, floor, 0.0)
-        agreeing += w > 0.0
-        weight += w
-        x0 += w * cells[6, i]
-        y0 += w * cells[7, i]
+        may = cells[1, i] + cells[2, i] + cells[3, i] + floor
+        if cells[0, i] * cells[0, i] <= limit * limit * may:
+            variance = cells[1, i] + SMOOTHED
+            w = 1.0 / variance
+            weight += w
+            x0 += w * cells[6, i]
+            y0 += w * cells[7, i]
+            spread[0, agreeing] = sqrt(variance)
+            spread[1, agreeing] = w
+            kept[agreeing] = i
+            agreeing += 1
     share: cython.double = agreeing
     share /= count
     if agreeing < MIN_CELLS:
         return Departure(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, now, 0.0)
     x0 /= weight
     y0 /= weight
-    row[0] = 1.0
     for j in range(3):
         theta[j] = 0.0
     # The last round only sums up.
     for step in range(ROUNDS + 1):
         for j in range(9):
             normal[j] = 0.0
-        for j in range(18):
-            moved[j] = 0.0
         for j in range(3):
             right[j] = 0.0
-        weight = 0.0
-        for i in range(count):
-            row[1] = cells[6, i] - x0
-            row[2] = cells[7, i] - y0
-            off = cells[0, i] - theta[0] - theta[1] * row[1] - theta[2] * row[2]
-            w = _weight(cells, i, limit, floor, off)
-            if w == 0.0:
-                continue
-            for j in range(3):
-                right[j] += w * row[j] * cells[0, i]
-                for k in range(3):
-                    normal[3 * j + k] += w * row[j] * row[k]
+        for k in range(agreeing):
+            i = kept[k]
+            x = cells[6, i] - x0
+            y = cells[7, i] - y0
+            off = fabs(cells[0, i] - theta[0] - theta[1] * x - theta[2] * y)
+            w = spread[1, k]
+            if off > HUBER * spread[0, k]:
+                w *= HUBER * spread[0, k] / off
+            normal[0] += w
+            normal[1] += w * x
+            normal[2] += w * y
+            normal[4] += w * x * x
+            normal[5] += w * x * y
+            normal[8] += w * y * y
+            right[0] += w * cells[0, i]
+            right[1] += w * x * cells[0, i]
+            right[2] += w * y * cells[0, i]
             if step == ROUNDS:
+                row[0], row[1], row[2] = 1.0, x, y
                 _motion(cells, i, lift)
                 for j in range(3):
-                    for k in range(6):
-                        moved[6 * j + k] += w * row[j] * lift[k]
+                    for m in range(6):
+                        moved[6 * j + m] += w * row[j] * lift[m]
                 square += w * off * off
-                weight += w
                 weights += w * w
                 mapped += w * cells[3, i]
                 tilted += w * cells[11, i]
@@ -202,6 +207,7 @@ def departure(
                 theta[j] = 0.0
                 for k in range(3):
                     theta[j] += inverse[3 * j + k] * right[k]
+    weight = normal[0]
     mapped /= weight
     tilted /= weight
     other = mapped if late - early > INSTANT else 0.0

@@ -119,6 +119,7 @@ def update_feature(
     y: float,
     side: float,
     variance: float,
+    greatest: float,
     heights: Heights,
 ) -> None:
     """Update the feature of a leaf that a scan shows one in, or that had one.
@@ -134,6 +135,7 @@ def update_feature(
         x, y: Cell's centre about the lidar, m.
         side: Of the cell, m.
         variance: Of a residual from range noise, m^2.
+        greatest: |residual|, m.
         heights: Working memory, for a scan's points.
     """
     high = cython.declare(cython.double[72])
@@ -149,9 +151,9 @@ def update_feature(
     if count < rules.feature_points:
         return
     gate = max(HIGH * sqrt(variance), 0.5 * rules.feature_height * up)
-    for i in range(begin, end):
-        if residual[i] > gate:
-            raised += 1
+    if not known and greatest > gate:
+        for i in range(begin, end):
+            raised += residual[i] > gate
     chance = CHANCE * count
     if not known and raised < max(2.0, chance + 2.0 * sqrt(chance)):
         return
@@ -170,11 +172,11 @@ def update_feature(
         for k in range(25):
             information[k] = 1.0 if k % 6 == 0 else 0.0
     reach = min(max(WINDOW * state[4], 0.5), side)
-    for i in range(begin, end):
-        dx = points[i, 0] - x - state[2]
-        dy = points[i, 1] - y - state[3]
-        if fabs(dx) <= reach and fabs(dy) <= reach:
-            inside += 1
+    if end - begin > MAX_SAMPLES:
+        for i in range(begin, end):
+            dx = points[i, 0] - x
+            dy = points[i, 1] - y
+            inside += fabs(dx - state[2]) <= reach and fabs(dy - state[3]) <= reach
     stride = max((inside + MAX_SAMPLES - 1) // MAX_SAMPLES, 1)
     inside = 0
     for i in range(begin, end):

@@ -3,13 +3,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Points
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.mapping.alignment import JUMP, LEAST_LIFT, lift, lower, offset_of
+from quadtree_lss.onboard.core.mapping.alignment import (
+    JUMP,
+    LEAST_LIFT,
+    Offset,
+    lift,
+    lower,
+    offset_of,
+    weighted_median,
+)
 from quadtree_lss.onboard.core.mapping.contradiction import (
     DEVIATIONS,
     SHARE,
@@ -214,7 +223,7 @@ class Mapper:
             now: Time of the scan, s.
         """
         cells[0] -= self._owed
-        offset = offset_of(cells, now, self.config.pose.correlation_time)
+        offset: Offset | None = offset_of(cells, now, self.config.pose.correlation_time)
         if offset is None:
             return 0.0
         self._owed += offset.map
@@ -240,12 +249,11 @@ class Mapper:
         """
         if ratio.shape[1] < NOISE_CELLS:
             return
-        order = np.argsort(ratio[0])
-        total = np.cumsum(ratio[1][order])
-        median = float(ratio[0][order[np.searchsorted(total, 0.5 * total[-1])]])
-        share = 1.0 if np.isnan(self._noise_ratio) else NOISE_SHARE
-        last = 0.0 if np.isnan(self._noise_ratio) else self._noise_ratio
-        self._noise_ratio = last + share * (median - last)
+        median = weighted_median(ratio[0], ratio[1])
+        if math.isnan(self._noise_ratio):
+            self._noise_ratio = median
+        else:
+            self._noise_ratio += NOISE_SHARE * (median - self._noise_ratio)
 
     def snapshot(self) -> CellMap:
         """The map as it stands; copies, so that later scans do not change it."""

@@ -207,15 +207,18 @@ def _bias(
     flat = ray_x * ray_x + ray_y * ray_y
     along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
     thin = deviation * flat / sqrt(12.0 * along + least * flat)
-    xx += least
-    yy += least
-    inverse = share * deviation * deviation * lean / max(xx * yy - xy * xy, least * least)
-    turn_x = inverse * (yy * ray_x - xy * ray_y)
-    turn_y = inverse * (xx * ray_y - xy * ray_x)
-    run.bias[0] = sqrt(turn_x * turn_x + turn_y * turn_y) if sloped else 0.0
-    # A fit counts by the lesser spread of its points: lambda_1 lambda_2 / (lambda_1 + lambda_2).
-    run.bias[2] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy) if sloped else 0.0
+    run.bias[0] = run.bias[2] = 0.0
     run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
+    if sloped:
+        xx += least
+        yy += least
+        inverse = share * deviation * deviation * lean / max(xx * yy - xy * xy, least * least)
+        turn_x = inverse * (yy * ray_x - xy * ray_y)
+        turn_y = inverse * (xx * ray_y - xy * ray_x)
+        run.bias[0] = sqrt(turn_x * turn_x + turn_y * turn_y)
+        # A fit counts by the lesser spread of its points:
+        # lambda_1 lambda_2 / (lambda_1 + lambda_2).
+        run.bias[2] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy)
 
 
 def measure(
@@ -277,12 +280,16 @@ def measure(
     ray_x = run.centroid[0] / distance
     ray_y = run.centroid[1] / distance
     ray_z = run.centroid[2] / distance
-    # The slope across the thinner width of what was seen: of noise, and of what noise turns it by.
-    half = 0.5 * (xx + yy) / count
-    least = max(half - sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0)), 1e-12)
-    square = rules.range_noise * rules.range_noise
-    across = sqrt(square / (count * least)) + 0.5 * square / least
-    run.sloped = 0.0 if run.unseen >= PARTIAL and across > UNSEEN_TILT else 1.0
+    run.sloped = 1.0
+    if run.unseen >= PARTIAL:
+        # The slope across the thinner width of what was seen: of noise, and of what that turns it
+        # by.
+        half = 0.5 * (xx + yy) / count
+        least = half * half - (xx * yy - xy * xy) / (count * count)
+        least = max(half - sqrt(max(least, 0.0)), 1e-12)
+        square = rules.range_noise * rules.range_noise
+        if sqrt(square / (count * least)) + 0.5 * square / least > UNSEEN_TILT:
+            run.sloped = 0.0
     if run.sloped == 0.0 or count < rules.min_points:
         tilt = UNKNOWN_TILT
         for i in range(3):

@@ -9,6 +9,8 @@ from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, measure, reco
 from quadtree_lss.onboard.core.mapping.residuals cimport departs, rest, standing_out
 from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable, clear
 
+cdef void know(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end) noexcept nogil
+
 cdef class ScanUpdate:
     cdef LeafTable table
     cdef Rules rules
@@ -21,12 +23,11 @@ cdef class ScanUpdate:
     cdef Run[::1] runs
     cdef Py_ssize_t[::1] rows
     cdef Py_ssize_t[::1] begins
-    cdef readonly object fits
     cdef readonly object ratio
     cdef double[::1] ratios
     cdef double[::1] weights
     cdef double origin[3]
-    cdef double now
+    cdef double now, common_at, common_is
     cdef readonly Py_ssize_t cells
     cdef Py_ssize_t rested
     cdef bint aligned

@@ -6,7 +6,7 @@ from __future__ import annotations
 import cython
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.arrays import Array, Bytes, Keys
 from quadtree_lss.onboard.core.mapping.bell import Heights
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
@@ -46,6 +46,14 @@ SLACK = cython.declare(cython.double, 0.01)
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 
 
+@cython.boundscheck(False)
+def know(seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> None:
+    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are `KNOWN`."""
+    i: cython.Py_ssize_t
+    for i in range(begin, end):
+        seen[key[i]] = KNOWN
+
+
 class ScanUpdate:
     """One scan on its way through the leaves.
 
@@ -53,7 +61,6 @@ class ScanUpdate:
 
     Attributes:
         cells: Leaves that the scan touches.
-        fits: (cells,) records of type `RUN`.
         divisions, refused: Cells divided, and divisions for which there was no room.
         ratio: (2, R) of the cells in which points came to rest and that tell the range noise:
             observed over configured deviation, and points.
@@ -69,31 +76,35 @@ class ScanUpdate:
         self.origin = [x, y, z]
         self.sigma = scan.pose.covariance
         self.aligned = False
-        self.now = now
+        self.now = self.common_at = now
+        self.common_is = 1.0
         self.residual = np.empty(count)
         self.heights = Heights(min(count, 1024))
         self.divisions = self.refused = self.rested = 0
         self._gather()
 
+    @cython.boundscheck(False)
     def _gather(self) -> None:
         """The runs of points that share a leaf."""
         i: cython.Py_ssize_t
         cells: cython.Py_ssize_t = 0
         count: cython.Py_ssize_t = len(self.key)
         last: cython.Py_ssize_t = -1
+        row: cython.Py_ssize_t
         begins = np.empty(count + 1, dtype=np.intp)
         rows = np.empty(count, dtype=np.intp)
         self.begins, self.rows = begins, rows
         for i in range(count):
-            if self.table.over[self.key[i]] != last:
-                last = self.table.over[self.key[i]]
+            row = self.table.over[self.key[i]]
+            if row != last:
                 self.begins[cells] = i
-                self.rows[cells] = last
+                self.rows[cells] = row
                 cells += 1
+                last = row
         self.begins[cells] = count
         self.cells = cells
-        self.fits = np.empty(cells + self.table.max_level + 1, dtype=RUN).view(np.recarray)
-        self.runs = self.fits
+        runs = np.empty(cells + self.table.max_level + 1, dtype=RUN)
+        self.runs = runs if cython.compiled else runs.view(np.recarray)
 
     def fit(self) -> None:
         """Fit every touched leaf."""
@@ -152,7 +163,10 @@ class ScanUpdate:
         """Correlation of this scan's pose error with that of another time, s."""
         if self.rules.correlation_time <= 0.0:
             return 0.0
-        return exp(-fabs(self.now - time) / self.rules.correlation_time)
+        if time != self.common_at:  # many leaves were last seen by the same scan
+            self.common_at = time
+            self.common_is = exp(-fabs(self.now - time) / self.rules.correlation_time)
+        return self.common_is
 
     def settle(self) -> None:
         """Fuse, judge and divide until no cell asks for it; then count the residuals."""
@@ -405,6 +419,9 @@ class ScanUpdate:
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
         rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.origin)
+        if run.greatest <= run.raised_by:
+            know(self.table.seen, self.key, begin, end)
+            return
         for i in range(begin, end):
             count += 1.0
             if fabs(self.residual[i]) > run.raised_by:
@@ -434,5 +451,6 @@ class ScanUpdate:
                 leaf.y - self.origin[1],
                 self.table.side(leaf.level),
                 run.variance,
+                run.greatest,
                 self.heights,
             )

@@ -40,6 +40,8 @@ def isolated_in_image(ranges: Array, gate: float) -> int:
     """
     pixels = np.empty(ranges.size, dtype=np.int32)
     few = pixels_with_few_links(ranges, gate, pixels) if gate > 0.0 else 0
+    # A wider gate leaves no return alone that a narrower one does not.
+    few = pixels_without_hold(ranges, gate, pixels[:few])
     if few == 0 or few < 3 and np.count_nonzero(ranges > 0.0) < 3:
         return 0
     sample = spread_over(ranges.size, min(ranges.size, SAMPLED))
@@ -148,13 +150,16 @@ def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t
     """Second least step from each of ``pixels`` (M,) to those next to it, to ``steps`` (M,), m;
     how many of them have two neighbours."""
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
     known: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(pixels.shape[0]):
             least = INFINITY
             second = INFINITY
+            row = pixels[i] // ranges.shape[1]
+            column = pixels[i] - row * ranges.shape[1]
             for k in range(4):
-                step = step_to(ranges, pixels[i] // ranges.shape[1], pixels[i] % ranges.shape[1], k)
+                step = step_to(ranges, row, column, k)
                 if step < least:
                     second = least
                     least = step

@@ -31,4 +31,5 @@ cpdef void arrange(
     int[::1] begins,
     double[:, ::1] arranged,
     long long[::1] keys,
+    Py_ssize_t count,
 )

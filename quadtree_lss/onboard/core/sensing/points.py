@@ -137,25 +137,43 @@ def find_runs(codes: Ints, runs: Keys, begins: Ints) -> cython.Py_ssize_t:
 
 
 @cython.boundscheck(False)
-def arrange(points: Array, runs: Keys, begins: Ints, arranged: Array, keys: Keys) -> cython.void:
-    """Copy points run by run to ``arranged`` (M, 3), the key of each to ``keys`` (M,).
+def arrange(
+    points: Array,
+    runs: Keys,
+    begins: Ints,
+    arranged: Array,
+    keys: Keys,
+    count: cython.Py_ssize_t,
+) -> cython.void:
+    """Copy points run by run to ``arranged``, the key of each to ``keys``.
+
+    How long a run is, nobody could foretell: four points of each are copied, the next run replaces
+    what is too much.
 
     Args:
+        points: (N + 3, 3), the last three of them anything.
         runs, begins: As of `find_runs`, ``runs`` sorted; those of points in no cell, the last,
             are left.
+        arranged, keys: (M + 3, 3), (M + 3,) at least.
+        count: M, points in a cell.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
+    cython.declare(k=cython.int, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
     key: cython.longlong
     to: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(runs.shape[0]):
-            if to >= keys.shape[0]:
+            if to >= count:
                 break
             key = runs[i] >> PLACE_BITS
             run = runs[i] - (key << PLACE_BITS)
-            for j in range(begins[run], begins[run + 1]):
-                arranged[to, 0] = points[j, 0]
-                arranged[to, 1] = points[j, 1]
-                arranged[to, 2] = points[j, 2]
-                keys[to] = key
-                to += 1
+            begin, end = begins[run], begins[run + 1]
+            for j in range(4):
+                for k in range(3):
+                    arranged[to + j, k] = points[begin + j, k]
+                keys[to + j] = key
+            for j in range(4, end - begin):
+                for k in range(3):
+                    arranged[to + j, k] = points[begin + j, k]
+                keys[to + j] = key
+            to += end - begin

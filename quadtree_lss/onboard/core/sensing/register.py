@@ -73,6 +73,7 @@ def register(
         msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
         raise ValueError(msg)
     work = _workspace(len(flat))
+    turned = work.points[: len(flat)]
     counts = np.zeros(3, np.int64)
     moved = still(pose.rotation_map_lidar) if sweep is None else sweep
     x, y, _ = pose.position.tolist()
@@ -99,7 +100,7 @@ def register(
         image = work.ranges.reshape(points_lidar.shape[:2])
         isolated = isolated_in_image(image, lidar.outlier_gate)
     else:
-        isolated = isolated_in_space(work.points, work.ranges, lidar.outlier_gate)
+        isolated = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
     missing, beyond, inside = counts.tolist()
     if isolated:
         work.codes[np.isnan(work.ranges)] = nowhere
@@ -107,11 +108,12 @@ def register(
     sound = len(flat) - missing - beyond - isolated
     run_count = find_runs(work.codes, work.runs, work.begins)
     runs, spare = work.runs[:run_count], work.spare[:run_count]
-    points, key = work.answer(inside)
-    arrange(work.points, spare if sort_packed(runs, spare) else runs, work.begins, points, key)
+    points, key = work.answer()
+    ordered = spare if sort_packed(runs, spare) else runs
+    arrange(work.points, ordered, work.begins, points, key, inside)
     middle = None
     if sound and not inside:
-        middle = (work.points[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
+        middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
     scan = RegisteredScan(
         pose=Pose(
             pose.stamp_ns,
@@ -120,8 +122,8 @@ def register(
             sound_covariance(pose.covariance),
         ),
         origin=pose.position,
-        points=points,
-        key=key,
+        points=points[:inside],
+        key=key[:inside],
         centre=None if middle is None else (middle[0], middle[1]),
     )
     dropped = {
@@ -134,24 +136,24 @@ def register(
 
 
 class _Workspace:
-    """What the passes over N points write and read, see there."""
+    """What the passes over N points write and read, with room for three more (`arrange`)."""
 
     def __init__(self, size: int) -> None:
-        self.points, self.ranges = np.empty((size, 3)), np.empty(size)
+        self.points, self.ranges = np.empty((size + 3, 3)), np.empty(size)
         self.runs, self.spare = np.empty((2, size), np.int64)
         self.codes, self.begins = np.empty(size, np.int32), np.empty(size + 1, np.int32)
         self._fresh()
 
     def _fresh(self) -> None:
-        size = len(self.ranges)
+        size = len(self.points)
         self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
         self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
 
-    def answer(self, count: int) -> tuple[Array, Keys]:
-        """For points (count, 3) and keys (count,): the last scan's, unless somebody has them."""
+    def answer(self) -> tuple[Array, Keys]:
+        """For points (N + 3, 3) and keys (N + 3,): the last scan's, unless somebody has them."""
         if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
             self._fresh()
-        return self._arranged[:count], self._key[:count]
+        return self._arranged, self._key
 
 
 def _workspace(size: int) -> _Workspace:
