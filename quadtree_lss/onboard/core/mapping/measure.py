@@ -108,6 +108,11 @@ def record(runs: NDArray[np.void], at: cython.Py_ssize_t) -> Record:
         return runs[at]
 
 
+def partial(run: Record) -> cython.bint:
+    """Whether a run shows less than half of its cell's width, and does not stand for the cell."""
+    return run.unseen >= PARTIAL
+
+
 def range_variance(
     noise: float, per_metre: float, divergence: float, distance: float, cosine: float
 ) -> cython.double:
@@ -253,7 +258,7 @@ def measure(
     least = max(half - sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0)), 1e-12)
     square = rules.range_noise * rules.range_noise
     across = sqrt(square / (count * least)) + 0.5 * square / least
-    run.sloped = 0.0 if run.unseen >= PARTIAL and across > UNSEEN_TILT else 1.0
+    run.sloped = 0.0 if partial(run) and across > UNSEEN_TILT else 1.0
     if run.sloped == 0.0 or count < rules.min_points:
         tilt = UNKNOWN_TILT
         for i in range(3):
