@@ -19,7 +19,7 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge
     from quadtree_lss.onboard.core.mapping.features import update_feature
-    from quadtree_lss.onboard.core.mapping.measure import measure, partial, record
+    from quadtree_lss.onboard.core.mapping.measure import measure, partial, pose_variance, record
     from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
     from quadtree_lss.onboard.core.tree.leaves import clear
 
@@ -227,9 +227,12 @@ class ScanUpdate:
 
         A first estimate of level ground is fused like any other. What a leaf inherited lies at the
         height of the map, as an aligned scan does, or at that of this very scan: then pose error
-        is common to both, decides nothing between them and stays as it was.
+        is common to both, decides nothing between them and stays as it was. But what an aligned
+        scan is off sideways slopes make a height, which is news: n_xy^T C n_xy, C the covariance of
+        its ground's place.
         """
         rise = cython.declare(cython.double[1])
+        sideways = cython.declare(cython.double[3])
         i: cython.int
         fresh: cython.bint = leaf.known <= HINTS
         if leaf.known == NOTHING:
@@ -241,6 +244,10 @@ class ScanUpdate:
             leaf.range_part[8] = HEIGHT_SIGMA * HEIGHT_SIGMA
         if same_scan or (self.aligned and leaf.known == INHERITED):
             common = 1.0
+            if not same_scan:
+                sideways[0], sideways[1], sideways[2] = run.normal[0], run.normal[1], 0.0
+                news = 1.0 - self.common(leaf.last_time)
+                run.range_part[8] += news * pose_variance(sideways, run.centroid, self.sigma)
             for i in range(9):
                 run.pose_part[i] = leaf.pose_part[i]
         else:
