@@ -2,7 +2,7 @@
 from libc.math cimport fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport inverse_symmetric
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, pose_variance, record
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, partial, pose_variance, record
 from quadtree_lss.onboard.core.mapping.bell cimport feature_height
 from quadtree_lss.onboard.core.tree.leaves cimport MEASURED, Leaf, leaf_at
 

@@ -18,7 +18,7 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.bell import feature_height
-    from quadtree_lss.onboard.core.mapping.measure import pose_variance, record
+    from quadtree_lss.onboard.core.mapping.measure import partial, pose_variance, record
     from quadtree_lss.onboard.core.tree.leaves import leaf_at
 
     MEASURED = 3
@@ -170,7 +170,7 @@ def asks(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     `CONFIDENCE` of these, or cells with few points would divide by chance. A view of
     less than half of the cell does not judge it: no corner outvotes the whole.
     """
-    if run.unseen >= 0.5:
+    if partial(run):
         return False
     weight = max(run.points - 3.0, 0.0)
     leaf.division_sum += weight * run.statistic

@@ -137,6 +137,11 @@ def record(runs: NDArray[np.void], at: cython.Py_ssize_t) -> Record:
         return runs[at]
 
 
+def partial(run: Record) -> cython.bint:
+    """Whether a run shows less than half of its cell's width, and does not stand for the cell."""
+    return run.unseen >= PARTIAL
+
+
 def range_variance(
     noise: float, per_metre: float, divergence: float, distance: float, cosine: float
 ) -> cython.double:
@@ -281,7 +286,7 @@ def measure(
     ray_y = run.centroid[1] / distance
     ray_z = run.centroid[2] / distance
     run.sloped = 1.0
-    if run.unseen >= PARTIAL:
+    if partial(run):
         # The slope across the thinner width of what was seen: of noise, and of what that turns it
         # by.
         half = 0.5 * (xx + yy) / count
@@ -332,13 +337,14 @@ def measure(
     uneven = max(run.square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
     _bias(run, ray_x, ray_y, sqrt(along), cosine / up, tilt < UNKNOWN_TILT)
     if run.sloped == 0.0 and z == z:
-        # Of a strip that is as wide as the noise, place and height err together, along the ray.
-        # Rays are exact: the place is where the ray meets the plane that is known.
+        # Of a strip that is as wide as the noise, place and height err together, along the ray u:
+        # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.
+        # Rays are exact: the place, off - e u, is where the ray meets the plane that is known.
         gap = run.z - z
         most = 3.0 * sqrt(variance / count) / up
         gap = min(max(gap, -most), most) * up / cosine
-        off_x -= gap * ray_x
-        off_y -= gap * ray_y
+        off_x += gap * ray_x
+        off_y += gap * ray_y
         rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
     slope_covariance(run.scatter, run.normal, variance, tilt * tilt, slope)
     basis_at(run.normal, basis)

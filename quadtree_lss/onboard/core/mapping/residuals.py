@@ -13,10 +13,9 @@ from quadtree_lss.onboard.core.tree.leaves import Record
 if not cython.compiled:
     from math import fabs, sqrt
 
+    from quadtree_lss.onboard.core.mapping.measure import partial
     from quadtree_lss.onboard.core.mapping.tail import above
 
-#: A view that leaves out more than this share of a cell's width is held against the leaf's plane.
-PARTIAL = cython.declare(cython.double, 0.5)
 #: E[chi_1] = sqrt(2 / pi).
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 #: A point stands out of curved ground if it is this many root mean square residuals above.
@@ -92,7 +91,7 @@ def rest(
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
     off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
-    if run.unseen >= PARTIAL:
+    if partial(run):
         d -= off - min(max(off, -run.doubt), run.doubt)
     high = standing_out(rules, leaf, variance)
     clip = rules.clip

@@ -19,7 +19,7 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge
     from quadtree_lss.onboard.core.mapping.features import update_feature
-    from quadtree_lss.onboard.core.mapping.measure import measure, record
+    from quadtree_lss.onboard.core.mapping.measure import measure, partial, pose_variance, record
     from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
     from quadtree_lss.onboard.core.tree.leaves import clear
 
@@ -29,8 +29,6 @@ if not cython.compiled:
     NAN = nan
 
 
-#: A view that leaves out more than this share of a cell's width does not stand for the cell.
-PARTIAL = cython.declare(cython.double, 0.5)
 #: Share of a finest cell, of 6 cm in 25, on which nothing stands out that matters.
 FEW = cython.declare(cython.double, 1.0 / 16.0)
 #: A slope less certain than this (rad, one sigma) is none.
@@ -243,9 +241,12 @@ class ScanUpdate:
 
         A first estimate of level ground is fused like any other. What a leaf inherited lies at the
         height of the map, as an aligned scan does, or at that of this very scan: then pose error
-        is common to both, decides nothing between them and stays as it was.
+        is common to both, decides nothing between them and stays as it was. But what an aligned
+        scan is off sideways slopes make a height, which is news: n_xy^T C n_xy, C the covariance of
+        its ground's place.
         """
         rise = cython.declare(cython.double[1])
+        sideways = cython.declare(cython.double[3])
         i: cython.int
         fresh: cython.bint = leaf.known <= HINTS
         if leaf.known == NOTHING:
@@ -257,6 +258,10 @@ class ScanUpdate:
             leaf.range_part[8] = HEIGHT_SIGMA * HEIGHT_SIGMA
         if same_scan or (self.aligned and leaf.known == INHERITED):
             common = 1.0
+            if not same_scan:
+                sideways[0], sideways[1], sideways[2] = run.normal[0], run.normal[1], 0.0
+                news = 1.0 - self.common(leaf.last_time)
+                run.range_part[8] += news * pose_variance(sideways, run.centroid, self.sigma)
             for i in range(9):
                 run.pose_part[i] = leaf.pose_part[i]
         else:
@@ -320,9 +325,11 @@ class ScanUpdate:
     ) -> None:
         """Take a run of points into a leaf or its descendants.
 
-        A strip that tells no plane of a fresh leaf goes on in smaller ones. A view of a part of a
-        leaf is held against the plane as it was: a rock that fills the view would bend it. The
-        others are fused, judged and come to rest, or divide the leaf.
+        A strip that tells no plane of a fresh leaf waits while it grows from scan to scan, as where
+        a scan comes in: the next shows more. Else it goes on in smaller leaves, which can hold what
+        this one cannot. A view of a part of a leaf is held against the plane as it was: a rock that
+        fills the view would bend it. The others are fused, judged and come to rest, or divide the
+        leaf.
         """
         leaf = self.table.at(row)
         side = self.table.side(leaf.level)
@@ -339,8 +346,11 @@ class ScanUpdate:
             leaf.normal[2] = 1.0
         fresh: cython.bint = leaf.known <= HINTS
         if fresh and run.sloped == 0.0:
-            # A strip tells no plane of this cell. Smaller ones can hold what this one cannot.
-            if run.points >= self.rules.min_residuals and self._divide(row, run):
+            seen = 1.0 - run.unseen
+            grows: cython.bint = seen > leaf.strip
+            leaf.strip = max(leaf.strip, seen)
+            enough: cython.bint = run.points >= self.rules.min_residuals
+            if enough and not grows and self._divide(row, run):
                 self._go_on(row, begin, end, False)
             else:
                 self._mark(begin, end, SEEN)
@@ -348,7 +358,7 @@ class ScanUpdate:
         if leaf.known >= INHERITED:
             self._doubt(leaf, run)
             if (
-                run.unseen >= PARTIAL
+                partial(run)
                 and leaf.level < self.table.max_level
                 and departs(self.rules, leaf, run, self.points, begin, end, self.origin, side)
             ):

@@ -19,7 +19,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-FORMAT = 4
+FORMAT = 5
 """Goes up whenever the arrays of `Mapper.export_state` change their meaning."""
 
 ROUNDING = 1e-6

@@ -42,6 +42,7 @@ cdef struct Leaf:
     double low
     double high
     double greatest
+    double strip
     double bias[3]
     double feature[5]
     double feature_information[25]

@@ -52,6 +52,7 @@ Record: TypeAlias = Any
 #:   square residual about the scans' own fits, m^2, and of their weights;
 #: - low, high: lowest and highest return, m, of those that came to rest here, or before that of
 #:   those of the parent; low > high for none; greatest: |orthogonal distance| of one, m;
+#: - strip: the greatest share of its width that a strip showed which told no plane of it;
 #: - bias: means of what noise along the rays may turn its fits by, rad, and lift them by, m, and
 #:   the weight of the first, m^2;
 #: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
@@ -64,8 +65,8 @@ LEAF = np.dtype(
     + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
     + [("raised_sum", "f8"), ("raised_noise", "f8"), ("residuals", "f8")]
     + [("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
-    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("bias", "f8", 3)]
-    + [("feature", "f8", 5), ("feature_information", "f8", 25)]
+    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("strip", "f8")]
+    + [("bias", "f8", 3), ("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
 
 
@@ -84,7 +85,8 @@ def clear(leaf: Record) -> None:
     leaf.distance_sum = leaf.noise_sum = 0.0
     leaf.exception_sum = leaf.exception_noise = 0.0
     leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
-    leaf.division_sum = leaf.division_weight = leaf.square_sum = leaf.greatest = 0.0
+    leaf.division_sum = leaf.division_weight = leaf.square_sum = 0.0
+    leaf.greatest = leaf.strip = 0.0
     leaf.bias[0] = leaf.bias[1] = leaf.bias[2] = 0.0
     for i in range(5):
         leaf.feature[i] = NAN
