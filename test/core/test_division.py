@@ -9,11 +9,11 @@ from core.builders import (
     configured,
     flat,
     four_leaves,
+    look,
     make_pose,
     mapped,
     point_covariances,
     pose_covariance,
-    scan,
     scattered,
     slope,
     unit_vectors,
@@ -121,11 +121,10 @@ def test_the_statistic_is_that_of_noise_whatever_the_number_of_points(per_cell):
 
 
 def test_three_points_say_nothing_of_a_fit():
-    config = configured(domain={"min_level": 4, "max_level": 4})
-    mapper, pose = Mapper(config), make_pose()
+    mapper = Mapper(configured(domain={"min_level": 4, "max_level": 4}))
     x, y = np.array([4.1, 4.9, 4.5]), np.array([4.1, 4.2, 4.9])
     for _ in range(9):
-        mapper.update(scan(lambda x, y: np.sin(9.0 * x), x, y, pose, 0.0), pose)
+        look(mapper, lambda x, y: np.sin(9.0 * x), x, y)
     assert not mapper.leaves.rows.division_sum.any()
 
 
@@ -138,7 +137,6 @@ def test_the_papers_criterion_judges_known_cells_by_the_plane_they_had():
     )
     mapper = mapped(config, flat(), density=20.0, scans=1)
     assert mapper.leaves.count == 16
-    rng, pose = np.random.default_rng(2), make_pose((8.0, 8.0, 500.0))
-    x, y = scattered(rng, 0.0, 0.0, 16.0, 5000)
-    mapper.update(scan(flat(0.15), x, y, pose, 0.02, rng), pose)
+    rng = np.random.default_rng(2)
+    look(mapper, flat(0.15), *scattered(rng, 0.0, 0.0, 16.0, 5000), rng, 0.02)
     assert mapper.leaves.count > 16
