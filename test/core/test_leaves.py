@@ -206,6 +206,21 @@ def test_children_begin_their_statistics_anew():
             assert not children[name].any(), name
 
 
+def test_where_a_return_stood_out_the_child_is_less_certain_and_the_ground_not_known():
+    """By the greatest distance; the other children and finest cells stay as they were."""
+    plain, rough = (known_leaf(Domain(0.0, 0.0, 8.0, 0, 4)) for _ in range(2))
+    rough.rows[0].greatest = 0.5
+    rough.observed[:] = 2
+    rough.observed[morton.encode(11, 3)] = 3
+    for tree in (plain, rough):
+        divide(tree, 0)
+    added = (rough.rows.range_part - plain.rows.range_part)[:4]
+    np.testing.assert_allclose(added, np.outer([0.0, 1.0, 0.0, 0.0], [0.0] * 8 + [0.25]))
+    seen = np.full(256, 2)
+    seen[morton.encode(11, 3)] = 1
+    np.testing.assert_array_equal(rough.observed, seen)
+
+
 def test_hints_are_no_plane_to_inherit():
     tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
     tree.rows[0].known = 1

@@ -127,6 +127,8 @@ def test_shift_of_origin_maps_errors_as_differentiation_does():
 
         covariance = random_covariances(rng, 1, 3, 0.05)[0]
         change = differentiated(after, 3)
+        height = plane.height_variance(covariance, normal, delta)
+        assert height == pytest.approx((change @ covariance @ change.T)[2, 2], rel=1e-6)
         np.testing.assert_allclose(
             plane.shifted(covariance, normal, delta),
             change @ covariance @ change.T,
