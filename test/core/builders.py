@@ -8,13 +8,14 @@ noise moves each along its ray. All lengths in m, all frames the map's unless a 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import numpy as np
 
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.geometry import rotations, sphere
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -27,6 +28,12 @@ Surface = Callable[[Array, Array], Array]
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 #: A pose as good as exact.
 EXACT = 1e-12 * np.eye(6)
+#: Over the middle of the small domain.
+ABOVE = (8.0, 8.0, 500.0)
+#: All that ``mapping.fit``, ``covariance`` and ``division`` may be together.
+METHODS = list(
+    itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))
+)
 
 
 def make_pose(
@@ -94,6 +101,22 @@ def scan(
         assert rng is not None
         truth *= (1.0 + noise * rng.standard_normal(len(x)) / ranges)[:, None]
     return truth @ true_pose.rotation_map_lidar
+
+
+def look(
+    mapper: Mapper,
+    surface: Surface,
+    x: Array,
+    y: Array,
+    rng: np.random.Generator | None = None,
+    noise: float = 0.0,
+    pose: Pose | None = None,
+    high: float = 0.0,
+) -> ScanReport:
+    """Map one scan of the ground at x, y (N,); its pose is told ``high`` metres too high."""
+    told = make_pose(ABOVE) if pose is None else pose
+    true = dataclasses.replace(told, position=told.position - (0.0, 0.0, high))
+    return mapper.update(scan(surface, x, y, true, noise, rng), told)
 
 
 def configured(**sections: dict[str, object]) -> Config:
@@ -166,21 +189,6 @@ def leaf_at(mapper: Mapper, x: float, y: float) -> np.record:
     return leaves[np.flatnonzero(under)[0]]
 
 
-def leaf_by_descent(cells: CellMap, column: int, row: int) -> int:
-    """Leaf over a finest cell, found by walking down from the root."""
-    present = {
-        (int(level), int(ix), int(iy)): k
-        for k, (level, ix, iy) in enumerate(zip(cells.level, cells.ix, cells.iy, strict=True))
-    }
-    depth = cells.domain.max_level
-    for level in range(depth + 1):
-        found = present.get((level, column >> (depth - level), row >> (depth - level)))
-        if found is not None:
-            return found
-    msg = f"no leaf over finest cell ({column}, {row})"
-    raise AssertionError(msg)
-
-
 def elevation(cells: CellMap, x: Array, y: Array) -> Array:
     """Height of the leaf planes at places inside the domain."""
     side = cells.domain.finest_size
@@ -227,6 +235,38 @@ def random_covariances(rng: np.random.Generator, count: int, size: int, scale: f
     """Positive definite (count, size, size) of standard deviations about ``scale``."""
     root = scale * (rng.standard_normal((count, size, size)) + 1.5 * np.eye(size))
     return root @ root.transpose(0, 2, 1)
+
+
+def assert_sound(cells: CellMap) -> None:
+    """Where there is a plane: nothing but numbers, normals up, no negative covariance."""
+    known = cells.estimated
+    assert (cells.measured <= known).all()
+    assert (cells.normal[known, 2] > 0.0).all()
+    np.testing.assert_allclose(np.linalg.norm(cells.normal[known], axis=1), 1.0, atol=1e-9)
+    total = np.einsum("mii->mi", cells.covariance[known])
+    assert (total > 0.0).all()
+    # Round-off leaves each part with errors of the whole's size. Of walls that is all there is.
+    ground = cells.normal[known, 2] > 0.1
+    scale = np.sqrt(total[ground, :, None] * total[ground, None, :])
+    for part in (cells.covariance_range[known], cells.covariance_pose[known]):
+        assert np.isfinite(part).all()
+        assert np.linalg.eigvalsh(part[ground] / scale).min(initial=0.0) > -0.05
+    for value in (cells.roughness, cells.exception_fraction):
+        assert (value[cells.measured] >= 0.0).all()
+        assert np.isfinite(value[cells.measured]).all()
+    assert (cells.exception_fraction[cells.measured] <= 1.0).all()
+    assert np.isfinite(cells.feature[np.isfinite(cells.feature[:, 0])]).all()
+
+
+def nees(errors: Array, covariances: Array) -> Array:
+    """(M,) e^T C^-1 e of errors (M, K) and their covariances (M, K, K)."""
+    return np.einsum("mi,mi->m", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
+
+
+def differentiated(function: Callable[[Array], Array], size: int, step: float = 1e-6) -> Array:
+    """Central differences of a function of ``size`` numbers at zero, the last axis."""
+    columns = [(function(step * e) - function(-step * e)) / (2.0 * step) for e in np.eye(size)]
+    return np.stack(columns, axis=-1)
 
 
 def plane_errors(cells: CellMap, normal: Array, surface: Surface) -> Array:

@@ -6,9 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from core.builders import (
+    ABOVE,
     EXACT,
     configured,
     disturbed,
+    flat,
+    look,
     make_pose,
     mapped,
     pose_covariance,
@@ -22,7 +25,6 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 NOISE = 0.02
 CELLS = {"min_level": 4, "max_level": 4}
-ABOVE = (8.0, 8.0, 500.0)
 
 
 def cells_of(rise, own=1e-4, of_scan=0.09, of_map=0.01, first=0.0, last=0.0) -> np.ndarray:
@@ -61,14 +63,11 @@ def test_an_offset_divides_as_the_pose_errors_do(of_scan, of_map):
     assert found.map == pytest.approx(-map_error[near].mean(), abs=0.01)
 
 
-def test_who_is_exact_is_not_moved_and_who_is_lost_moves_nothing():
-    rise = np.full(50, 0.05)
-    exact = offset_of(cells_of(rise, of_scan=0.0, of_map=0.09), 0.0, 0.0)
-    assert exact.scan == 0.0
-    assert exact.map == pytest.approx(0.05, rel=0.05)
-    lost = offset_of(cells_of(rise, of_scan=1e6, of_map=0.01), 0.0, 0.0)
-    assert lost.scan == pytest.approx(0.05, rel=1e-6)
-    assert abs(lost.map) < 1e-6
+@pytest.mark.parametrize(("of_scan", "of_map"), [(0.0, 0.09), (1e6, 0.01)])
+def test_who_is_exact_is_not_moved_and_who_is_lost_moves_nothing(of_scan, of_map):
+    found = offset_of(cells_of(np.full(50, 0.05), 1e-4, of_scan, of_map), 0.0, 0.0)
+    assert found.scan == pytest.approx(0.05 * (of_scan > 0.0), rel=1e-6)
+    assert found.map == pytest.approx(0.05 * (of_scan == 0.0), rel=0.05, abs=1e-6)
 
 
 def steps(x, y):
@@ -150,13 +149,14 @@ def test_without_overlap_there_is_no_offset(count):
 
 def test_leaves_are_lifted_as_far_as_they_share_the_error():
     """A leaf of ten seconds shares the half of it from when the compared ground began."""
-    mapper = mapped(configured(domain=CELLS), lambda x, y: 0.0 * x, scans=1)
+    mapper = mapped(configured(domain=CELLS), flat(), scans=1)
     rows = mapper.leaves.rows
-    rows.z[:] = 0.0
+    rows.z[:] = rows.low[:] = rows.high[:] = 0.0
     rows.first_time[:4], rows.last_time[:4] = (0.0, 0.0, 6.0, 8.0), (10.0, 4.0, 6.0, 20.0)
     rows.known[4] = 0
     lift(mapper.leaves, 0.2, 5.0)
-    np.testing.assert_allclose(rows.z[:5], [0.1, 0.0, 0.2, 0.2, 0.0], atol=1e-4)
+    for name in ("z", "low", "high"):
+        np.testing.assert_allclose(rows[name][:5], [0.1, 0.0, 0.2, 0.2, 0.0], atol=1e-4)
 
 
 def waves(x, y):
@@ -164,19 +164,12 @@ def waves(x, y):
     return 0.5 * np.sin(0.9 * x) + 0.4 * np.cos(0.8 * y + 0.3) + 0.2 * np.sin(0.6 * (x + y))
 
 
-def level(x, y):
-    return np.zeros_like(x)
-
-
 def fly(mapper: Mapper, surface, errors, rng, covariance=None, points=12000, start=1.0) -> None:
     """Scans straight down, a second apart; poses are too high by each of ``errors`` (K,)."""
     sigma = pose_covariance(0.3, 1e-9) if covariance is None else covariance
     for number, error in enumerate(errors):
-        estimate = make_pose(ABOVE, sigma, round(1e9 * (start + number)))
-        x, y = scattered(rng, 0.0, 0.0, 16.0, points)
-        position = estimate.position - (0.0, 0.0, error)
-        true = Pose(1, position, estimate.rotation_map_lidar, sigma)
-        mapper.update(scan(surface, x, y, true, NOISE, rng), estimate)
+        pose = make_pose(ABOVE, sigma, round(1e9 * (start + number)))
+        look(mapper, surface, *scattered(rng, 0.0, 0.0, 16.0, points), rng, NOISE, pose, error)
 
 
 def heights(mapper: Mapper) -> np.ndarray:
@@ -208,24 +201,12 @@ def test_a_second_flight_comes_to_lie_on_the_first():
     assert 0.05 < np.median(rise) < 0.27
 
 
-def test_jumps_between_scans_do_not_tilt_the_ground():
-    """Half a metre up and down from scan to scan, 20 a second."""
-    rng, mapper = np.random.default_rng(4), mapper_of()
-    sigma = pose_covariance(0.5, 1e-9)
-    for number, error in enumerate((0.5, -0.5, 0.3, -0.4)):
-        fly(mapper, level, [error], rng, sigma, 8000, 1.0 + 0.05 * number)
-    cells = mapper.snapshot()
-    tilt = cells.normal[:, :2]
-    assert np.mean(tilt**2 / np.einsum("mii->mi", cells.covariance)[:, :2]) < 1.5
-    assert np.std(cells.z) < 0.02
-
-
 def test_errors_that_are_news_each_time_average():
     """White height errors: all of the map ends at their mean, not at the first scan's."""
     errors = np.random.default_rng(4).normal(0.0, 0.3, 25)
     errors[0] = 0.9
     mapper = mapper_of(0.0)
-    fly(mapper, level, errors, np.random.default_rng(5))
+    fly(mapper, flat(), errors, np.random.default_rng(5))
     cells = mapper.snapshot()
     assert np.std(cells.z[cells.measured]) < 0.01
     assert np.median(cells.z) == pytest.approx(errors.mean(), abs=0.05)
@@ -235,35 +216,24 @@ def test_new_ground_joins_at_the_height_of_the_old():
     """A scan that sees half of the map again: both halves are level in the end."""
     rng, mapper, sigma = np.random.default_rng(6), mapper_of(0.0), pose_covariance(0.3, 1e-9)
     for number, (error, low) in enumerate(((0.0, 0.0), (0.4, 6.0))):
-        estimate = make_pose(ABOVE, sigma, 1 + 10**9 * number)
         x, y = low + 10.0 * rng.random(12000), 16.0 * rng.random(12000)
-        true = Pose(1, estimate.position - (0, 0, error), estimate.rotation_map_lidar, sigma)
-        mapper.update(scan(level, x, y, true, NOISE, rng), estimate)
+        look(mapper, flat(), x, y, rng, NOISE, make_pose(ABOVE, sigma, 1 + 10**9 * number), error)
     cells = mapper.snapshot()
     assert cells.measured.all()
     assert np.ptp(cells.z) < 0.05
     assert np.median(cells.z) == pytest.approx(0.2, abs=0.02)
 
 
-def test_the_report_tells_the_offset():
-    rng, mapper = np.random.default_rng(7), mapper_of()
-    fly(mapper, level, np.zeros(3), rng)
-    pose = make_pose(ABOVE, pose_covariance(0.3, 1e-9), 10**12)
-    x, y = scattered(rng, 0.0, 0.0, 16.0, 4000)
-    assert mapper.update(scan(lambda x, y: 0.1 + 0.0 * x, x, y, pose, NOISE, rng), pose).offset == (
-        pytest.approx(0.1, abs=0.005)
-    )
-    nothing = mapper.update(np.full((4, 3), np.nan), make_pose(stamp_ns=2 * 10**12))
-    assert nothing.offset == 0.0
-
-
 def test_the_map_tells_how_far_navigation_is_from_it():
     """Whatever the map was lifted by: its height plus the offset is height by navigation."""
     rng, mapper = np.random.default_rng(7), mapper_of()
-    fly(mapper, level, [0.0], rng)
+    fly(mapper, flat(), [0.0], rng)
     assert np.isnan(mapper.snapshot().offset_z), "nothing was compared yet"
-    fly(mapper, level, np.zeros(3), rng, start=2.0)
-    fly(mapper, level, [0.3], rng, start=1000.0)
+    fly(mapper, flat(), np.zeros(3), rng, start=2.0)
+    pose = make_pose(ABOVE, pose_covariance(0.3, 1e-9), 10**12)
+    report = look(mapper, flat(), *scattered(rng, 0, 0, 16, 12000), rng, NOISE, pose, 0.3)
+    assert report.offset == pytest.approx(0.3, abs=0.005)
+    assert mapper.update(np.full((4, 3), np.nan), pose).offset == 0.0
     cells = mapper.snapshot()
     ground = np.median(cells.z[cells.measured])
     assert 0.05 < ground < 0.25, "navigation and map share the error"
@@ -302,7 +272,7 @@ def test_the_maps_height_is_as_well_known_as_it_says(sigma, persistent):
         rng = np.random.default_rng(seed)
         errors = rng.normal(0.0, sigma, 1 if persistent else 60) * np.ones(60)
         mapper = mapper_of(300.0 if persistent else 0.0)
-        fly(mapper, level, errors, rng, pose_covariance(sigma, 1e-9), points=1500)
+        fly(mapper, flat(), errors, rng, pose_covariance(sigma, 1e-9), points=1500)
         cells = mapper.snapshot()
         height = np.median(cells.z[cells.measured])
         squares.append(height**2 / np.median(cells.covariance_pose[cells.measured, 2, 2]))
@@ -312,7 +282,7 @@ def test_the_maps_height_is_as_well_known_as_it_says(sigma, persistent):
 def test_errors_that_persist_leave_the_height_uncertain():
     """A hundred scans of one bias tell no more of absolute height than the first."""
     rng, mapper = np.random.default_rng(11), mapper_of()
-    fly(mapper, level, np.full(100, 0.3), rng, points=3000)
+    fly(mapper, flat(), np.full(100, 0.3), rng, points=3000)
     cells = mapper.snapshot()
     claimed = np.sqrt(cells.covariance_pose[cells.measured, 2, 2])
     assert np.median(claimed) > 0.25
@@ -339,7 +309,7 @@ def along_a_strip(align: bool, drift: float = np.radians(0.1)) -> float:
         y = -20.0 + 40.0 * rng.random(3000)
         keep = x > 0.0
         true = make_pose(tuple(at), sigma)
-        points = scan(level, x[keep], y[keep], true, NOISE, rng)
+        points = scan(flat(), x[keep], y[keep], true, NOISE, rng)
         stamp = 1 + 250_000_000 * number
         estimate = Pose(stamp, at, turn @ true.rotation_map_lidar, sigma)
         mapper.update(points, estimate)

@@ -7,12 +7,11 @@ two to four dozen sets, under one pose covariance, which the messages' checks di
 
 from __future__ import annotations
 
-import itertools
 import warnings
 
 import numpy as np
 import pytest
-from core.builders import configured, random_covariances
+from core.builders import METHODS, assert_sound, configured, random_covariances
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -22,11 +21,7 @@ from quadtree_lss.onboard.core.mapping.consistency import prefit_statistics
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.register import register
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-METHODS = list(
-    itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))
-)
 SIDE = 4.0
 KINDS = (
     "spread",
@@ -141,28 +136,6 @@ def scan_of(kinds: list[str], rng: np.random.Generator) -> np.ndarray:
         corner = np.array([SIDE * (k % 4), SIDE * (k // 4), 0.0])
         parts.append(points_of(kind, rng) + corner)
     return np.concatenate(parts)
-
-
-def assert_sound(cells: CellMap) -> None:
-    """No hole, no NaN, no downward normal, no negative covariance where there is a plane."""
-    known = cells.estimated
-    assert (cells.measured <= known).all()
-    assert np.isfinite(cells.normal[known]).all()
-    assert (cells.normal[known, 2] > 0.0).all()
-    np.testing.assert_allclose(np.linalg.norm(cells.normal[known], axis=1), 1.0, atol=1e-9)
-    assert np.isfinite(cells.covariance[known]).all()
-    total = np.einsum("mii->mi", cells.covariance[known])
-    assert (total > 0.0).all()
-    # Round-off leaves each part with errors of the whole's size. Of walls that is all there is.
-    ground = cells.normal[known, 2] > 0.1
-    scale = np.sqrt(total[ground, :, None] * total[ground, None, :])
-    for part in (cells.covariance_range[known], cells.covariance_pose[known]):
-        assert np.linalg.eigvalsh(part[ground] / scale).min(initial=0.0) > -0.05
-    for value in (cells.roughness, cells.exception_fraction):
-        assert np.isfinite(value[cells.measured]).all()
-        assert (value[cells.measured] >= 0.0).all()
-    present = np.isfinite(cells.feature[:, 0])
-    assert np.isfinite(cells.feature[present]).all()
 
 
 def try_scans(seed: int, method: tuple[str, str, str], lidar: str, poses: list[str]) -> None:

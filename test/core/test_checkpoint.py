@@ -10,13 +10,19 @@ import zipfile
 
 import numpy as np
 import pytest
-from core.builders import configured, make_pose, scan, scattered
+from core.builders import configured, look, make_pose, scattered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
+from quadtree_lss.onboard.core.tree.checkpoint import (
+    CheckpointError,
+    _covariances,
+    from_bytes,
+    to_bytes,
+)
+from quadtree_lss.onboard.core.tree.leaves import LEAF
 
 CONFIG = configured()
 
@@ -31,9 +37,8 @@ def flown(mapper: Mapper, scans: range) -> Mapper:
     """Sparse scans of rough ground: divisions, hints and features."""
     for number in scans:
         rng = np.random.default_rng(number)
-        pose = make_pose(stamp_ns=1_000 + number)
         x, y = scattered(rng, 0.0, 0.0, 11.0 if number % 2 else 16.0, 1500 if number % 2 else 3)
-        mapper.update(scan(ground, x, y, pose, 0.03, rng), pose)
+        look(mapper, ground, x, y, rng, 0.03, make_pose(stamp_ns=1_000 + number))
     return mapper
 
 
@@ -113,96 +118,42 @@ def test_more_leaves_than_allowed_are_refused(content):
         Mapper(configured(mapping={"max_cells": 16})).import_state(from_bytes(content))
 
 
-def _overlapping(state):
-    state["leaves"]["ix"][0] += 1
+def put(name, value, column=None, at=...):
+    """Sets some of an array of a state, or of a column of its leaves."""
+
+    def spoil(state):
+        (state[name] if column is None else state[name][column])[at] = value
+
+    return spoil
 
 
-def _elsewhere(state):
-    state["leaves"]["level"][:] = 31
+def become(name, change):
+    """Replaces an array of a state by what is made of it."""
+    return lambda state: state.update({name: change(state[name])})
 
 
-def _negative(state):
-    state["leaves"]["iy"][0] = -1
+SPOILS = {
+    "overlapping": put("leaves", 3, "ix", 0),
+    "elsewhere": put("leaves", 31, "level"),
+    "negative": put("leaves", -1, "iy", 0),
+    "one leaf less": become("leaves", lambda leaves: leaves[:-1]),
+    "without": lambda state: state.pop("leaves"),
+    "another kind": become("observed", lambda observed: observed.astype(np.float32)),
+    "other columns": become("leaves", lambda leaves: leaves[["level", "ix", "iy"]].copy()),
+    "downward": put("leaves", (0.0, 0.0, -1.0), "normal"),
+    "infinite": put("leaves", np.inf, "pose_part"),
+    "certain": put("leaves", 0.0, "range_part"),
+    "unheard of": put("leaves", 4, "known"),
+    "unseen": become("observed", lambda observed: observed[:-1]),
+    "beyond seen": put("observed", 4, at=3),
+    "without bottom": put("leaves", -np.inf, "low"),
+    "no height": put("leaves", np.nan, "high"),
+    "far off": put("offset", np.inf, at=0),
+    "two stamps": become("stamp_ns", lambda _: np.zeros(2, dtype=np.int64)),
+}
 
 
-def _one_leaf_less(state):
-    state["leaves"] = state["leaves"][:-1]
-
-
-def _without(state):
-    del state["leaves"]
-
-
-def _other_kind(state):
-    state["observed"] = state["observed"].astype(np.float32)
-
-
-def _other_columns(state):
-    state["leaves"] = state["leaves"][["level", "ix", "iy"]].copy()
-
-
-def _downward(state):
-    state["leaves"]["normal"] *= -1.0
-
-
-def _infinite(state):
-    state["leaves"]["pose_part"] = np.inf
-
-
-def _certain(state):
-    state["leaves"]["range_part"] = 0.0
-
-
-def _unheard_of(state):
-    state["leaves"]["known"] = 4
-
-
-def _unseen(state):
-    state["observed"] = state["observed"][:-1]
-
-
-def _beyond_seen(state):
-    state["observed"][3] = 4
-
-
-def _without_bottom(state):
-    state["leaves"]["low"] = -np.inf
-
-
-def _no_height(state):
-    state["leaves"]["high"] = np.nan
-
-
-def _far_off(state):
-    state["offset"] = np.array([np.inf, 1.0])
-
-
-def _two_stamps(state):
-    state["stamp_ns"] = np.zeros(2, dtype=np.int64)
-
-
-SPOILS = [
-    _overlapping,
-    _elsewhere,
-    _negative,
-    _one_leaf_less,
-    _without,
-    _other_kind,
-    _other_columns,
-    _downward,
-    _infinite,
-    _certain,
-    _unheard_of,
-    _unseen,
-    _beyond_seen,
-    _without_bottom,
-    _no_height,
-    _far_off,
-    _two_stamps,
-]
-
-
-@pytest.mark.parametrize("spoil", SPOILS)
+@pytest.mark.parametrize("spoil", SPOILS.values(), ids=SPOILS)
 def test_inconsistent_states_are_refused_and_the_map_kept(content, spoil):
     state = from_bytes(content)
     spoil(state)
@@ -244,6 +195,45 @@ def test_an_archive_that_claims_more_than_its_size_is_refused(content):
     claimed[place : place + 4] = (2**31).to_bytes(4, "little")
     with pytest.raises(CheckpointError):
         from_bytes(bytes(claimed))
+
+
+SCALES = np.array([1e-6, 3e-3, 40.0])
+"""Deviations as unlike as those of a slope and of a height."""
+
+
+def planes_of(correlation):
+    result = np.zeros(1, dtype=LEAF)
+    result["range_part"] = (correlation * np.outer(SCALES, SCALES)).reshape(1, 9)
+    result["pose_part"] = 1e-3 * np.eye(3).reshape(1, 9)
+    return result
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_agrees_with_eigenvalues(seed):
+    rng = np.random.default_rng(seed)
+    seen = set()
+    for _ in range(500):
+        a, b, c = rng.uniform(-1.1, 1.1, 3)
+        correlation = np.array([[1.0, a, b], [a, 1.0, c], [b, c, 1.0]])
+        least = np.linalg.eigvalsh(correlation)[0]
+        if abs(least) < 1e-4:
+            continue
+        assert _covariances(planes_of(correlation)) == (least > 0.0)
+        seen.add(least > 0.0)
+    assert seen == {True, False}
+
+
+def test_singular_zero_and_skew():
+    ones = np.ones((3, 3))
+    assert _covariances(planes_of(ones)) and _covariances(planes_of(np.zeros((3, 3))))
+    assert _covariances(planes_of(np.zeros((3, 3)))[:0]), "of no plane"
+    skew = np.eye(3)
+    skew[0, 1] = 0.5
+    assert not _covariances(planes_of(skew))
+    lonely = np.diag([0.0, 1.0, 1.0])
+    assert _covariances(planes_of(lonely))
+    lonely[0, 1] = lonely[1, 0] = 1e-3
+    assert not _covariances(planes_of(lonely)), "correlated with what has no variance"
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from core.builders import (
     configured,
     flat,
     four_leaves,
+    look,
     make_pose,
     mapped,
     point_covariances,
@@ -20,6 +21,7 @@ from core.builders import (
     upward_normals,
 )
 
+from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.mapping import division
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
@@ -121,11 +123,10 @@ def test_the_statistic_is_that_of_noise_whatever_the_number_of_points(per_cell):
 
 
 def test_three_points_say_nothing_of_a_fit():
-    config = configured(domain={"min_level": 4, "max_level": 4})
-    mapper, pose = Mapper(config), make_pose()
+    mapper = Mapper(configured(domain={"min_level": 4, "max_level": 4}))
     x, y = np.array([4.1, 4.9, 4.5]), np.array([4.1, 4.2, 4.9])
     for _ in range(9):
-        mapper.update(scan(lambda x, y: np.sin(9.0 * x), x, y, pose, 0.0), pose)
+        look(mapper, lambda x, y: np.sin(9.0 * x), x, y)
     assert not mapper.leaves.rows.division_sum.any()
 
 
@@ -138,7 +139,32 @@ def test_the_papers_criterion_judges_known_cells_by_the_plane_they_had():
     )
     mapper = mapped(config, flat(), density=20.0, scans=1)
     assert mapper.leaves.count == 16
-    rng, pose = np.random.default_rng(2), make_pose((8.0, 8.0, 500.0))
-    x, y = scattered(rng, 0.0, 0.0, 16.0, 5000)
-    mapper.update(scan(flat(0.15), x, y, pose, 0.02, rng), pose)
+    rng = np.random.default_rng(2)
+    look(mapper, flat(0.15), *scattered(rng, 0.0, 0.0, 16.0, 5000), rng, 0.02)
     assert mapper.leaves.count > 16
+
+
+def test_a_known_cells_statistic_is_that_of_equations_46_and_47():
+    """The mean distance to the plane that it had, over what map and points may be off there."""
+    config = configured(
+        domain={"size": 8.0, "min_level": 0, "max_level": 1},
+        mapping={"division": "mahalanobis", "align": False},
+        lidar={"range_noise": 0.02},
+    )
+    mapper, rng = Mapper(config), np.random.default_rng(6)
+    pose = make_pose((40.0, -20.0, 90.0), pose_covariance(0.05, 1e-3), 10**9)
+    ground = slope(0.2, -0.1)
+    look(mapper, ground, *(5.0 * rng.random((2, 60))), rng, 0.02, pose)
+    before = mapper.leaves.rows[0].copy()
+    x, y = 3.0 + 5.0 * rng.random((2, 400))
+    later = make_pose((40.0, -20.0, 90.0), pose.covariance, 10**11)
+    points = scan(ground, x, y, later, 0.02, rng)
+    mapper.update(points, later)
+    leaf, seen = mapper.leaves.rows[0], points @ later.rotation_map_lidar.T
+    n, middle = before.normal, np.array([before.x, before.y, before.z]) - later.position
+    a = np.append(sphere.tangent_basis(n).T @ (seen.mean(axis=0) - middle), -1.0)
+    plane = a @ (before.range_part + before.pose_part).reshape(3, 3) @ a
+    factor = division.factor_of(n, seen.mean(axis=0), later.covariance, 0.02**2, plane)
+    added = leaf.division_sum - before.division_sum
+    expected = np.abs((seen - middle) @ n).mean() * factor
+    assert added / (len(points) - 3.0) == pytest.approx(expected, rel=1e-3)

@@ -5,8 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from core.builders import differentiated, upward_normals
 
 from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.core.geometry.heights import height_by_error
+from quadtree_lss.onboard.core.geometry.sphere import plus
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
@@ -56,22 +60,26 @@ def test_height_and_slope_are_those_of_the_ground(cells):
     np.testing.assert_allclose(found.slope_deg, np.degrees(np.arctan(np.hypot(0.1, 0.05))), atol=1)
 
 
-def test_the_deviation_is_the_spread_of_planes_drawn_from_the_covariance(cells):
-    """Monte Carlo: planes with errors of the leaf's covariance, as the manifold has them."""
-    from quadtree_lss.onboard.core.geometry.sphere import plus
+def test_heights_change_with_a_planes_errors_as_differentiation_says():
+    """Of steep planes, anywhere in a cell; so does the deviation that a place is told with."""
+    rng = np.random.default_rng(3)
+    normal, at = upward_normals(rng, 30, 1.0), rng.uniform(-4.0, 4.0, (30, 2))
+    found = height_by_error(normal, *at.T)
+    for n, place, row in zip(normal, at, found, strict=True):
 
+        def height(error, n=n, place=place):
+            turned = plus(n, error[:2])
+            return np.array([error[2] - turned[:2] @ place]) / turned[2]
+
+        np.testing.assert_allclose(row, differentiated(height, 3)[0], rtol=1e-6, atol=1e-6)
+
+
+def test_the_deviation_is_that_of_the_cells_covariance(cells):
     leaf = int(np.flatnonzero(cells.measured)[3])
-    place = np.array([cells.x[leaf] + 0.3 * cells.size[leaf], cells.y[leaf]])
-    errors = np.random.default_rng(3).multivariate_normal(np.zeros(3), cells.covariance[leaf], 4000)
-    normal = cells.normal[leaf]
-    heights = []
-    for error in errors:
-        turned = plus(normal, error[:2])
-        east, north = place - (cells.x[leaf], cells.y[leaf])
-        heights.append(
-            cells.z[leaf] + (error[2] - turned[0] * east - turned[1] * north) / turned[2]
-        )
-    assert cells.at(*place).deviation == pytest.approx(np.std(heights), rel=0.06)
+    off = np.array([0.3, -0.2]) * cells.size[leaf]
+    by = height_by_error(cells.normal[[leaf]], *off[:, None])[0]
+    found = cells.at(cells.x[leaf] + off[0], cells.y[leaf] + off[1]).deviation
+    assert found == pytest.approx(np.sqrt(by @ cells.covariance[leaf] @ by), rel=1e-12)
 
 
 def test_places_without_an_estimate_are_nan_and_scalars_stay_scalars(cells):
@@ -122,8 +130,6 @@ def test_what_is_no_pose_is_refused(matrix, word):
 
 
 def test_objects_say_what_they_are_in_a_line(mapper, cells):
-    from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-
     found = LandingSiteSelector(CONFIG).assess(cells)
     for thing in (mapper, cells, found, found.sites, Pose.from_matrix(ABOVE)):
         text = repr(thing)

@@ -11,7 +11,16 @@ import functools
 
 import numpy as np
 import pytest
-from core.builders import configured, disturbed, make_pose, pose_covariance, scan, scattered, slope
+from core.builders import (
+    configured,
+    disturbed,
+    make_pose,
+    nees,
+    pose_covariance,
+    scan,
+    scattered,
+    slope,
+)
 from scipy.stats import chi2
 
 from quadtree_lss.onboard.core.geometry import sphere
@@ -77,6 +86,5 @@ def test_normalised_error_is_chi_square(case, of, fit, part):
     chosen = {"plane": [0, 1, 2], "normal": [0, 1], "height": [2]}[part]
     errors, covariances = estimates(case, fit)[of]
     errors, covariances = errors[:, chosen], covariances[:, chosen][:, :, chosen]
-    nees = np.einsum("mi,mi->m", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
     low, high = chi2(len(chosen) * MAPS).interval(1.0 - 1e-5)
-    assert low < nees.sum() < high
+    assert low < nees(errors, covariances).sum() < high

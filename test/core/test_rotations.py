@@ -48,18 +48,11 @@ def test_log_at_a_half_turn_is_an_axis_of_length_pi(axis):
 
 
 def test_matrices_of_quaternions_match_scipy():
+    """Both signs and any length are one rotation."""
     r = random_rotations(200, 4)
-    matrices = rotations.rotation_from_quaternion(r.as_quat())
-    np.testing.assert_allclose(matrices, r.as_matrix(), atol=EXACT)
-
-
-def test_both_signs_and_any_length_of_a_quaternion_are_one_rotation():
-    q = random_rotations(50, 5).as_quat()
-    expected = rotations.rotation_from_quaternion(q)
-    for factor in (-1.0, 3.0, 1e-3):
-        np.testing.assert_allclose(
-            rotations.rotation_from_quaternion(factor * q), expected, atol=EXACT
-        )
+    for factor in (1.0, -1.0, 3.0, 1e-3):
+        matrices = rotations.rotation_from_quaternion(factor * r.as_quat())
+        np.testing.assert_allclose(matrices, r.as_matrix(), atol=EXACT)
 
 
 def test_quaternions_of_matrices_match_scipy():
@@ -84,10 +77,3 @@ def test_slerp_matches_scipy(fraction):
         np.testing.assert_allclose(
             rotations.slerp(start, end, fraction), expected.as_matrix(), atol=1e-9
         )
-
-
-def test_slerp_turns_at_constant_rate():
-    start, end = random_rotations(2, 8).as_matrix()
-    steps = [rotations.slerp(start, end, f) for f in np.linspace(0.0, 1.0, 11)]
-    turns = [np.linalg.norm(rotations.log(a.T @ b)) for a, b in zip(steps, steps[1:], strict=False)]
-    np.testing.assert_allclose(turns, turns[0], atol=1e-9)

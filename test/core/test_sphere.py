@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import unit_vectors, upward_normals
+from core.builders import differentiated, unit_vectors, upward_normals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.core.geometry import sphere
 
-STEP = 1e-6
-#: Central differences err by STEP^2 times a third derivative of order one, and by rounding / STEP.
+#: Central differences err by 1e-6^2 times a third derivative of order one, and by rounding / 1e-6.
 NUMERIC = 1e-8
 
 angles = st.floats(0.0, 3.1)
@@ -24,12 +23,6 @@ def tangent(angle: float, heading: float) -> np.ndarray:
     return angle * np.array([np.cos(heading), np.sin(heading)])
 
 
-def differentiated(function, size: int) -> np.ndarray:
-    """Central differences of a function of ``size`` numbers at zero."""
-    columns = [(function(STEP * e) - function(-STEP * e)) / (2.0 * STEP) for e in np.eye(size)]
-    return np.stack(columns, axis=-1)
-
-
 @settings(deadline=None, max_examples=200)
 @given(angles, headings)
 def test_log_undoes_exp(angle, heading):
@@ -37,11 +30,6 @@ def test_log_undoes_exp(angle, heading):
     n = sphere.exp(phi)
     assert np.linalg.norm(n) == pytest.approx(1.0, abs=1e-14)
     np.testing.assert_allclose(sphere.log(n), phi, atol=1e-12)
-
-
-def test_exp_of_zero_is_up_and_its_log_is_zero():
-    np.testing.assert_array_equal(sphere.exp(np.zeros(2)), [0.0, 0.0, 1.0])
-    np.testing.assert_array_equal(sphere.log([0.0, 0.0, 1.0]), [0.0, 0.0])
 
 
 @pytest.mark.parametrize("most", [0.05, 0.2])
@@ -66,32 +54,12 @@ def test_exp_jacobian_is_the_derivative(angle):
         np.testing.assert_allclose(sphere.exp_jacobian(phi), numeric, atol=NUMERIC)
 
 
-def test_exp_jacobian_is_tangent_to_the_sphere():
-    """n.dn = 0 whatever dphi; with the printed bottom row of Eq. 5 it is not."""
-    for phi in np.random.default_rng(1).uniform(-1.5, 1.5, (200, 2)):
-        np.testing.assert_allclose(sphere.exp(phi) @ sphere.exp_jacobian(phi), 0.0, atol=1e-14)
-
-
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-8, 1e-4, 0.4, 1.5, 1.6, 2.5])
 def test_log_jacobian_undoes_exp_jacobian(angle):
     for heading in np.linspace(0.0, 2.0 * np.pi, 7):
         phi = tangent(angle, heading)
         product = sphere.log_jacobian(sphere.exp(phi)) @ sphere.exp_jacobian(phi)
         np.testing.assert_allclose(product, np.eye(2), atol=1e-7)
-
-
-def test_log_jacobian_is_the_derivative_along_the_sphere():
-    rng = np.random.default_rng(2)
-    for n in unit_vectors(rng, 50):
-        if n[2] < -0.9:
-            continue
-        basis = sphere.tangent_basis(n) if n[2] > -0.5 else np.linalg.svd(n[None])[2][1:].T
-        for direction in basis.T:
-            ahead, behind = (n + s * STEP * direction for s in (1.0, -1.0))
-            ahead, behind = ahead / np.linalg.norm(ahead), behind / np.linalg.norm(behind)
-            numeric = (sphere.log(ahead) - sphere.log(behind)) / (2.0 * STEP)
-            # The derivative across kappa grows as phi / sin(phi), its error with its cube.
-            np.testing.assert_allclose(sphere.log_jacobian(n) @ direction, numeric, atol=1e-7)
 
 
 def test_rotation_to_is_the_shortest_rotation_from_up():
@@ -112,12 +80,14 @@ def test_minus_undoes_plus(lean, lean_heading, angle, heading):
     np.testing.assert_allclose(sphere.minus(sphere.plus(n, phi), n), phi, atol=1e-9)
 
 
-def test_minus_is_the_angle_between_planes():
+@pytest.mark.parametrize("pole", [None, (0.0, 0.0, -1.0), (1e-9, 0.0, -1.0), (1.0, 0.0, 0.0)])
+def test_minus_is_the_angle_between_planes(pole):
+    """Anywhere, also at the south pole and on the horizon."""
     rng = np.random.default_rng(5)
-    for n, m in zip(unit_vectors(rng, 500), unit_vectors(rng, 500), strict=True):
+    for n, m in zip(unit_vectors(rng, 300), unit_vectors(rng, 300), strict=True):
+        m = m if pole is None else np.array(pole) / np.linalg.norm(pole)
         length = np.linalg.norm(sphere.minus(n, m))
         assert length == pytest.approx(np.arccos(min(abs(n @ m), 1.0)), abs=1e-7)
-        assert length <= 0.5 * np.pi + 1e-12
 
 
 def test_both_names_of_a_plane_are_one():
@@ -131,16 +101,6 @@ def test_both_names_of_a_plane_are_one():
         assert abs(reached @ n) == pytest.approx(1.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("reference", [(0.0, 0.0, -1.0), (1e-9, 0.0, -1.0), (1.0, 0.0, 0.0)])
-def test_minus_is_finite_at_the_south_pole_and_on_the_horizon(reference):
-    m = np.array(reference) / np.linalg.norm(reference)
-    for n in unit_vectors(np.random.default_rng(7), 100):
-        difference = sphere.minus(n, m)
-        assert np.isfinite(difference).all()
-        expected = np.arccos(min(abs(n @ m), 1.0))
-        assert np.linalg.norm(difference) == pytest.approx(expected, abs=1e-7)
-
-
 def test_change_of_tangent_is_the_derivative_of_the_difference():
     rng = np.random.default_rng(12)
     for of, to in zip(upward_normals(rng, 30, 1.4), upward_normals(rng, 30, 1.4), strict=True):
@@ -148,8 +108,3 @@ def test_change_of_tangent_is_the_derivative_of_the_difference():
             continue  # beyond a quarter turn the other name of the plane is nearer
         change = differentiated(lambda e, of=of, to=to: sphere.minus(sphere.plus(of, e), to), 2)
         np.testing.assert_allclose(sphere.tangent_change(of, to), change, atol=1e-7)
-
-
-def test_a_change_to_the_same_tangent_is_none():
-    for n in upward_normals(np.random.default_rng(13), 20):
-        np.testing.assert_allclose(sphere.tangent_change(n, n), np.eye(2), atol=1e-14)

@@ -8,9 +8,11 @@ from unittest import mock
 import numpy as np
 import pytest
 from core.builders import (
+    EXACT,
     configured,
     flat,
     lattice,
+    look,
     make_pose,
     mapped,
     pose_covariance,
@@ -28,16 +30,10 @@ def fixed(level: int, noise: float):
     return configured(domain={"min_level": level, "max_level": level}, lidar={"range_noise": noise})
 
 
-def seen_on_lattice(config, surface, per_side: int, covariance=None) -> CellMap:
+def seen_on_lattice(config, surface, per_side: int, covariance=EXACT) -> CellMap:
     """Noise-free look at points on a grid."""
-    pose = (
-        make_pose((8.0, 8.0, 4000.0))
-        if covariance is None
-        else make_pose((8.0, 8.0, 4000.0), covariance)
-    )
-    mapper = Mapper(config)
-    x, y = lattice(0.0, 0.0, 16.0, per_side)
-    mapper.update(scan(surface, x, y, pose, 0.0), pose)
+    mapper, pose = Mapper(config), make_pose((8.0, 8.0, 4000.0), covariance)
+    look(mapper, surface, *lattice(0.0, 0.0, 16.0, per_side), pose=pose)
     return mapper.snapshot()
 
 
@@ -74,41 +70,24 @@ def test_roughness_of_a_rock_is_independent_of_cell_size_and_density(level, per_
     assert np.delete(cells.roughness, at).max() < 1e-3 * expected
 
 
-def test_exceptions_are_the_share_of_points_beyond_the_tolerance():
-    """A block of half a metre covers 1/64 of a 4 m cell."""
+@pytest.mark.parametrize(
+    ("height", "tolerance", "share"),
+    [(1.0, 0.3, 1.0), (0.3 / (1.0 - 1.0 / 64.0), 0.3, 0.5), (0.2, 0.3, 0.0), (0.2, 0.1, 1.0)],
+)
+def test_exceptions_are_the_share_of_points_beyond_the_tolerance(height, tolerance, share):
+    """A block of half a metre covers 1/64 of a 4 m cell, and lifts the plane by 1/64 of its height.
 
-    def ground(x, y):
-        return 1.0 * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
-
-    cells = seen_on_lattice(fixed(2, 0.02), ground, 256)
-    at = np.argmin(np.hypot(cells.x - 2.0, cells.y - 2.0))
-    assert cells.exception_fraction[at] == pytest.approx(1.0 / 64.0, rel=0.02)
-    assert np.delete(cells.exception_fraction, at).max() < 1e-6
-
-
-def test_points_on_the_tolerance_count_half():
-    """xi is the mass of the residual's distribution outside: a half when it is centred there.
-
-    A cap on 1/64 of a cell lifts the plane by 1/64 of its height h; h (1 - 1/64) = 0.3.
+    xi is the mass of the residual's distribution outside: a half when it is centred there.
     """
-    height = 0.3 / (1.0 - 1.0 / 64.0)
 
     def ground(x, y):
         return height * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
 
-    cells = seen_on_lattice(fixed(2, 0.02), ground, 256)
+    with mock.patch.object(measure, "TOLERANCE", tolerance):
+        cells = seen_on_lattice(fixed(2, 0.01), ground, 256)
     at = np.argmin(np.hypot(cells.x - 2.0, cells.y - 2.0))
-    assert cells.exception_fraction[at] == pytest.approx(0.5 / 64.0, rel=0.03)
-
-
-def test_exceptions_are_beyond_the_tolerance():
-    def ground(x, y):
-        return 0.2 * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
-
-    for tolerance, share in ((0.3, 0.0), (0.1, 1.0 / 64.0)):
-        with mock.patch.object(measure, "TOLERANCE", tolerance):
-            cells = seen_on_lattice(fixed(2, 0.01), ground, 256)
-        assert cells.exception_fraction.max() == pytest.approx(share, abs=1e-4)
+    assert cells.exception_fraction[at] == pytest.approx(share / 64.0, rel=0.03, abs=1e-6)
+    assert np.delete(cells.exception_fraction, at).max() < 1e-6
 
 
 def test_pose_uncertainty_makes_no_exception_of_flat_ground():
@@ -148,36 +127,27 @@ def test_the_noise_floor_is_what_noise_makes_of_few_points():
 
 
 def test_exceptions_that_noise_makes_are_foreseen():
-    """Half the tolerance of 0.3 m is one deviation."""
-    leaves = mapped(fixed(4, 0.15), flat(), density=60.0, scans=5).leaves.rows
-    assert leaves.exception_sum.sum() == pytest.approx(leaves.exception_noise.sum(), rel=0.1)
+    """Of 0.3 m, the tolerance: on either side."""
+    leaves = mapped(fixed(4, 0.3), flat(), density=60.0, scans=5).leaves.rows
+    assert leaves.exception_sum.sum() == pytest.approx(leaves.exception_noise.sum(), rel=0.05)
 
 
-def test_the_noise_ratio_follows_by_a_tenth_a_scan():
-    config = fixed(3, 0.05)
-    rng, mapper, pose = np.random.default_rng(1), Mapper(config), make_pose((8.0, 8.0, 500.0))
+@pytest.mark.parametrize("per_cell", [12, 190])
+def test_the_noise_ratio_is_observed_over_configured_and_follows_by_a_tenth_a_scan(per_cell):
+    """Of few points a cell, too: three of their degrees of freedom went into the plane."""
+    rng, mapper = np.random.default_rng(1), Mapper(fixed(3, 0.05))
+    assert np.isnan(mapper.update(np.zeros((0, 3)), make_pose()).noise_ratio)
     for factor, expected in ((1.0, 1.0), (2.0, 1.1), (2.0, 1.19)):
-        x, y = scattered(rng, 0.0, 0.0, 16.0, 12_000)
-        report = mapper.update(scan(flat(), x, y, pose, 0.05 * factor, rng), pose)
-        assert report.noise_ratio == pytest.approx(expected, abs=0.03)
-
-
-def test_the_noise_ratio_knows_what_a_plane_takes():
-    """Twelve points a cell: three of their twelve degrees of freedom went into the plane."""
-    rng, mapper, pose = np.random.default_rng(15), Mapper(fixed(4, 0.05)), make_pose()
-    for _ in range(10):
-        x, y = scattered(rng, 0.0, 0.0, 16.0, 12 * 256)
-        report = mapper.update(scan(flat(), x, y, pose, 0.05, rng), pose)
-    assert report.noise_ratio == pytest.approx(1.0, abs=0.06)
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 64 * per_cell)
+        found = look(mapper, flat(), x, y, rng, 0.05 * factor).noise_ratio
+        assert found == pytest.approx(expected, abs=0.03 + 0.4 / per_cell)
 
 
 def test_a_scan_that_divides_cells_tells_the_noise_once():
     """A stepped map divides to the finest level; each point counts where it came to rest."""
-    config = configured(lidar={"range_noise": 0.05})
-    rng, mapper, pose = np.random.default_rng(16), Mapper(config), make_pose()
+    rng, mapper = np.random.default_rng(16), Mapper(configured(lidar={"range_noise": 0.05}))
     for _ in range(5):
-        x, y = scattered(rng, 0.0, 0.0, 16.0, 30_000)
-        points = scan(lambda x, y: 0.5 * (x > 5.1), x, y, pose, 0.05, rng)
-        report = mapper.update(points, pose)
+        places = scattered(rng, 0.0, 0.0, 16.0, 30_000)
+        report = look(mapper, lambda x, y: 0.5 * (x > 5.1), *places, rng, 0.05)
     assert report.leaves > 16
     assert report.noise_ratio == pytest.approx(1.0, abs=0.05)

@@ -518,6 +518,13 @@ def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
     return np.array(c).reshape(3, 3)
 
 
+def height_variance(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> cython.double:
+    """`offset_variance` of a plane's covariance (3, 3) at a place delta (3,), m, away: m^2."""
+    c: cython.double[9] = covariance.ravel()  # type: ignore[valid-type]
+    first, second = np.asarray(delta) @ tangent_basis(normal)
+    return offset_variance(c, first, second)
+
+
 def fused(
     prior: tuple[Array, float, Array, Array],
     other: tuple[Array, float, Array, Array],
