@@ -16,11 +16,13 @@ from core.builders import (
     make_pose,
     mapped,
     pose_covariance,
+    scan,
     scattered,
     slope,
 )
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 INDEPENDENT = {"correlation_time": 0.0}
 POSE = make_pose(ABOVE, pose_covariance(0.1, 1e-9))

@@ -360,3 +360,26 @@ def test_parts_of_a_leaf_that_were_never_seen_leave_its_height_uncertain():
     leaf = mapper.leaves.rows[mapper.leaves.in_order()[at]]
     # Beside what either view says of itself.
     assert cells.covariance_range[at, 2, 2] - leaf.range_part[8] > 0.1**2
+
+
+@pytest.mark.parametrize("ray", [(0.8, 0.0, -0.6), (0.0, -0.8, -0.6)])
+@pytest.mark.parametrize("error", [-0.012, 0.012])
+def test_the_place_of_a_strip_is_where_its_rays_meet_the_known_plane(ray, error):
+    """Ranges of a thin strip that all err alike move it along the rays; a known z tells by how much."""
+    along = np.linspace(-0.9, 0.9, 40)
+    away = np.array(ray) * 100.0
+    exact = np.zeros((40, 3))
+    exact[:, 0 if ray[1] else 1] = along
+    exact += away + 0.004 * np.random.default_rng(3).standard_normal((40, 1)) * np.array(ray)
+    exact[:, 2] = away[2]
+    wrong = exact * (1.0 + error / np.linalg.norm(exact, axis=1, keepdims=True))
+    centre = away[:2] - 0.8 * np.array(ray[:2])
+    of = rules(noise=0.03)
+
+    def part(points: np.ndarray, z: float) -> np.ndarray:
+        run = fit(of, points, *centre, 2.0, UP, NO_POSE, z)[0]
+        assert run.sloped == 0.0
+        return run.range_part
+
+    true, known, unknown = part(exact, away[2]), part(wrong, away[2]), part(wrong, np.nan)
+    assert np.abs(known - true).max() < 0.3 * np.abs(unknown - true).max()

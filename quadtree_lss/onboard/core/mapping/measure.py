@@ -372,11 +372,12 @@ def fit(
     side: float,
     prior: ArrayLike,
     sigma: Array,
+    z: float = nan,
 ) -> np.recarray[tuple[int], np.dtype[np.void]]:
     """`measure` of all points (N, 3) and one cell: a record of type `RUN`."""
     normal: cython.double[3] = prior  # type: ignore[valid-type]
     runs = np.zeros(1, dtype=RUN).view(np.recarray)
-    measure(rules, points, 0, len(points), x, y, nan, side, normal, sigma, record(runs, 0))
+    measure(rules, points, 0, len(points), x, y, z, side, normal, sigma, record(runs, 0))
     return runs
 
 
