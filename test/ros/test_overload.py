@@ -14,8 +14,8 @@ from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
-from quadtree_lss.onboard.nodes.overload import LEAST_S, SHARE, Overload, allowance
-from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.nodes.losses import LEAST_S, SHARE, Overload, allowance
 from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_faults")

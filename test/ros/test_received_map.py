@@ -12,9 +12,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ros_vehicle import Vehicle, flat_map
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.nodes.messages import map_messages
-from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
+from quadtree_lss.onboard.nodes.ros_messages import map_messages
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 
