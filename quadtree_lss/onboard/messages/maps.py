@@ -62,8 +62,8 @@ CELL_FIELDS: tuple[tuple[str, str], ...] = (
 #: Of recordings from before a map told bounds.
 CELL_FIELDS_BEFORE = CELL_FIELDS[:-2]
 
-#: Values of ``map/observed``.
-MAPPED, UNMAPPED, UNSEEN = 100, 50, -1
+#: Values of ``map/observed``: mapped, seen but not yet mapped, no point fell there.
+KNOWN, SEEN, NOT_SEEN = 100, 50, -1
 
 #: Fields of a ``landing/site_table`` point.
 SITE_FIELDS: tuple[tuple[str, str], ...] = (
@@ -309,15 +309,15 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
 
 def encode_observed(observed: Mask, known: Mask) -> NDArray[np.int8]:
     """OccupancyGrid values of ``map/observed``: 100 mapped, 50 seen, not yet mapped, -1 unseen."""
-    out = np.where(observed, np.int8(UNMAPPED), np.int8(UNSEEN))
-    out[observed & known] = MAPPED
+    out = np.where(observed, np.int8(SEEN), np.int8(NOT_SEEN))
+    out[observed & known] = KNOWN
     return out
 
 
 def decode_observed(values: NDArray[np.int8]) -> tuple[Mask, Mask]:
     """Where a point fell, and where it may be part of the map; recordings from before told both
     alike."""
-    return values > 0, values > UNMAPPED
+    return values > 0, values > SEEN
 
 
 _HAZARD_VALUES = np.tile(np.array([0, *[100] * 0x3F], dtype=np.int8), 4)
