@@ -115,7 +115,7 @@ def write_script(seed: int, config_name: str = "morpheus") -> Script:
         path = Path(folder) / "bag"
         simulate("morpheus", path, seed=seed)
         scans: list[tuple[int, bytearray]] = []
-        intake = Intake(configuration(config_name, pose__buffer=3600.0))
+        intake = Intake(configuration(config_name))
         with Bag(path) as bag:
             for message in bag.messages([SCAN_TOPIC, POSE_TOPIC], bag.start_ns, bag.end_ns + 1):
                 if message.topic == SCAN_TOPIC:

@@ -16,8 +16,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from quadtree_lss.lab.live.listener import Listener
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, BagRecorder, Messages
-from quadtree_lss.onboard.nodes.messages import header_message
 from quadtree_lss.onboard.nodes.qos import stream
+from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 START_NS = 1_700_000_000_000_000_000
 SCAN_NS, POSE_NS = 100_000_000, 37_000_000

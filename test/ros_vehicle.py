@@ -15,8 +15,8 @@ from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.clouds import stamp_ns
-from quadtree_lss.onboard.nodes.messages import map_messages
 from quadtree_lss.onboard.nodes.qos import latched
+from quadtree_lss.onboard.nodes.ros_messages import map_messages
 
 
 def flat_map():

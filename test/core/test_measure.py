@@ -365,7 +365,7 @@ def test_parts_of_a_leaf_that_were_never_seen_leave_its_height_uncertain():
 @pytest.mark.parametrize("ray", [(0.8, 0.0, -0.6), (0.0, -0.8, -0.6)])
 @pytest.mark.parametrize("error", [-0.012, 0.012])
 def test_the_place_of_a_strip_is_where_its_rays_meet_the_known_plane(ray, error):
-    """Ranges of a thin strip that all err alike move it along the rays; a known z tells by how much."""
+    """Ranges of a thin strip that all err alike move it along the rays; a known z says how far."""
     along = np.linspace(-0.9, 0.9, 40)
     away = np.array(ray) * 100.0
     exact = np.zeros((40, 3))

@@ -16,7 +16,7 @@ from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import maps
-from quadtree_lss.onboard.messages.maps import MapMessageError
+from quadtree_lss.onboard.messages.clouds import MessageError
 
 EXACT = ("level", "ix", "iy", "z", "normal", "count", "measured", "observed", "known")
 EXACT += ("low", "high")
@@ -119,7 +119,7 @@ def test_x_y_z_show_the_cells_centre(cells):
     ],
 )
 def test_missing_and_surplus_leaves_are_refused(cells, damage, reason):
-    with pytest.raises(MapMessageError) as caught:
+    with pytest.raises(MessageError) as caught:
         decoded(damage(maps.encode_cells(cells)), cells)
     assert caught.value.reason == reason
     assert "\n" not in str(caught.value)
@@ -127,7 +127,7 @@ def test_missing_and_surplus_leaves_are_refused(cells, damage, reason):
 
 @pytest.mark.parametrize("shape", [(63, 63), (64, 32), (32, 64), (0, 0), (48, 48)])
 def test_observed_must_be_a_square_power_of_two(cells, shape):
-    with pytest.raises(MapMessageError) as caught:
+    with pytest.raises(MessageError) as caught:
         maps.decode_cells(maps.encode_cells(cells), np.zeros(shape, dtype=bool), 0.0, 0.0, 1)
     assert caught.value.reason == "observed_shape"
 
@@ -136,7 +136,7 @@ def test_observed_must_be_a_square_power_of_two(cells, shape):
 def test_leaves_beyond_the_domain_are_refused(cells, name):
     records = maps.encode_cells(cells)
     records[name][3] = 200
-    with pytest.raises(MapMessageError):
+    with pytest.raises(MessageError):
         decoded(records, cells)
 
 
@@ -147,13 +147,13 @@ def test_two_leaves_on_one_place_are_refused(cells):
     first, second = np.flatnonzero(level == level[0])[:2]
     for key in ("ix", "iy"):
         records[key][second] = records[key][first]
-    with pytest.raises(MapMessageError):
+    with pytest.raises(MessageError):
         decoded(records, cells)
 
 
 def test_a_finer_observed_grid_than_the_leaves_is_another_maximum_level(cells):
     coarse = np.zeros((16, 16), dtype=bool)
-    with pytest.raises(MapMessageError):
+    with pytest.raises(MessageError):
         maps.decode_cells(maps.encode_cells(cells), coarse, 0.0, 0.0, 1)
 
 
@@ -178,7 +178,7 @@ def test_impossible_values_are_refused(cells, name, value):
     """A measured leaf needs a finite, upward plane, or unsafe ground would pass for safe."""
     records = maps.encode_cells(cells)
     records[name] = value
-    with pytest.raises(MapMessageError) as caught:
+    with pytest.raises(MessageError) as caught:
         decoded(records, cells)
     assert "\n" not in str(caught.value)
 
@@ -240,7 +240,7 @@ def test_maps_from_before_are_known_where_they_were_measured_and_have_no_bounds(
 def test_bounds_that_none_can_be_are_refused(cells, low, high):
     records = maps.encode_cells(cells)
     records["low"][4], records["high"][4] = low, high
-    with pytest.raises(MapMessageError, match="bounds") as caught:
+    with pytest.raises(MessageError, match="bounds") as caught:
         decoded(records, cells)
     assert caught.value.reason == "values"
 
@@ -280,7 +280,7 @@ def test_a_map_of_another_scale_is_refused_before_anything_is_made_of_it(cells):
     records = maps.encode_cells(cells)
     records["size"] *= 12_000.0 / cells.domain.size
     tracemalloc.start()
-    with pytest.raises(maps.MapMessageError, match="grid points a side") as caught:
+    with pytest.raises(maps.MessageError, match="grid points a side") as caught:
         maps.decode_cells(records, cells.observed, 0.0, 0.0, 1, LssConfig())
     assert tracemalloc.get_traced_memory()[1] < 1e7
     tracemalloc.stop()
@@ -293,6 +293,6 @@ def test_a_map_of_too_many_finest_cells_is_refused():
     records = np.zeros(1, dtype=maps.record_dtype(maps.CELL_FIELDS))
     records["size"] = 100.0
     observed = np.broadcast_to(np.zeros((), dtype=bool), (n, n))
-    with pytest.raises(maps.MapMessageError, match="the most") as caught:
+    with pytest.raises(maps.MessageError, match="the most") as caught:
         maps.decode_cells(records, observed, 0.0, 0.0, 1)
     assert caught.value.reason == "too_large"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from quadtree_lss.onboard.config.documentation import parameter_table
+from quadtree_lss.desk.commands.explained import parameter_table
 from quadtree_lss.onboard.config.settings import parameters
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "parameters.md"
@@ -13,7 +13,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "parameters.md"
 
 def test_the_document_is_up_to_date():
     written = DOCUMENT.read_text(encoding="utf-8")
-    remedy = "python -m quadtree_lss.onboard.config.documentation > docs/parameters.md"
+    remedy = "python -m quadtree_lss.desk.commands.explained > docs/parameters.md"
     assert written == parameter_table(), f"docs/parameters.md is stale: {remedy}"
 
 

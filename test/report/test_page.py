@@ -17,6 +17,7 @@ from quadtree_lss.desk.report.content import read
 from quadtree_lss.desk.report.figures import hazard_figure
 from quadtree_lss.desk.report.report import page
 from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 
 CONFIG = config_from_values(GROUND)
 
@@ -150,7 +151,7 @@ def test_history_tells_at_what_time_ground_is_seen(result, text, content):
     history = found.data["history"]
     changes = found.column(history["seen"]).reshape(len(history["seconds"]), -1)
     rows = np.unpackbits(np.bitwise_xor.accumulate(changes), axis=1)
-    seen = found.column(found.data["grid"]["hazard"]) & palette.UNSEEN == 0
+    seen = found.column(found.data["grid"]["hazard"]) & UNSEEN == 0
     np.testing.assert_array_equal(rows[-1, : len(seen)], seen)
     every = np.unpackbits(content.history["seen"], axis=1, count=len(seen))
     assert len(np.unique(rows[:, : len(seen)].sum(axis=1))) > 1

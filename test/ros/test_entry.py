@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from quadtree_lss.onboard.nodes import entry
-from quadtree_lss.onboard.nodes.map_stamps import MapStamps
+from quadtree_lss.onboard.nodes.publishing import MapStamps
 
 pytestmark = pytest.mark.xdist_group("ros")
 

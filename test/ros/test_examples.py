@@ -17,8 +17,8 @@ from ros_scene import pose
 from sensor_msgs.msg import NavSatFix
 
 from quadtree_lss.onboard.core.geometry.rotations import exp, rotation_from_quaternion
-from quadtree_lss.onboard.nodes.messages import header_message
 from quadtree_lss.onboard.nodes.qos import latched
+from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 pytestmark = pytest.mark.xdist_group("ros")
 FOLDER = SHARE / "examples"

@@ -15,8 +15,7 @@ from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
 from quadtree_lss.lab.live.processes import local_domain
-from quadtree_lss.onboard.nodes.executor import OneNodeExecutor
-from quadtree_lss.onboard.nodes.inputs import WhenWanted
+from quadtree_lss.onboard.nodes.executor import OneNodeExecutor, WhenWanted
 from quadtree_lss.onboard.nodes.qos import stream, subscribe
 
 pytestmark = pytest.mark.xdist_group("ros_executor")

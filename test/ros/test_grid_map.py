@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.onboard.nodes.messages import GridMap, message_maker
+from quadtree_lss.onboard.nodes.ros_messages import GridMap, message_maker
 
 
 def test_a_layer_is_a_float_array_of_ros():
@@ -25,10 +25,10 @@ def test_the_message_can_be_serialised():
     from quadtree_lss.onboard.core.landing.assessment import nothing_mapped
     from quadtree_lss.onboard.core.landing.target import Reason
     from quadtree_lss.onboard.core.mapping.mapper import Mapper
-    from quadtree_lss.onboard.nodes.messages import grid_map_message
 
     axis = np.arange(4.0)
     cells = Mapper(Config()).snapshot()
-    message = grid_map_message(nothing_mapped(cells, 1, Reason.NOTHING_MAPPED, axis, axis), "map")
+    nothing = nothing_mapped(cells, 1, Reason.NOTHING_MAPPED, axis, axis)
+    message = message_maker("map").grid_map(nothing)
     again = deserialize_message(serialize_message(message), GridMap)
     assert again.layers == message.layers and again.info.length_x == 4.0

@@ -27,9 +27,9 @@ from quadtree_lss.onboard.messages.landing_inputs import (
 )
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS
 from quadtree_lss.onboard.messages.outputs import cloud_records
-from quadtree_lss.onboard.nodes.landing_inputs import JOIN_S, UNHEARD_S
-from quadtree_lss.onboard.nodes.messages import header_message, map_messages
+from quadtree_lss.onboard.nodes.landing_topics import JOIN_S, UNHEARD_S
 from quadtree_lss.onboard.nodes.qos import latched
+from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 

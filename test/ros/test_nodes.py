@@ -20,7 +20,7 @@ from quadtree_lss.lab.live.demo import cell_differences, read_csv, run_live, sit
 from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.lab.live.processes import program
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS
-from quadtree_lss.onboard.nodes.messages import cloud_records, map_from_messages
+from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
 from quadtree_lss.onboard.nodes.node_runner import WRONG_CONFIGURATION
 
 pytestmark = pytest.mark.xdist_group("ros")

@@ -15,9 +15,9 @@ from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
-from quadtree_lss.onboard.nodes import overload as overload_of_scans
-from quadtree_lss.onboard.nodes.overload import CALM_S, LEAST_S, SHARE, Overload, allowance
-from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes import losses
+from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.nodes.losses import CALM_S, LEAST_S, SHARE, Overload, allowance
 from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
@@ -60,7 +60,7 @@ def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
         return EPOCH_NS - round(1e9 * waited)
 
     clock = SimpleNamespace(time_ns=lambda: EPOCH_NS, monotonic=lambda: clock.now, now=100.0)
-    monkeypatch.setattr(overload_of_scans, "time", clock)
+    monkeypatch.setattr(losses, "time", clock)
     config, busy = load_config(), 50.0
     limit = allowance(config, busy)
     overload = Overload("scans", Problems(Log()))

@@ -13,10 +13,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ros_vehicle import Vehicle, flat_map
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.nodes import monitor
-from quadtree_lss.onboard.nodes.messages import map_messages
-from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes import diagnostics
+from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
+from quadtree_lss.onboard.nodes.ros_messages import map_messages
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 
@@ -61,7 +61,7 @@ def test_a_refused_map_does_not_make_the_one_before_younger(cells):
 
 def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells, monkeypatch):
     clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
-    monkeypatch.setattr(monitor, "time", clock)
+    monkeypatch.setattr(diagnostics, "time", clock)
     received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     give(received, cells)
     give(received, cells)

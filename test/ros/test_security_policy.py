@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 from quadtree_lss.lab.live.processes import program
-from quadtree_lss.onboard.nodes.messages import GridMap
+from quadtree_lss.onboard.nodes.ros_messages import GridMap
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 

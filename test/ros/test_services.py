@@ -16,8 +16,9 @@ from ros.conftest import status_values
 from ros_scene import Sensors
 
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS
-from quadtree_lss.onboard.nodes.messages import cloud_records, header_message
+from quadtree_lss.onboard.messages.outputs import cloud_records
 from quadtree_lss.onboard.nodes.qos import latched, stream
+from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 pytestmark = pytest.mark.xdist_group("ros_services")
 

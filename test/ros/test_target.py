@@ -17,8 +17,9 @@ from sensor_msgs.msg import PointCloud2
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS, STATUS_FIELDS
-from quadtree_lss.onboard.nodes.messages import cloud_records, header_message
+from quadtree_lss.onboard.messages.outputs import cloud_records
 from quadtree_lss.onboard.nodes.qos import latched, target
+from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 pytestmark = pytest.mark.xdist_group("ros_target")
 

@@ -18,13 +18,15 @@ from quadtree_lss.desk.commands.common import (
 )
 from quadtree_lss.desk.commands.completion import completed, names_of_action
 from quadtree_lss.desk.commands.console import ProgressBar, show, warn
-from quadtree_lss.onboard.config.loading import (
+from quadtree_lss.desk.commands.explained import (
     check_files,
-    dump_config,
     explain,
     explain_text,
-    load_config,
     parameter_as_dict,
+)
+from quadtree_lss.onboard.config.loading import (
+    dump_config,
+    load_config,
 )
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import values_from_config

@@ -19,8 +19,8 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from quadtree_lss.onboard.nodes.messages import time_message
 from quadtree_lss.onboard.nodes.qos import stream
+from quadtree_lss.onboard.nodes.ros_messages import time_message
 
 SECOND_NS = 1_000_000_000
 PERIOD_S = 0.02

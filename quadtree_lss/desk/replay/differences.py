@@ -12,8 +12,8 @@ import numpy as np
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_json
 from quadtree_lss.desk.replay.results import Grid, Results, ResultsError, load_results
 from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
-UNMAPPED, UNSEEN = 64, 128
 HAZARDS = {1: "slope", 2: "elevation", 4: "exception", 8: "touchdown"}
 HAZARDS |= {UNMAPPED: "seen, not yet mapped", UNSEEN: "unseen"}
 SIGMAS = 3.0

@@ -17,9 +17,8 @@ from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
 from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
+from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED, UNSEEN
 from quadtree_lss.onboard.core.landing.raster import rasterise
-
-IDENTIFIED, UNSEEN = 0x3F, 128
 
 
 def export_results(

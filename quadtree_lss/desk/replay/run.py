@@ -20,9 +20,9 @@ from quadtree_lss.onboard.core.mapping.pose_errors import LEAST
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
 from quadtree_lss.onboard.messages.lost_points import MAP_OVERRULED, likely_reason, overruled_text
-from quadtree_lss.onboard.messages.maps import MapMessageError
 
 if TYPE_CHECKING:
     from quadtree_lss.desk.replay.history import History
@@ -117,7 +117,7 @@ class Run:
         for message in self._messages(bag, pairs.topics, stream):
             try:
                 found = pairs.take(bag, message, self.config.lss)
-            except MapMessageError as error:
+            except MessageError as error:
                 self._tell(f"map_{error.reason}", str(error))
                 found = None
             if found is not None:

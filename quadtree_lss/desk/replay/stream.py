@@ -26,7 +26,6 @@ from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.intake import Intake, Notice
 from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
-from quadtree_lss.onboard.messages.maps import MapMessageError
 from quadtree_lss.onboard.messages.outputs import (
     CELLS,
     GRID_TYPE,
@@ -258,17 +257,14 @@ class MapPairs:
             lss: How landing will be judged on the map, None if it will not.
 
         Raises:
-            MapMessageError: a message is not what ``mapping_node`` sends.
+            MessageError: a message is not what ``mapping_node`` sends.
         """
         kind = SCAN_TYPE if message.topic == self.topics[0] else GRID_TYPE
-        try:
-            self._held[message.topic] = bag.decode(message.raw, kind)
-            cells, observed = (self._held.get(topic) for topic in self.topics)
-            if cells is None or observed is None:
-                return None
-            if stamp_ns(cells.header) != stamp_ns(observed.header):
-                return None
-        except MessageError as error:
-            raise MapMessageError(error.reason, str(error)) from None
+        self._held[message.topic] = bag.decode(message.raw, kind)
+        cells, observed = (self._held.get(topic) for topic in self.topics)
+        if cells is None or observed is None:
+            return None
+        if stamp_ns(cells.header) != stamp_ns(observed.header):
+            return None
         self._held.clear()
         return map_from_messages(cells, observed, lss)

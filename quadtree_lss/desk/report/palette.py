@@ -8,9 +8,10 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.config.sections import LssConfig
+from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
-UNSEEN, UNSEEN_COLOUR = 128, "#bbbbbb"
-UNMAPPED, UNMAPPED_NAME, UNMAPPED_COLOUR = 64, "seen, not yet mapped", "#8c8ca6"
+UNSEEN_COLOUR = "#bbbbbb"
+UNMAPPED_NAME, UNMAPPED_COLOUR = "seen, not yet mapped", "#8c8ca6"
 UNKNOWN = UNSEEN | UNMAPPED
 # Bit, name and colour of hazards, the first that applies is drawn.
 HAZARDS = (

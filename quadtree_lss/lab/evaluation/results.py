@@ -23,12 +23,9 @@ from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
 from quadtree_lss.lab.simulation.terrain import bilinear
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.geometry.bounds import bounded
+from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import QuadtreeLssError
-
-UNMAPPED, UNSEEN = 64, 128
-"""Bits of ``grid.npz`` ``hazard`` for ground that is not known; what was seen but is not yet mapped
-has both."""
 
 _CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measured", "domain")
 _CELLS_EXTRA = ("observed", "low", "high")

@@ -34,7 +34,7 @@ from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS
-from quadtree_lss.onboard.nodes.messages import cloud_records, map_from_messages
+from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
 
 SITE_TOLERANCE = 1e-6
 """Relative; ``landing/site_table`` carries float32, ``sites.csv`` float64."""

@@ -27,8 +27,8 @@ from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.loading import dump_config
-from quadtree_lss.onboard.nodes.messages import TYPES, packed, time_message
 from quadtree_lss.onboard.nodes.qos import latched, stream
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
 KINDS = {
     "nav/pose": PoseWithCovarianceStamped,

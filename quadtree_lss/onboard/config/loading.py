@@ -13,15 +13,12 @@ other, the later wins.
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
-import math
 import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import yaml
@@ -32,10 +29,8 @@ from quadtree_lss.onboard.config.settings import (
     Parameter,
     checked_values,
     config_from_values,
-    contradictions,
     flatten,
     parameters,
-    unknown_parameter,
     values_from_config,
 )
 from quadtree_lss.onboard.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
@@ -223,74 +218,12 @@ def dump_values(values: Mapping[str, object], comments: Mapping[str, str]) -> st
             lines.append(f"    {section}:")
         if row.name in comments:
             lines.append(f"      # {comments[row.name]}")
-        lines.append(f"      {name}: {_scalar(values[row.name])}")
+        lines.append(f"      {name}: {scalar_text(values[row.name])}")
     return "\n".join(lines) + "\n"
 
 
-def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, list[str]]:
-    """Each file by itself over the defaults: all that is wrong with it, a line each."""
-    return {str(path): _errors_of(path) for path in paths}
-
-
-def _errors_of(path: str | os.PathLike[str]) -> list[str]:
-    errors: list[str] = []
-    try:
-        found = find_config(path)
-        values = read_values(found, errors)
-    except ConfigError as error:
-        return [str(error).removeprefix(f"{path}: ")]
-    sound = checked_values(values, errors)
-    sections = {
-        item.name: dataclasses.replace(getattr(Config(), item.name), **sound.get(item.name, {}))
-        for item in dataclasses.fields(Config)
-    }
-    return errors + list(contradictions(SimpleNamespace(**sections)))
-
-
-def explain(name: str) -> list[Parameter]:
-    """The parameter of that name, or all of the section of that name.
-
-    Raises:
-        ConfigError: there is none; names the nearest.
-    """
-    table = parameters()
-    rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
-    if not rows:
-        sections = sorted({row.name.partition(".")[0] for row in table})
-        msg = f"{unknown_parameter(name)} (sections: {', '.join(sections)})"
-        raise ConfigError(msg)
-    return rows
-
-
-def explain_text(row: Parameter) -> str:
-    """One parameter for people."""
-    unit = f" {row.unit}" if row.unit else ""
-    lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
-    lines.append(f"  default  {_scalar(row.default)}{unit}")
-    if row.choices:
-        lines.append(f"  choices  {', '.join(row.choices)}")
-    elif row.type in (int, float):
-        lines.append(f"  range    {row.low:g} .. {row.high:g}{unit}")
-    lines.append(f"  running  {'may be set on a running node' if row.live else 'read at start'}")
-    return "\n".join(lines)
-
-
-def parameter_as_dict(row: Parameter) -> dict[str, object]:
-    """One parameter in JSON's types; limits that are infinite are None."""
-    numeric = row.type in (int, float)
-    return {
-        "type": row.type.__name__,
-        "default": row.default,
-        "unit": row.unit,
-        "low": row.low if numeric and math.isfinite(row.low) else None,
-        "high": row.high if numeric and math.isfinite(row.high) else None,
-        "choices": list(row.choices),
-        "live": row.live,
-        "doc": row.doc,
-    }
-
-
-def _scalar(value: object) -> str:
+def scalar_text(value: object) -> str:
+    """A value as YAML has it."""
     text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
     return text.removesuffix("\n").removesuffix("\n...")
 

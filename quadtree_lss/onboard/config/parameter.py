@@ -74,7 +74,7 @@ def checked_value(row: Parameter, value: object) -> Value:
     if not isinstance(value, kinds[row.type]) or (row.type is not bool and isinstance(value, bool)):
         msg = f"{row.name} must be {row.type.__name__}, got {value!r}"
         raise ConfigError(msg)
-    checked: Value = row.type(value)
+    checked = row.type(value)
     if row.type in (int, float) and not (math.isfinite(checked) and row.low <= checked <= row.high):
         unit = f" {row.unit}" if row.unit else ""
         msg = f"{row.name} = {checked} is outside [{row.low:g}, {row.high:g}]{unit}"
@@ -82,4 +82,4 @@ def checked_value(row: Parameter, value: object) -> Value:
     if row.choices and checked not in row.choices:
         msg = f"{row.name} = {checked!r} is not one of {', '.join(row.choices)}"
         raise ConfigError(msg)
-    return checked
+    return checked  # type: ignore[no-any-return]

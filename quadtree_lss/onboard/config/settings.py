@@ -88,7 +88,7 @@ def parameters() -> tuple[Parameter, ...]:
         Parameter(
             name=f"{section.name}.{item.name}",
             type=_TYPES[str(item.type)],
-            default=item.default,
+            default=item.default,  # type: ignore[arg-type]
             **item.metadata,
         )
         for section in dataclasses.fields(Config)

@@ -304,27 +304,22 @@ def pose_notices(errors: PoseErrors | None, config: Config) -> list[Notice]:
     if errors is None:
         return []
     time, seen, size = config.pose.correlation_time, errors.seen, errors.size
-    found = []
-    if errors.white:
-        text = (
-            f"poses look white: heights jump from scan to scan by errors of {seen:.2g} m, where"
-            f" pose.correlation_time {time:g} s allows {errors.claimed:.2g} m;"
-            f" correlation_time 0 would say {errors.white_says:.2g} m of the map's height instead"
-            f" of {errors.map_says:.2g}"
-        )
-        found.append(Notice("pose_white", text))
-    if errors.persist:
-        text = (
-            f"pose errors persist, or are smaller than claimed: heights jump from scan to scan by"
-            f" {seen:.2g} m, where white errors (pose.correlation_time {time:g} s) of {size:.2g} m"
-            f" are claimed; if they persist, the map's height may be off by {size:.2g} m, not"
-            f" {errors.map_says:.2g}"
-        )
-        found.append(Notice("pose_persist", text))
-    if errors.too_small:
-        text = (
-            f"poses err by more than they claim: heights jump from scan to scan by errors of"
-            f" {seen:.2g} m, where their covariance says {size:.2g} m"
-        )
-        found.append(Notice("pose_covariance", text))
-    return found
+    jumps = f"heights jump from scan to scan by errors of {seen:.2g} m"
+    white = (
+        f"poses look white: {jumps}, where pose.correlation_time {time:g} s allows"
+        f" {errors.claimed:.2g} m; correlation_time 0 would say {errors.white_says:.2g} m of the"
+        f" map's height instead of {errors.map_says:.2g}"
+    )
+    persist = (
+        f"pose errors persist, or are smaller than claimed: heights jump from scan to scan by"
+        f" {seen:.2g} m, where white errors (pose.correlation_time {time:g} s) of {size:.2g} m"
+        f" are claimed; if they persist, the map's height may be off by {size:.2g} m, not"
+        f" {errors.map_says:.2g}"
+    )
+    small = f"poses err by more than they claim: {jumps}, where their covariance says {size:.2g} m"
+    found = (
+        (errors.white, Notice("pose_white", white)),
+        (errors.persist, Notice("pose_persist", persist)),
+        (errors.too_small, Notice("pose_covariance", small)),
+    )
+    return [notice for holds, notice in found if holds]

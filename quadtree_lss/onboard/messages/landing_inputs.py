@@ -100,21 +100,28 @@ DECODE = {
 
 
 class LandingWishes:
-    """What was asked for last, as `assess` takes it; offline, where messages come in their order.
+    """What was asked for last, as `assess` takes it.
 
-    As in `lss_node`: no site while the last area or keep-out cannot be used; of a target that
-    cannot be used the one before holds.
+    An area or a keep-out that was sent and cannot be used could be anywhere: no site may be given
+    out then. Of a target or dispersion that cannot be used the one before holds; it only makes
+    sites better.
 
     Args:
-        frame: Of the map.
+        frame: Of the map; None as long as it is not known: any frame will do.
         fixed: Values (V, 2), (2,) or None by name that no message changes.
+
+    Attributes:
+        values: What holds by name, None if nothing was asked for.
+        unusable: Why the last message of a name cannot be used, where it cannot.
+        heard: The last message by name.
     """
 
-    def __init__(self, frame: str, fixed: dict[str, Array | None] | None = None) -> None:
+    def __init__(self, frame: str | None, fixed: dict[str, Array | None] | None = None) -> None:
         self._frame = frame
         self.fixed = dict(fixed or {})
-        self._values: dict[str, Array | None] = dict.fromkeys(TYPES) | self.fixed
-        self._unusable: dict[str, str] = {}
+        self.values: dict[str, Array | None] = dict.fromkeys(TYPES) | self.fixed
+        self.unusable: dict[str, str] = {}
+        self.heard: dict[str, Any] = {}
 
     def take(self, name: str, msg: Any) -> None:
         """A message of the topic ``landing/`` and this name.
@@ -124,23 +131,44 @@ class LandingWishes:
         """
         if name in self.fixed:
             return
-        self._unusable.pop(name, None)
+        self.heard[name] = msg
+        self.unusable.pop(name, None)
+        frame = msg.header.frame_id if self._frame is None else self._frame
         try:
-            self._values[name] = DECODE[name](msg, self._frame)
+            self.values[name] = DECODE[name](msg, frame)
         except MessageError as error:
             self.refuse(name, error)
             raise
 
+    def use_frame(self, frame: str) -> dict[str, MessageError]:
+        """The map is in this frame: what was heard counts for it or not; what is wrong, by name."""
+        wrong: dict[str, MessageError] = {}
+        if frame != self._frame:
+            self._frame = frame
+            for name, msg in self.heard.items():
+                self.values[name] = None
+                try:
+                    self.take(name, msg)
+                except MessageError as error:
+                    wrong[name] = error
+        return wrong
+
     def refuse(self, name: str, error: MessageError) -> None:
         """A message of this name cannot be used."""
-        if name in BINDING and name not in self.fixed:
-            self._values[name] = None
-            self._unusable[name] = f"landing/{name} cannot be used: {error}"
+        if name not in self.fixed:
+            self.unusable[name] = f"landing/{name} cannot be used: {error}"
+            if name in BINDING:
+                self.values[name] = None
+
+    @property
+    def withheld(self) -> str:
+        """Why no site may be given out, empty if nothing speaks against it."""
+        return "; ".join(self.unusable[name] for name in BINDING if name in self.unusable)
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of ``LandingSiteSelector.assess``."""
-        return {**self._values, "withheld": "; ".join(self._unusable.values())}
+        return {**self.values, "withheld": self.withheld}
 
     def as_lists(self) -> dict[str, Any]:
         """Those that hold, for a summary."""
-        return {name: v.tolist() for name, v in self._values.items() if v is not None}
+        return {name: v.tolist() for name, v in self.values.items() if v is not None}

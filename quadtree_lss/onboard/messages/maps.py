@@ -20,18 +20,10 @@ from quadtree_lss.onboard.core.geometry.bounds import bounded
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
-from quadtree_lss.onboard.errors import QuadtreeLssError
+from quadtree_lss.onboard.messages.clouds import MessageError
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
     from quadtree_lss.onboard.core.landing.sites import LandingAssessment
-
-
-class MapMessageError(QuadtreeLssError):
-    """A map message is not what ``mapping_node`` sends; ``reason`` is a short key."""
-
-    def __init__(self, reason: str, text: str) -> None:
-        super().__init__(text)
-        self.reason = reason
 
 
 #: sensor_msgs/PointField datatype of a NumPy scalar type.
@@ -70,8 +62,8 @@ CELL_FIELDS: tuple[tuple[str, str], ...] = (
 #: Of recordings from before a map told bounds.
 CELL_FIELDS_BEFORE = CELL_FIELDS[:-2]
 
-#: Values of ``map/observed``.
-MAPPED, UNMAPPED, UNSEEN = 100, 50, -1
+#: Values of ``map/observed``: mapped, seen but not yet mapped, no point fell there.
+KNOWN, SEEN, NOT_SEEN = 100, 50, -1
 
 #: Fields of a ``landing/site_table`` point.
 SITE_FIELDS: tuple[tuple[str, str], ...] = (
@@ -151,46 +143,46 @@ def decode_cells(
             for nowhere.
 
     Raises:
-        MapMessageError: sizes do not fit, the leaves do not tile the domain, or landing sites
+        MessageError: sizes do not fit, the leaves do not tile the domain, or landing sites
             cannot be computed on a map so large (``too_large``).
     """
     n = observed.shape[0]
     if observed.shape != (n, n) or n < 1 or n & (n - 1):
         msg = f"map/observed is {observed.shape[1]} x {n} cells, not a square power of two"
-        raise MapMessageError("observed_shape", msg)
+        raise MessageError("observed_shape", msg)
     if not len(records):
         msg = "map/cells has no leaves"
-        raise MapMessageError("no_cells", msg)
+        raise MessageError("no_cells", msg)
     max_level = n.bit_length() - 1
     if max_level > MOST_LEVELS or len(records) > MOST_LEAVES:
         msg = (
             f"map of {len(records)} leaves on {n} x {n} finest cells: {MOST_LEAVES} leaves and"
             f" {1 << MOST_LEVELS} cells a side are the most"
         )
-        raise MapMessageError("too_large", msg)
+        raise MessageError("too_large", msg)
     level = np.ascontiguousarray(records["level"])
     ix, iy = records["ix"].astype(np.uint32), records["iy"].astype(np.uint32)
     beyond = (level > max_level) | (np.maximum(ix, iy) >> np.minimum(level, 31) > 0)
     if beyond.any() or np.sum(0.25 ** level.astype(np.float64)) != 1.0:
         msg = f"map/cells does not tile a domain of {n} x {n} finest cells"
-        raise MapMessageError("tiling", msg)
+        raise MessageError("tiling", msg)
     size = float(records["size"][0]) * float(1 << int(level[0]))
     domain = Domain(float(xmin), float(ymin), size, int(records["min_level"][0]), max_level)
     if not (np.isfinite([xmin, ymin, size]).all() and 0.0 < size < 1e9):
         msg = f"map/cells lies at ({xmin}, {ymin}) with size {size} m"
-        raise MapMessageError("domain", msg)
+        raise MessageError("domain", msg)
     reason = None if lss is None else why_too_much(size, n, lss)
     if reason is not None:
         msg = f"map of {size:g} m: {reason}"
-        raise MapMessageError("too_large", msg)
+        raise MessageError("too_large", msg)
     if domain.min_level > max_level or not np.array_equal(records["size"], domain.cell_size(level)):
         msg = "map/cells has leaves whose size does not follow from their level"
-        raise MapMessageError("domain", msg)
+        raise MessageError("domain", msg)
     raster = np.full((n, n), -1, dtype=np.int32)
     leaf_raster(level, ix, iy, raster)
     if (raster < 0).any():
         msg = "map/cells has leaves that overlap"
-        raise MapMessageError("tiling", msg)
+        raise MessageError("tiling", msg)
     measured, unbounded = records["measured"] > 0, np.full(len(records), np.nan)
     low, high = (
         records[name].astype(np.float64) if name in (records.dtype.names or ()) else unbounded
@@ -230,7 +222,7 @@ def _check(cells: CellMap) -> None:
     """Refuse estimates that none can be.
 
     Raises:
-        MapMessageError: reason ``values``.
+        MessageError: reason ``values``.
     """
     known = cells.estimated
     with np.errstate(invalid="ignore"):
@@ -244,14 +236,14 @@ def _check(cells: CellMap) -> None:
     sound_offset = np.isnan(off).all() or (abs(off[0]) < 1e7 and 0.0 <= off[1] < np.inf)
     if not sound_offset:
         msg = f"map/cells has an impossible offset: {off[0]} m of variance {off[1]}"
-        raise MapMessageError("values", msg)
+        raise MessageError("values", msg)
     if not sound[known].all() or cells.measured[~known].any():
         msg = "map/cells has a leaf with an impossible plane (normal, elevation, covariance)"
-        raise MapMessageError("values", msg)
+        raise MessageError("values", msg)
     bounds = np.stack([cells.low, cells.high])
     if (np.abs(bounds) >= 1e7).any() or (cells.low > cells.high).any():
         msg = "map/cells has a leaf with impossible bounds (low, high)"
-        raise MapMessageError("values", msg)
+        raise MessageError("values", msg)
 
 
 def _columns(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
@@ -317,15 +309,15 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
 
 def encode_observed(observed: Mask, known: Mask) -> NDArray[np.int8]:
     """OccupancyGrid values of ``map/observed``: 100 mapped, 50 seen, not yet mapped, -1 unseen."""
-    out = np.where(observed, np.int8(UNMAPPED), np.int8(UNSEEN))
-    out[observed & known] = MAPPED
+    out = np.where(observed, np.int8(SEEN), np.int8(NOT_SEEN))
+    out[observed & known] = KNOWN
     return out
 
 
 def decode_observed(values: NDArray[np.int8]) -> tuple[Mask, Mask]:
     """Where a point fell, and where it may be part of the map; recordings from before told both
     alike."""
-    return values > 0, values > UNMAPPED
+    return values > 0, values > SEEN
 
 
 _HAZARD_VALUES = np.tile(np.array([0, *[100] * 0x3F], dtype=np.int8), 4)

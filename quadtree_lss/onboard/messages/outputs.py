@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import one_line
-from quadtree_lss.onboard.messages.clouds import stamp_ns
+from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.maps import (
     CELL_FIELDS,
     CELL_FIELDS_BEFORE,
     POINT_FIELD_TYPES,
     SITE_FIELDS,
     STATUS_FIELDS,
-    MapMessageError,
     decode_cells,
     decode_observed,
     encode_cells,
@@ -65,8 +64,7 @@ TOPIC_TYPES = {
 
 GRID_MAP, GRID_MAP_TYPE = "landing/grid_map", "grid_map_msgs/msg/GridMap"
 """Sent live where ``grid_map_msgs`` is installed, and always recorded."""
-GRID_MAP_LAYERS = ("elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
-GRID_MAP_LAYERS += ("probability",)
+GRID_MAP_LAYERS = "elevation plane_elevation slope_deg hazard safe score probability".split()
 """Layers of it, as far as the assessment has them."""
 
 Fields = tuple[tuple[str, str], ...]
@@ -84,7 +82,7 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
     """Records (M,) of a PointCloud2 that has exactly the layout of `MessageMaker.cloud`.
 
     Raises:
-        MapMessageError: other fields, offsets, types or sizes (``layout``).
+        MessageError: other fields, offsets, types or sizes (``layout``).
     """
     kinds = record_dtype(fields)
     found = [(item.name, item.offset, item.datatype) for item in cloud.fields]
@@ -100,7 +98,7 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
             f" each is not of the layout documented in msg_docs ({len(fields)} fields,"
             f" {kinds.itemsize} bytes)"
         )
-        raise MapMessageError("layout", msg)
+        raise MessageError("layout", msg)
     return np.frombuffer(cloud.data, dtype=kinds)
 
 
@@ -113,14 +111,14 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
             is made of it. None if it will not be judged.
 
     Raises:
-        MapMessageError: a message is not what ``mapping_node`` sends, or the two are not of one
+        MessageError: a message is not what ``mapping_node`` sends, or the two are not of one
             frame (``frame``).
     """
     frames = (str(cloud.header.frame_id), str(grid.header.frame_id))
     if frames[0].lstrip("/") != frames[1].lstrip("/"):
         shown = [one_line(frame, 80) for frame in frames]
         msg = f"map/cells is in frame '{shown[0]}', map/observed in '{shown[1]}'"
-        raise MapMessageError("frame", msg)
+        raise MessageError("frame", msg)
     before = len(cloud.fields) == len(CELL_FIELDS_BEFORE)
     records = cloud_records(cloud, CELL_FIELDS_BEFORE if before else CELL_FIELDS)
     values = np.frombuffer(grid.data, dtype=np.int8)
@@ -129,7 +127,7 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
             f"map/observed of {grid.info.width} x {grid.info.height} cells carries"
             f" {values.size} values"
         )
-        raise MapMessageError("observed_size", msg)
+        raise MessageError("observed_size", msg)
     shape = grid.info.height, grid.info.width
     observed, known = (marks.reshape(shape) for marks in decode_observed(values))
     origin, stamp = grid.info.origin.position, stamp_ns(cloud.header)

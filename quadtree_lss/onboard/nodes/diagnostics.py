@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a node on ``/diagnostics``, at a level that its data's age sets."""
+"""The state of a node on ``/diagnostics``: ages, rates and durations of what passes through, what
+went wrong, at a level that its data's age sets."""
 
 from __future__ import annotations
 
+import time
+from collections import Counter
 from collections.abc import Callable, Mapping
+from typing import NamedTuple, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -12,8 +16,118 @@ from rclpy.qos import QoSProfile
 
 from quadtree_lss import build
 from quadtree_lss.onboard.config.settings import DiagnosticsConfig
-from quadtree_lss.onboard.nodes.monitor import Arrivals, Span
-from quadtree_lss.onboard.nodes.problems import Problems
+
+
+class Logger(Protocol):
+    """The part of a ROS logger that is used here."""
+
+    def warning(self, message: str) -> object: ...
+
+
+class Problems:
+    """Counts by reason; of each reason the first goes to the log, then one per interval.
+
+    Args:
+        logger: Where the lines go.
+        interval: Least time between two lines of one reason, s.
+
+    Attributes:
+        counts: Number by reason since the start.
+        latest: Text of the last one.
+    """
+
+    def __init__(self, logger: Logger, interval: float = 5.0) -> None:
+        self.counts: Counter[str] = Counter()
+        self.latest = ""
+        self._logger = logger
+        self._interval = interval
+        self._told: dict[str, tuple[float, int]] = {}
+
+    def report(self, reason: str, text: str, number: int = 1) -> None:
+        """Count ``number``, and say so if this reason was not heard of lately."""
+        self.counts[reason] += number
+        self.latest = text
+        now = time.monotonic()
+        told_at, told_count = self._told.get(reason, (-self._interval, 0))
+        if now - told_at < self._interval:
+            return
+        more = self.counts[reason] - told_count - number
+        suffix = f" ({more} more of this kind since the last such line)" if more else ""
+        self._logger.warning(text + suffix)
+        self._told[reason] = (now, self.counts[reason])
+
+
+class Arrivals:
+    """Messages of one kind: how many, how often, and how long ago the last one came.
+
+    Attributes:
+        count: Number since the start.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._last = self._looked = time.monotonic()
+        self._counted = 0
+
+    @staticmethod
+    def now() -> float:
+        """Present time, s, as `add` takes it."""
+        return time.monotonic()
+
+    def add(self, at: float | None = None) -> None:
+        """One came just now, or at that time."""
+        self.count += 1
+        self._last = time.monotonic() if at is None else at
+
+    def age(self) -> float:
+        """Seconds since the last one, or since the start if none came."""
+        return time.monotonic() - self._last
+
+    def rate(self) -> float:
+        """Number per second since this was last asked, Hz."""
+        now = time.monotonic()
+        rate = (self.count - self._counted) / max(now - self._looked, 1e-9)
+        self._looked, self._counted = now, self.count
+        return rate
+
+
+class Span(NamedTuple):
+    """Mean and worst duration, ms."""
+
+    mean: float
+    worst: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:.1f} (worst {self.worst:.1f})"
+
+
+class Durations:
+    """Durations since they were last asked for.
+
+    Attributes:
+        last: The last one, ms.
+    """
+
+    def __init__(self) -> None:
+        self.last = 0.0
+        self._sum = self._worst = 0.0
+        self._count = 0
+
+    def add(self, milliseconds: float) -> None:
+        """One more."""
+        self.last = milliseconds
+        self._worst = milliseconds if self._count == 0 else max(self._worst, milliseconds)
+        self._sum += milliseconds
+        self._count += 1
+
+    def take(self) -> Span | None:
+        """Mean and worst since the last call, None if there were none."""
+        if not self._count:
+            return None
+        span = Span(self._sum / self._count, self._worst)
+        self._sum, self._count = 0.0, 0
+        return span
+
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 

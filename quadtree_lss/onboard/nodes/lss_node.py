@@ -17,19 +17,24 @@ from visualization_msgs.msg import MarkerArray
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.nodes.announce import announce
-from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Status
-from quadtree_lss.onboard.nodes.landing_inputs import LandingInputs
+from quadtree_lss.onboard.nodes.diagnostics import (
+    ERROR,
+    OK,
+    WARN,
+    Diagnostics,
+    Durations,
+    Problems,
+    Status,
+)
+from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
+from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
-from quadtree_lss.onboard.nodes.messages import GridMap, grid_map_message, landing_messages
-from quadtree_lss.onboard.nodes.monitor import Durations
-from quadtree_lss.onboard.nodes.node_runner import run
+from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
-from quadtree_lss.onboard.nodes.problems import Problems
-from quadtree_lss.onboard.nodes.publishers import Publishers
+from quadtree_lss.onboard.nodes.publishing import ChangePublisher
 from quadtree_lss.onboard.nodes.qos import advertise, latched, subscribe
-from quadtree_lss.onboard.nodes.rate_limit import ChangePublisher
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
+from quadtree_lss.onboard.nodes.ros_messages import GridMap, message_maker
 from quadtree_lss.onboard.nodes.target_output import TargetOutput
 
 if TYPE_CHECKING:
@@ -51,7 +56,7 @@ class LssNode(Node):
         self._problems = Problems(self.get_logger())
         self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
         # Before the map: of what is there when the node starts, they are to be looked at first.
-        self._inputs = LandingInputs(self, self._problems, self._ask, config.lss.required_input)
+        self._inputs = LandingTopics(self, self._problems, self._ask, config.lss.required_input)
         self._map_topic = self.resolve_topic_name(CELLS)
         effect = "maps of either are assessed"
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
@@ -134,7 +139,7 @@ class LssNode(Node):
     def _withhold(self) -> str:
         """Why no site may be given out, empty if nothing speaks against it."""
         limit = self._settings.config.lss.max_map_age
-        reasons = (self._inputs.withheld, self._map.too_old(limit))
+        reasons = (self._inputs.wishes.withheld, self._map.too_old(limit))
         return "; ".join(reason for reason in reasons if reason)
 
     def _look_around(self) -> None:
@@ -156,11 +161,11 @@ class LssNode(Node):
         new = cells is not self._assessed
         self._assessed, self._withheld, self._asked = cells, withheld, False
         start = time.perf_counter()
-        restrictions = {**self._inputs.restrictions(), "withheld": withheld}
+        restrictions = {**self._inputs.wishes.arguments(), "withheld": withheld}
         result = self._selector.assess(cells, **restrictions)
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
         self._target.send(result, self._map.frame)
-        for topic, message in landing_messages(result, self._map.frame).items():
+        for topic, message in message_maker(self._map.frame).of_ground(result):
             self._landing[topic].publish(message)
         self._result = result
         if result.pending:
@@ -191,7 +196,8 @@ class LssNode(Node):
         return site_markers(self._result, self._map.frame, 0.5 * lss.vehicle_diameter + lss.margin)
 
     def _grid_map_message(self) -> Any:
-        return None if self._result is None else grid_map_message(self._result, self._map.frame)
+        result = self._result
+        return None if result is None else message_maker(self._map.frame).grid_map(result)
 
     def _collect(self, status: Status) -> None:
         self._map.take()

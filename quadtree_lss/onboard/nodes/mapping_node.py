@@ -27,24 +27,26 @@ from quadtree_lss.onboard.messages.lost_points import (
     overruled_text,
     unused_points_text,
 )
-from quadtree_lss.onboard.nodes.announce import announce
 from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
-from quadtree_lss.onboard.nodes.diagnostics import OK, WARN, Diagnostics, Status
+from quadtree_lss.onboard.nodes.diagnostics import (
+    OK,
+    WARN,
+    Arrivals,
+    Diagnostics,
+    Durations,
+    Problems,
+    Status,
+)
+from quadtree_lss.onboard.nodes.executor import WhenWanted, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
-from quadtree_lss.onboard.nodes.inputs import WhenWanted, transforms_type
-from quadtree_lss.onboard.nodes.map_services import MapServices
-from quadtree_lss.onboard.nodes.map_stamps import MapStamps
+from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
+from quadtree_lss.onboard.nodes.map_files import MapServices
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
-from quadtree_lss.onboard.nodes.messages import header_message, map_messages
-from quadtree_lss.onboard.nodes.monitor import Arrivals, Durations
-from quadtree_lss.onboard.nodes.node_runner import run
-from quadtree_lss.onboard.nodes.overload import Overload
+from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
-from quadtree_lss.onboard.nodes.problems import Problems
-from quadtree_lss.onboard.nodes.publishers import Publishers
+from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
-from quadtree_lss.onboard.nodes.rate_limit import ChangePublisher
-from quadtree_lss.onboard.nodes.scan_gaps import ScanGaps
+from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
 ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -18,11 +20,53 @@ from visualization_msgs.msg import Marker, MarkerArray
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import site_orientations
-from quadtree_lss.onboard.nodes.cdr import CdrWriter
-from quadtree_lss.onboard.nodes.messages import header_message
+from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
     from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+
+
+class CdrWriter:
+    """Little-endian CDR (version 1): every number is aligned to its size."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = [b"\x00\x01\x00\x00"]
+        self._size = 0
+
+    def numbers(self, code: str, *values: float) -> CdrWriter:
+        """Numbers of one ``struct`` code, for instance ``i``, ``I``, ``d``, ``f`` or ``?``."""
+        self._align(struct.calcsize(f"<{code}"))
+        return self._append(struct.pack(f"<{len(values)}{code}", *values))
+
+    def string(self, text: str) -> CdrWriter:
+        """A string with its length and final zero."""
+        content = text.encode() + b"\x00"
+        return self.numbers("I", len(content))._append(content)
+
+    def rows(self, values: NDArray[Any], code: str) -> CdrWriter:
+        """A sequence of messages that consist of equal numbers: (N, k) with ``struct`` code."""
+        self.numbers("I", len(values))
+        if len(values):
+            self._align(struct.calcsize(f"<{code}"))
+            self._append(np.ascontiguousarray(values, dtype=f"<{code}").tobytes())
+        return self
+
+    def empty_sequence(self) -> CdrWriter:
+        """A sequence without elements."""
+        return self.numbers("I", 0)
+
+    def message(self) -> bytes:
+        """The message, ready to publish."""
+        return b"".join(self._parts)
+
+    def _align(self, size: int) -> None:
+        self._append(b"\x00" * (-self._size % size))
+
+    def _append(self, content: bytes) -> CdrWriter:
+        self._parts.append(content)
+        self._size += len(content)
+        return self
+
 
 LOW_TO_HIGH = np.array(
     [
@@ -115,7 +159,7 @@ def cell_markers(cells: CellMap, frame: str) -> bytes:
         writer.string("").string("")  # text, mesh_resource
         writer.string("").empty_sequence()  # mesh_file
         writer.numbers("?", False)  # mesh_use_embedded_materials
-    return writer.bytes()
+    return writer.message()
 
 
 def patch_vertices(cells: CellMap, rows: Index) -> Array:

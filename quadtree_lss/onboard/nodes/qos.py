@@ -8,7 +8,7 @@ from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
@@ -26,12 +26,9 @@ from rclpy.subscription import Subscription
 
 def latched() -> QoSProfile:
     """One message that late subscribers get as well."""
-    return QoSProfile(
-        depth=1,
-        history=HistoryPolicy.KEEP_LAST,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
+    profile = stream(1, reliable=True)
+    profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return profile
 
 
 def stream(depth: int, *, reliable: bool) -> QoSProfile:
@@ -56,14 +53,10 @@ def target() -> QoSProfile:
     return profile
 
 
-def _overridable() -> QoSOverridingOptions:
-    kinds = (
-        QoSPolicyKind.HISTORY,
-        QoSPolicyKind.DEPTH,
-        QoSPolicyKind.RELIABILITY,
-        QoSPolicyKind.DURABILITY,
-    )
-    return QoSOverridingOptions(kinds)
+#: As rclpy's default, and durability.
+OVERRIDABLE = QoSOverridingOptions(
+    [getattr(QoSPolicyKind, name) for name in ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY")]
+)
 
 
 def subscribe(
@@ -101,25 +94,10 @@ def subscribe(
             matched=None if matched is None else lambda event: matched(event.current_count),
         ),
         callback_group=group,
-        qos_overriding_options=_overridable(),
+        qos_overriding_options=OVERRIDABLE,
     )
 
 
 def advertise(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Publisher:
-    """Publisher that warns by name when a subscriber's QoS cannot be matched."""
-    name = node.resolve_topic_name(topic)
-
-    def incompatible(event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        node.get_logger().warning(
-            f"a subscriber of '{name}' requests a {policy} that is not offered"
-            f" ({profile.reliability.name}, {profile.durability.name}): it will get no messages"
-        )
-
-    return node.create_publisher(
-        kind,
-        topic,
-        profile,
-        event_callbacks=PublisherEventCallbacks(incompatible_qos=incompatible),
-        qos_overriding_options=_overridable(),
-    )
+    """Publisher whose QoS can be overridden; rclpy tells of subscribers that it cannot serve."""
+    return node.create_publisher(kind, topic, profile, qos_overriding_options=OVERRIDABLE)

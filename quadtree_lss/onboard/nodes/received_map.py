@@ -9,11 +9,9 @@ from typing import Any
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.maps import MapMessageError
+from quadtree_lss.onboard.messages.outputs import map_from_messages
 from quadtree_lss.onboard.messages.poses import check_frame
-from quadtree_lss.onboard.nodes.messages import map_from_messages
-from quadtree_lss.onboard.nodes.monitor import Arrivals
-from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.diagnostics import Arrivals, Problems
 
 
 class ReceivedMap:
@@ -82,7 +80,7 @@ class ReceivedMap:
             if self._binding:
                 check_frame(frame, self._configured, "map/cells")
             self.cells = map_from_messages(cells, observed, self._lss())
-        except (MapMessageError, MessageError) as error:
+        except MessageError as error:
             self.refusals += 1
             self.refused = f"the newest map cannot be used: {error}"
             self._problems.report(f"map.{error.reason}", f"map not used: {error}")

@@ -13,15 +13,15 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
-from quadtree_lss.onboard.nodes.messages import target_messages
 from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, target
+from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 
 
 class TargetOutput:
-    """Publishes the target with every answer, and between them while there is no new one.
+    """Publishes the target with every assessment, and between them while there is no new one.
 
     Args:
         node: Owner; a change of the target goes to its log.
@@ -37,38 +37,38 @@ class TargetOutput:
             SELECTED: advertise(node, PoseWithCovarianceStamped, SELECTED, target()),
             STATUS: advertise(node, PointCloud2, STATUS, latched()),
         }
-        self._answer: LandingAssessment | None = None
+        self._result: LandingAssessment | None = None
         self._chosen = False
         self._frame = ""
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._again = node.create_timer(0.4 * TARGET_S, self._say, clock=clock)
         node.create_service(Trigger, "~/release", self._on_release)
 
-    def send(self, answer: LandingAssessment, frame: str) -> None:
-        """Publishes the target of an answer.
+    def send(self, result: LandingAssessment, frame: str) -> None:
+        """Publishes the target of an assessment.
 
         A node that has not decided yet says nothing of the target: "none" would withdraw the one
         of the node before it, if that was killed.
         """
-        self._tell(answer)
-        self._answer, self._frame = answer, frame
-        self._chosen = self._chosen or not answer.undecided
+        self._log_change(result)
+        self._result, self._frame = result, frame
+        self._chosen = self._chosen or not result.undecided
         self._again.reset()
         self._say()
 
     def _say(self) -> None:
-        answer = self._answer
-        if answer is None:
+        result = self._result
+        if result is None:
             return
-        messages = target_messages(answer, self._frame, self._age(answer.stamp_ns))
-        for topic, message in messages.items():
+        maker, age = message_maker(self._frame), self._age(result.stamp_ns)
+        for topic, message in maker.of_target(result, age):
             if topic == STATUS or self._chosen:
                 self._publishers[topic].publish(message)
 
-    def _tell(self, answer: LandingAssessment) -> None:
+    def _log_change(self, result: LandingAssessment) -> None:
         """A line of the log where the target is another one than before."""
-        selected = answer.selected
-        last = 0 if self._answer is None else self._answer.selected.id
+        selected = result.selected
+        last = 0 if self._result is None else self._result.selected.id
         if selected.id == last:
             return
         if selected.id:
@@ -79,14 +79,14 @@ class TargetOutput:
             )
         else:
             self._logger.warning(
-                f"target {last} is withdrawn ({selected.reason.key}): {answer.explanation}"
+                f"target {last} is withdrawn ({selected.reason.key}): {result.explanation}"
             )
 
     def _on_release(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        held = 0 if self._answer is None else self._answer.selected.id
+        held = 0 if self._result is None else self._result.selected.id
         response.success = held > 0
         response.message = "there is no target"
         if held:
-            response.message = f"target {held} is released; the next answer takes the best site"
+            response.message = f"target {held} is released; the next assessment takes the best site"
             self._release()
         return response

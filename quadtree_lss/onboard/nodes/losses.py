@@ -1,13 +1,77 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans that come faster than they can be mapped: which are left out, how old others are."""
+"""Scans that are lost on the way, or come faster than they can be mapped; and whose they are."""
 
 from __future__ import annotations
 
 import time
 
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.nodes.monitor import Durations
-from quadtree_lss.onboard.nodes.problems import Problems
+from quadtree_lss.onboard.nodes.diagnostics import Durations, Problems
+
+
+class Publishers:
+    """Counts the publishers of a topic and tells when there is more than one.
+
+    Args:
+        topic: Full name.
+        reason: Under which it is counted.
+        effect: What comes of it.
+        problems: Where it is told.
+
+    Attributes:
+        number: Publishers that match at present.
+    """
+
+    def __init__(self, topic: str, reason: str, effect: str, problems: Problems) -> None:
+        self.number = 0
+        self._topic, self._reason, self._effect = topic, reason, effect
+        self._problems = problems
+
+    def changed(self, number: int) -> None:
+        """Publishers came or went."""
+        if number > max(self.number, 1):
+            text = (
+                f"{number} publishers on '{self._topic}': {self._effect} (one that was killed"
+                " counts until its lease ends)"
+            )
+            self._problems.report(self._reason, text)
+        self.number = number
+
+
+class ScanGaps:
+    """Looks for gaps in the numbers that a publisher gives its messages.
+
+    Two publishers number theirs apart, and a message does not say whose it is: while there are
+    two, gaps cannot be found, and that there are two is a problem of its own.
+
+    Args:
+        topic: Full name.
+        problems: Where losses are counted as ``scan_lost``.
+    """
+
+    def __init__(self, topic: str, problems: Problems) -> None:
+        self._topic = topic
+        self._problems = problems
+        effect = "their scans are mapped as they come, as if of one lidar"
+        self._publishers = Publishers(topic, "scan_publishers", effect, problems)
+        self._last = 0
+
+    def on_publishers(self, number: int) -> None:
+        """Publishers came or went."""
+        self._publishers.changed(number)
+        self._last = 0
+
+    def on_scan(self, number: int) -> None:
+        """A scan arrived with this number."""
+        last, self._last = self._last, number
+        missing = number - last - 1
+        if last > 0 and missing > 0 and self._publishers.number <= 1:
+            text = (
+                f"{missing} scans on '{self._topic}' were lost before number {number}: best"
+                " effort, or more than the middleware queues (50) were waiting"
+            )
+            self._problems.report("scan_lost", text, missing)
+
 
 SHARE = 0.25
 """Of the allowance, which a scan may have waited while scans are being left out."""

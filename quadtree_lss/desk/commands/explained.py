@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters for people: what is wrong with a file, what a key means, ``docs/parameters.md``."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+from types import SimpleNamespace
+
+from quadtree_lss.onboard.config.loading import find_config, read_values, scalar_text
+from quadtree_lss.onboard.config.settings import (
+    Config,
+    ConfigError,
+    Parameter,
+    checked_values,
+    contradictions,
+    parameters,
+    unknown_parameter,
+)
+
+INTRODUCTION = """\
+# Parameters
+
+Written by `python -m quadtree_lss.desk.commands.explained > docs/parameters.md` from the table
+in `onboard/config/sections.py`, which also declares and documents them; the
+module `settings` beside it checks them.
+
+Both nodes accept all of them, so one parameter file serves both, and `quadtree-lss replay` as
+well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
+the start. Lengths are m, and a name that ends in `_deg` is in degrees.
+"""
+
+
+def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, list[str]]:
+    """Each file by itself over the defaults: all that is wrong with it, a line each."""
+    return {str(path): _errors_of(path) for path in paths}
+
+
+def _errors_of(path: str | os.PathLike[str]) -> list[str]:
+    errors: list[str] = []
+    try:
+        found = find_config(path)
+        values = read_values(found, errors)
+    except ConfigError as error:
+        return [str(error).removeprefix(f"{path}: ")]
+    sound = checked_values(values, errors)
+    sections = {
+        item.name: dataclasses.replace(getattr(Config(), item.name), **sound.get(item.name, {}))
+        for item in dataclasses.fields(Config)
+    }
+    return errors + list(contradictions(SimpleNamespace(**sections)))
+
+
+def explain(name: str) -> list[Parameter]:
+    """The parameter of that name, or all of the section of that name.
+
+    Raises:
+        ConfigError: there is none; names the nearest.
+    """
+    table = parameters()
+    rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
+    if not rows:
+        sections = sorted({row.name.partition(".")[0] for row in table})
+        msg = f"{unknown_parameter(name)} (sections: {', '.join(sections)})"
+        raise ConfigError(msg)
+    return rows
+
+
+def explain_text(row: Parameter) -> str:
+    """One parameter for people."""
+    unit = f" {row.unit}" if row.unit else ""
+    lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
+    lines.append(f"  default  {scalar_text(row.default)}{unit}")
+    if row.choices:
+        lines.append(f"  choices  {', '.join(row.choices)}")
+    elif row.type in (int, float):
+        lines.append(f"  range    {row.low:g} .. {row.high:g}{unit}")
+    lines.append(f"  running  {'may be set on a running node' if row.live else 'read at start'}")
+    return "\n".join(lines)
+
+
+def parameter_as_dict(row: Parameter) -> dict[str, object]:
+    """One parameter in JSON's types; limits that are infinite are None."""
+    numeric = row.type in (int, float)
+    return {
+        "type": row.type.__name__,
+        "default": row.default,
+        "unit": row.unit,
+        "low": row.low if numeric and math.isfinite(row.low) else None,
+        "high": row.high if numeric and math.isfinite(row.high) else None,
+        "choices": list(row.choices),
+        "live": row.live,
+        "doc": row.doc,
+    }
+
+
+def parameter_table() -> str:
+    """The whole document."""
+    parts = [INTRODUCTION]
+    for section, rows in groupby(parameters(), key=lambda row: row.name.partition(".")[0]):
+        parts.append("\n".join([f"\n## {section}\n", *_table(rows)]) + "\n")
+    return "".join(parts)
+
+
+def _table(rows: Iterator[Parameter]) -> Iterator[str]:
+    yield "| Parameter | Type | Unit | Range | Default | Live | Meaning |"
+    yield "| --- | --- | --- | --- | --- | --- | --- |"
+    for row in rows:
+        live = "yes" if row.live else ""
+        cells = (f"`{row.name}`", row.type.__name__, row.unit, _range(row), _default(row), live)
+        yield f"| {' | '.join((*cells, row.doc))} |"
+
+
+def _range(row: Parameter) -> str:
+    if row.choices:
+        return ", ".join(f"`{choice}`" for choice in row.choices)
+    return f"{row.low:g} … {row.high:g}" if row.type in (int, float) else ""
+
+
+def _default(row: Parameter) -> str:
+    if row.type is str:
+        return f"`{row.default}`" if row.default else "empty"
+    return str(row.default).lower() if row.type is bool else f"{row.default}"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(parameter_table())

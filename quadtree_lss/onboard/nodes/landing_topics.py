@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What guidance says: ``landing/area``, ``keep_out``, ``target`` and ``dispersion``."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.timer import Timer
+
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.landing_inputs import BINDING, TYPES, LandingWishes
+from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.nodes.qos import latched, stream, subscribe
+from quadtree_lss.onboard.nodes.ros_messages import TYPES as ROS_TYPES
+
+JOIN_S = 3.0
+"""How long after the node has come it may well not know another, whose latched messages are waiting
+for it: nodes announce themselves at their start and then every three seconds. Some of that may be
+lost, so where a site in a keep-out would be a disaster, ``lss.required_input`` is to be set.
+"""
+
+SETTLE_S = 1.0
+"""How long after the first map latched messages may be on their way from whoever came with it."""
+
+UNHEARD_S = 3.5
+"""The same while a latched publisher is there from which nothing came: the middleware repeats what
+was lost after three seconds, and the publisher may have nothing to say."""
+
+QUIET_S = 0.2
+"""A publisher may have kept more than its last message: they come at once, oldest first."""
+
+LOOK_S = 0.05
+
+
+class LandingTopics:
+    """Subscribes to the topics and holds what came last, `LandingWishes` for the map's frame.
+
+    Each is subscribed to twice: latched, to get back after a restart what was sent before, and
+    volatile, which matches publishers that keep nothing. Both ways end with the newest message.
+
+    Args:
+        node: Owner.
+        problems: Where unusable messages are told.
+        changed: Called after each change, and when `settled` has become true.
+        required: ``lss.required_input``: those without which `settled` stays false.
+
+    Attributes:
+        wishes: What holds.
+    """
+
+    def __init__(
+        self, node: Node, problems: Problems, changed: Callable[[], None], required: str
+    ) -> None:
+        self.wishes = LandingWishes(None)
+        self._required = BINDING if required == "both" else (required,)
+        self._node, self._problems, self._changed = node, problems, changed
+        self._joined = self._heard = time.monotonic()
+        self._began: float | None = None
+        self._timer: Timer | None = None
+        self._settled = False
+        self._samples: dict[str, tuple[int, int]] = {}
+        self._latched: dict[str, Any] = {}
+        for name, kind in TYPES.items():
+            take = functools.partial(self._take, name)
+            kind, topic = ROS_TYPES[kind], f"landing/{name}"
+            subscribe(node, kind, topic, take, stream(5, reliable=True))
+            quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+            self._latched[name] = node.create_subscription(
+                kind, topic, take, latched(), event_callbacks=quiet
+            )
+
+    def states(self) -> dict[str, object]:
+        """Whether each is set, for the diagnostics."""
+        wishes = self.wishes
+        return {
+            name: "unusable" if name in wishes.unusable else wishes.values[name] is not None
+            for name in TYPES
+        }
+
+    def use_frame(self, frame: str) -> None:
+        """The map is in this frame: what is held counts for it or does not, whenever it came."""
+        before = dict(self.wishes.unusable)
+        for name, error in self.wishes.use_frame(frame).items():
+            if self.wishes.unusable[name] != before.get(name):
+                self._report(name, error)
+
+    def settled(self) -> bool:
+        """True once both area and keep-out have come, or have had the time to and need not come.
+
+        Until then nobody knows where landing is wanted. Call it first with the first map.
+        """
+        if self._settled:
+            return True
+        now = time.monotonic()
+        if self._began is None:
+            self._began = now
+            clock = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = self._node.create_timer(LOOK_S, self._look, clock=clock)
+        unheard = self.unheard()
+        if any(name in self._required for name in unheard):
+            return False
+        expected = any(self._latched[name].get_publisher_count() for name in unheard)
+        time_out = self._began + (UNHEARD_S if expected else SETTLE_S)
+        in_time = now >= max(self._joined + JOIN_S, time_out)
+        complete = not unheard and now >= self._heard + QUIET_S
+        self._settled = in_time or complete
+        return self._settled
+
+    def unheard(self) -> list[str]:
+        """Which of area and keep-out have not come."""
+        return [name for name in BINDING if name not in self.wishes.heard]
+
+    def _look(self) -> None:
+        """Whoever asked in vain is told, whoever else may have asked in between."""
+        if self.settled() and self._timer is not None:
+            self._timer.cancel()
+            self._changed()
+
+    def _take(self, name: str, message: Any, info: dict[str, int]) -> None:
+        sample = (info["source_timestamp"], info["publication_sequence_number"])
+        if sample == self._samples.get(name) and sample[0] > 0:  # 0: the middleware does not say
+            return  # the one that is held, come by the other way
+        self._samples[name], self._heard = sample, time.monotonic()
+        value, unusable = self.wishes.values[name], self.wishes.unusable.get(name)
+        try:
+            self.wishes.take(name, message)
+        except MessageError as error:
+            self._report(name, error)
+        same = np.array_equal(self.wishes.values[name], value)  # type: ignore[arg-type]
+        if not same or self.wishes.unusable.get(name) != unusable:
+            self._changed()
+
+    def _report(self, name: str, error: MessageError) -> None:
+        effect = "what was set before holds"
+        if name in BINDING:
+            effect = "no site is given out until one comes that can"
+        text = f"{self.wishes.unusable[name]}; {effect}"
+        self._problems.report(f"{name}_{error.reason}", text)
