@@ -138,7 +138,10 @@ class ScanUpdate:
                 misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
                 self.columns[0, found] = run.z + self.origin[2] - leaf.z
                 self.columns[1, found] = own / square + max(misfit, 0.0)
-                self.columns[2, found] = run.pose_part[8] / square
+                pose = run.pose_part[8]
+                if self.rules.independent:  # no part of a plane, but of the scan
+                    pose = pose_variance(leaf.normal, run.centroid, self.sigma)
+                self.columns[2, found] = pose / square
                 self.columns[3, found] = leaf.pose_part[8] / square
                 self.columns[4, found] = leaf.first_time
                 self.columns[5, found] = leaf.last_time
