@@ -26,10 +26,19 @@ class Flight:
     Some ``scans`` have been flown, with true poses.
     """
 
-    def __init__(self, seed: int = 1, size: float = 16.0, ground=hills, scans: int = 0) -> None:
+    def __init__(
+        self,
+        seed: int = 1,
+        size: float = 16.0,
+        ground=hills,
+        scans: int = 0,
+        covariance: str = "common",
+    ) -> None:
         self.ground = ground
         domain = {"xmin": 0.0, "ymin": 0.0, "size": size, "min_level": 2, "max_level": 4}
-        config = configured(domain=domain, lidar={"range_noise": NOISE})
+        config = configured(
+            domain=domain, lidar={"range_noise": NOISE}, mapping={"covariance": covariance}
+        )
         self.size, self.above = size, np.array([0.5 * size, 0.5 * size, 60.0])
         self.mapper = Mapper(config)
         self.rng = np.random.default_rng(seed)
@@ -209,3 +218,13 @@ def test_steep_ground_is_no_contradiction(ground, position):
             report = flight.fly(off, turned, extent=(west, west + 8.0), claimed=claimed)
             refused += report.points_used == 0
     assert refused == 0
+
+
+@pytest.mark.parametrize("covariance", ["common", "independent"])
+def test_poses_that_err_as_they_claim_are_not_refused(covariance):
+    """However a scan's pose error is thought to be shared out, all of the scan moves by it."""
+    flight, claimed = Flight(covariance=covariance), pose_covariance(0.5, 1e-3)
+    errors = 0.5 * np.random.default_rng(8).standard_normal((40, 3))
+    reports = [flight.fly(off=tuple(off), claimed=claimed) for off in errors]
+    assert all(report.points_used > 0 and not report.overruled for report in reports)
+    assert flight.fly(off=(0.0, 0.0, 5.0), claimed=claimed).points_used == 0

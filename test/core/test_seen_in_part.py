@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 
 from common.claims import within
-from common.rays import Scene, View, fan, looking, rocks, view
+from common.rays import EXACT, Scene, View, fan, looking, rocks, view
 
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
 from quadtree_lss.onboard.config.loading import load_config
@@ -25,6 +25,7 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 NOISE, HALF = 0.06, 8.0
@@ -193,3 +194,28 @@ def test_what_is_hit_is_where_it_stands():
         assert np.median(np.abs(off[~upright])) < 0.01
         top = maximum_filter(dem, 5)[row, column]
         assert (places[:, 2] - top).max() < 0.01
+
+
+@pytest.mark.parametrize(("out", "stays"), [(1, True), (2, False)])
+def test_one_return_alone_does_not_undo_what_is_known(out, stays):
+    """Of few returns in a cell; two that agree do. Ground is seen from above without noise."""
+    values = {"xmin": 0.0, "ymin": 0.0, "size": 1.0, "min_level": 0, "max_level": 2}
+    config = load_config(
+        ["flight"],
+        {f"domain.{name}": value for name, value in values.items()}
+        | {"lidar.outlier_gate": 0.0, "mapping.division_min_residuals": 1000}
+        | {"mapping.divide_area": 0.0, "mapping.divide_exceptions": 0.0}
+        | {"features.enabled": False},
+    )
+    mapper, axis = Mapper(config), np.linspace(0.03, 0.97, 10)
+    x, y = (of.ravel() for of in np.meshgrid(axis, axis))
+    down = np.diag([1.0, -1.0, -1.0])
+    position = np.array([0.5, 0.5, 50.0])
+    for k in range(3):
+        z = np.zeros(100)
+        if k == 2:
+            z[np.argsort(np.hypot(x - 0.125, y - 0.125))[:out]] = 0.4
+        points = (np.column_stack([x, y, z]) - position) @ down
+        mapper.update(points, Pose(round(1e9 + 5e7 * k), position, down, EXACT))
+    kept = mapper.leaves.observed[0] == 2
+    assert bool(kept) == stays

@@ -148,7 +148,7 @@ class Mapper:
                 if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
                     self.stamp_ns = pose.stamp_ns
                 self._start_ns = self._start_ns or pose.stamp_ns
-                if self.config.mapping.align:
+                if self.config.mapping.align and self.config.mapping.covariance == "common":
                     offset = self._align(change, cells, now)
                 change.settle()
                 self._check_noise(change.ratio)

@@ -138,7 +138,10 @@ class ScanUpdate:
                 misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
                 self.columns[0, found] = run.z + self.origin[2] - leaf.z
                 self.columns[1, found] = own / square + max(misfit, 0.0)
-                self.columns[2, found] = run.pose_part[8] / square
+                pose = run.pose_part[8]
+                if self.rules.independent:  # no part of a plane, but of the scan
+                    pose = pose_variance(leaf.normal, run.centroid, self.sigma)
+                self.columns[2, found] = pose / square
                 self.columns[3, found] = leaf.pose_part[8] / square
                 self.columns[4, found] = leaf.first_time
                 self.columns[5, found] = leaf.last_time
@@ -424,7 +427,8 @@ class ScanUpdate:
         """A run held against a leaf's plane: what stands out, and where.
 
         Of each finest cell the last look decides, and in it more than `FEW` of the cell's returns:
-        one of noise's tail among many does not last.
+        one of noise's tail among many does not last. One return alone, of few, is no evidence of
+        either: the cell stays what it was.
         """
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
@@ -437,7 +441,12 @@ class ScanUpdate:
             if fabs(self.residual[i]) > run.raised_by:
                 out += 1.0
             if i == end - 1 or self.key[i + 1] != self.key[i]:
-                self.table.seen[self.key[i]] = OUT if out > FEW * count else KNOWN
+                if out <= FEW * count:
+                    self.table.seen[self.key[i]] = KNOWN
+                elif out > 1.0:
+                    self.table.seen[self.key[i]] = OUT
+                else:
+                    self._mark(i, i + 1, SEEN)
                 out = count = 0.0
 
     def _rest(
