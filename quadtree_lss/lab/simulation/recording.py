@@ -36,7 +36,7 @@ class Messages:
         pack: Callable[[NDArray[np.uint8]], Any] = np.asarray,
         frame: str = "map",
     ) -> None:
-        self._types = types or get_typestore(Stores.ROS2_JAZZY).types
+        self._types = get_typestore(Stores.ROS2_JAZZY).types if types is None else types
         self._pack, self._frame = pack, frame
 
     def scan(self, stamp_ns: int, points_lidar: Array) -> Any:
