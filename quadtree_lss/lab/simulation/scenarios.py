@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -112,8 +112,11 @@ class Conditions:
         if isinstance(terrain, (str, Path)):
             terrain = load_terrain(terrain)
         if terrain is None and SCENARIOS[scenario].default_field:
-            given = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
-            field = HazardField(**{k: v for k, v in given.items() if v is not None})
+            field = HazardField()
+            if rocks is not None:
+                field = replace(field, rock_abundance=rocks)
+            if slope_deg is not None:
+                field = replace(field, slope_rms_deg=slope_deg)
             return hazard_field(generator, field)
         if terrain is None and (rocks is not None or slope_deg is not None):
             msg = f"{scenario} has no rocks and no field: give a terrain"

@@ -9,7 +9,6 @@ from functools import lru_cache
 
 import cython
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
 
@@ -139,6 +138,8 @@ def _lengths(marked: Mask, length: Callable[[Array], Array], limit: float) -> Ar
     if not marked.any():
         return np.full(marked.shape, np.inf)
     if limit >= NEAR:
+        from scipy.ndimage import distance_transform_edt  # as slow to import as a short bag to map
+
         return length(distance_transform_edt(~marked))
     far = int(limit) + 1
     lengths = length(np.sqrt(np.arange(far**2 + 1)))
