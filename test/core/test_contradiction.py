@@ -136,6 +136,18 @@ def test_planes_of_a_wrong_pose_over_new_ground_go_with_the_next_scan(height):
     assert np.abs(flight.errors()).max() < 0.3
 
 
+def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
+    """One cell, which no others judge: the wrong plane goes when as many points are against it."""
+    domain = {"size": 4.0, "min_level": 0, "max_level": 0}
+    mapper, rng = Mapper(configured(domain=domain)), np.random.default_rng(5)
+    heights = []
+    for number, (high, count) in enumerate(((50.0, 300), *[(0.0, 100)] * 4)):
+        places, pose = scattered(rng, 0, 0, 4, count), make_pose((2.0, 2.0, 500.0), stamp_ns=number)
+        look(mapper, flat(high), *places, rng, NOISE, pose)
+        heights.append(mapper.snapshot().z[0])
+    np.testing.assert_allclose(heights, [50.0, 50.0, 50.0, 0.0, 0.0], atol=0.05)
+
+
 def test_the_count_of_the_refused_goes_on_after_a_restart():
     flight = Flight(scans=5)
     for _ in range(AGREEING - 1):

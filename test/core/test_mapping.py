@@ -26,6 +26,7 @@ from core.builders import (
     slope,
 )
 
+from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -169,6 +170,21 @@ def test_observed_is_where_points_fell_and_count_is_how_many():
     assert (cells.level == 2).all()
     leaf = cells.leaf_raster()[(y / 0.5).astype(int), (x / 0.5).astype(int)]
     np.testing.assert_array_equal(cells.count, 2 * np.bincount(leaf, minlength=16))
+
+
+def test_where_returns_stand_out_is_remembered():
+    """By the last look, if they are more than a sixteenth: 7 of 100 a cell."""
+    config = configured(domain={"min_level": 4, "max_level": 4}, lidar={"range_noise": 0.01})
+    mapper, rng = Mapper(config), np.random.default_rng(9)
+    x, y = lattice(0.0, 0.0, 16.0, 160)
+    cell = np.flatnonzero((np.floor(x) == 5) & (np.floor(y) == 9))
+    for raised in (0, 0, 0, 6, 7, 0):
+        z = np.zeros(len(x))
+        z[cell[3 : 3 + 12 * raised : 12]] = 1.0
+        look(mapper, lambda x, y, z=z: z, x, y, rng, 0.01)
+        expected = np.full(256, 2)
+        expected[morton.encode(5, 9)] = 3 if raised == 7 else 2
+        np.testing.assert_array_equal(mapper.leaves.observed, expected)
 
 
 def test_the_stamp_is_the_newest_since_time_jumped_back():
