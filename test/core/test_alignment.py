@@ -279,15 +279,6 @@ def test_the_maps_height_is_as_well_known_as_it_says(sigma, persistent):
     assert 0.02 < np.mean(squares) < 2.0
 
 
-def test_errors_that_persist_leave_the_height_uncertain():
-    """A hundred scans of one bias tell no more of absolute height than the first."""
-    rng, mapper = np.random.default_rng(11), mapper_of()
-    fly(mapper, flat(), np.full(100, 0.3), rng, points=3000)
-    cells = mapper.snapshot()
-    claimed = np.sqrt(cells.covariance_pose[cells.measured, 2, 2])
-    assert np.median(claimed) > 0.25
-
-
 def along_a_strip(align: bool, drift: float = np.radians(0.1)) -> float:
     """Height at the far end of 500 m, seen 45 degrees ahead from 100 m, pitch wrong by ``drift``.
 
