@@ -8,7 +8,6 @@ import pytest
 from core.builders import (
     ABOVE,
     configured,
-    elevation,
     flat,
     lattice,
     leaf_at,
@@ -85,7 +84,7 @@ def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
     cells = mapper.snapshot()
     assert cells.estimated.all() and not cells.measured.any()
     x, y = lattice(0.0, 0.0, 16.0, 40)
-    np.testing.assert_allclose(elevation(cells, x, y), 0.2 * x - 0.1 * y, atol=0.01)
+    np.testing.assert_allclose(cells.at(x, y).height, 0.2 * x - 0.1 * y, atol=0.01)
     assert np.sqrt(cells.covariance[:, 2, 2]).max() < 0.03
 
 

@@ -12,7 +12,6 @@ from core.builders import (
     METHODS,
     assert_sound,
     configured,
-    elevation,
     flat,
     lattice,
     look,
@@ -103,7 +102,7 @@ def test_elevation_of_stepped_ground():
 
     cells = mapped(config, ground, density=100.0, scans=3).snapshot()
     x, y = lattice(0.0, 0.0, 16.0, 100)
-    off = np.abs(elevation(cells, x, y) - ground(x, y))
+    off = np.abs(cells.at(x, y).height - ground(x, y))
     beside = np.abs(x - 5.1) > config.domain.size / 2**config.domain.max_level
     # 18 points a finest cell and three scans: 0.03 / sqrt(18) = 7 mm, a corner twice that.
     assert off[beside].max() < 0.1
@@ -133,7 +132,7 @@ def test_children_without_points_inherit_and_no_hole_appears():
     look(mapper, flat(1.4), x, y, rng, 0.03)
     later = mapper.snapshot()
     assert later.measured[(later.x % 8.0) - 0.5 * later.size >= 4.0].all()
-    np.testing.assert_allclose(elevation(later, x, y), 1.4, atol=0.1)
+    np.testing.assert_allclose(later.at(x, y).height, 1.4, atol=0.1)
 
 
 def test_points_are_all_accounted_for():
