@@ -18,7 +18,6 @@ from quadtree_lss.onboard.core.geometry import rotations, sphere
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 Array = np.ndarray
@@ -166,12 +165,6 @@ def mapped(
         x, y = scattered(rng, xmin, ymin, size, int(density * size**2))
         mapper.update(scan(surface, x, y, pose, sigma, rng), pose)
     return mapper
-
-
-def domain_of(config: Config) -> Domain:
-    """The domain that a configuration describes."""
-    d = config.domain
-    return Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
 
 
 def four_leaves(points: float = 0.0) -> LeafTable:

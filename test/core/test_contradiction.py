@@ -8,7 +8,8 @@ import pytest
 from core.builders import configured, flat, look, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
-from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
+from quadtree_lss.onboard.core.mapping.contradiction import AGREEING, DEVIATIONS
+from quadtree_lss.onboard.core.mapping.departure import departure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
@@ -145,6 +146,18 @@ def test_planes_of_a_wrong_pose_over_new_ground_go_with_the_next_scan(height):
     assert np.abs(flight.errors()).max() < 0.3
 
 
+def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
+    """One cell, which no others judge: the wrong plane goes when as many points are against it."""
+    domain = {"size": 4.0, "min_level": 0, "max_level": 0}
+    mapper, rng = Mapper(configured(domain=domain)), np.random.default_rng(5)
+    heights = []
+    for number, (high, count) in enumerate(((50.0, 300), *[(0.0, 100)] * 4)):
+        places, pose = scattered(rng, 0, 0, 4, count), make_pose((2.0, 2.0, 500.0), stamp_ns=number)
+        look(mapper, flat(high), *places, rng, NOISE, pose)
+        heights.append(mapper.snapshot().z[0])
+    np.testing.assert_allclose(heights, [50.0, 50.0, 50.0, 0.0, 0.0], atol=0.05)
+
+
 def test_the_count_of_the_refused_goes_on_after_a_restart():
     flight = Flight(scans=5)
     for _ in range(AGREEING - 1):
@@ -171,6 +184,23 @@ def test_no_claim_moves_the_map_beyond_what_the_others_allow(seed):
         true = make_pose(flight.above, claimed, (number + 1) * 50_000_000)
         look(flight.mapper, hills, *scattered(rng, 0.0, 0.0, 16.0, 3000), rng, NOISE, true)
         assert np.abs(flight.errors()).max(initial=0.0) < 0.25 or number < 3
+
+
+def test_height_and_tilt_are_those_of_most_cells():
+    """Though one in seven, all on one side, is off by 0.3 m, which the poses may be."""
+    rng = np.random.default_rng(6)
+    x, y = rng.uniform(-20.0, 20.0, (2, 200))
+    rise = 0.1 + 0.004 * x - 0.002 * y + 0.01 * rng.standard_normal(200)
+    rise[x > np.quantile(x, 0.86)] += 0.3
+    nothing = np.zeros(200)
+    columns = (rise, 1e-4, 0.01, 0.01, 0.0, 9.0, x, y, -90.0, nothing, nothing, 1e-8)
+    cells = np.array([np.broadcast_to(column, 200) for column in columns], dtype=np.float64)
+    sigma = np.diag([0.01, 0.01, 0.01, 4e-6, 1e-6, 1e-6])
+    found = departure(cells, sigma, 10.0, 0.0, DEVIATIONS)
+    assert found.share == 1.0
+    assert found.tilt == pytest.approx((0.004, -0.002), abs=6e-4)
+    at = found.height - 0.004 * found.centre[0] + 0.002 * found.centre[1]
+    assert at == pytest.approx(0.1, abs=0.01)
 
 
 @pytest.mark.parametrize("position", [0.05, 0.3])

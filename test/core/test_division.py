@@ -17,8 +17,6 @@ from core.builders import (
     scan,
     scattered,
     slope,
-    unit_vectors,
-    upward_normals,
 )
 
 from quadtree_lss.onboard.core.geometry import sphere
@@ -76,43 +74,6 @@ def test_a_view_of_less_than_half_of_a_leaf_does_not_judge_it():
     assert division.asks_in(rules, leaf, 0, run_of(5000.0, 50.0, 0.49, 1.0), 0)
 
 
-def test_mean_distance_is_along_the_normal():
-    rng = np.random.default_rng(5)
-    for normal in upward_normals(rng, 3):
-        through, points = rng.standard_normal(3), rng.standard_normal((40, 3))
-        expected = np.abs((points - through) @ normal).mean()
-        assert division.distance_of(points, normal, through) == pytest.approx(expected, abs=1e-12)
-
-
-def test_mahalanobis_factor_is_the_distance_of_equation_46():
-    """sqrt((r_hat - r)^T Sigma^-1 (r_hat - r)) with both on one ray and Eq. 61's Sigma."""
-    rng = np.random.default_rng(3)
-    pose = make_pose((30.0, 20.0, 90.0), pose_covariance(0.3, 1e-3))
-    for normal in upward_normals(rng, 20):
-        point, variance, epsilon = rng.uniform(-5.0, 5.0, 3), rng.uniform(0.0, 0.01), 0.07
-        arm = point - pose.position
-        ray = arm / np.linalg.norm(arm)
-        apart = epsilon * ray / (normal @ ray)
-        full = point_covariances(point[None], pose, 0.05)[0]
-        full += variance * np.outer(ray, ray) / (normal @ ray) ** 2
-        expected = np.sqrt(apart @ np.linalg.solve(full, apart))
-        found = division.factor_of(normal, arm, pose.covariance, 0.05**2, variance)
-        assert found * epsilon == pytest.approx(expected, rel=1e-4)
-
-
-def test_the_prefit_residual_has_one_degree_of_freedom():
-    """Erratum of Eq. 46: E[d_M] = 0.80 sqrt(u' Sigma^-1 u . n' Sigma n) / |n.u|, not 1.60."""
-    rng = np.random.default_rng(4)
-    n, u = upward_normals(rng, 1)[0], -np.abs(unit_vectors(rng, 1)[0])
-    pose = make_pose(tuple(-100.0 * u), pose_covariance(0.2, 1e-3))
-    sigma = point_covariances(np.zeros((1, 3)), pose, 0.1)[0]
-    errors = rng.multivariate_normal(np.zeros(3), sigma, 50_000)
-    factor = division.factor_of(n, 100.0 * u, pose.covariance, 0.1**2, 0.0)
-    product = (u @ np.linalg.solve(sigma, u)) * (n @ sigma @ n)
-    expected = MEAN_CHI_1 * np.sqrt(product) / abs(n @ u)
-    assert np.mean(np.abs(errors @ n)) * factor == pytest.approx(expected, rel=0.02)
-
-
 @pytest.mark.parametrize("per_cell", [12, 40])
 def test_the_statistic_is_that_of_noise_whatever_the_number_of_points(per_cell):
     """Three degrees of freedom go into the plane: sqrt(N / (N - 3)) makes up for them."""
@@ -164,7 +125,11 @@ def test_a_known_cells_statistic_is_that_of_equations_46_and_47():
     n, middle = before.normal, np.array([before.x, before.y, before.z]) - later.position
     a = np.append(sphere.tangent_basis(n).T @ (seen.mean(axis=0) - middle), -1.0)
     plane = a @ (before.range_part + before.pose_part).reshape(3, 3) @ a
-    factor = division.factor_of(n, seen.mean(axis=0), later.covariance, 0.02**2, plane)
+    # Of a point where they are on average: Eq. 61's Sigma, both places on one ray.
+    point, ray = seen.mean(axis=0), seen.mean(axis=0) / np.linalg.norm(seen.mean(axis=0))
+    total = point_covariances((point + later.position)[None], later, 0.02)[0]
+    total += plane * np.outer(ray, ray) / (n @ ray) ** 2
+    apart = np.abs((seen - middle) @ n).mean() * ray / (n @ ray)
     added = leaf.division_sum - before.division_sum
-    expected = np.abs((seen - middle) @ n).mean() * factor
+    expected = np.sqrt(apart @ np.linalg.solve(total, apart))
     assert added / (len(points) - 3.0) == pytest.approx(expected, rel=1e-3)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
-from core.builders import configured, make_pose, scan, scattered
+from core.builders import configured, look, make_pose, scattered
 
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
@@ -26,11 +26,13 @@ def test_what_did_not_change_need_not_be_checked_again():
     config = config_from_values({"lss.grid_spacing": 0.25, "lss.vehicle_diameter": 3.0}, base)
     mapper, rng = Mapper(config), np.random.default_rng(3)
     follower = LandingSiteSelector(config)
-    strips = [(0.0, 0.0), (16.0, 0.0), (0.0, 16.0), (8.0, 8.0), (0.0, 0.0)]
-    for number, (xmin, ymin) in enumerate(strips):
-        x, y = scattered(rng, xmin, ymin, 16.0, 12000)
-        pose = make_pose((16.0, 16.0, 300.0), stamp_ns=number + 1)
-        mapper.update(scan(rocks, x, y, pose, 0.05, rng), pose)
+    strips = [(0.0, 0.0, 0.0), (16.0, 0.0, 0.0), (0.0, 16.0, 0.0), (8.0, 8.0, 0.0), (0.0, 0.0, 0.0)]
+    for number, (xmin, ymin, high) in enumerate((*strips, (8.0, 8.0, 100.0))):
+        if high:
+            mapper = Mapper(config)  # of other ground altogether
+        pose = make_pose((16.0, 16.0, 300.0 + high), stamp_ns=number + 1)
+        places = scattered(rng, xmin, ymin, 16.0, 12000)
+        look(mapper, lambda x, y, high=high: rocks(x, y) + high, *places, rng, 0.05, pose)
         cells = round_trip(mapper.snapshot())
         followed = follower.assess(cells)
         anew = LandingSiteSelector(config).assess(cells)
@@ -39,20 +41,3 @@ def test_what_did_not_change_need_not_be_checked_again():
         np.testing.assert_array_equal(followed.score, anew.score)
         np.testing.assert_array_equal(followed.sites.position, anew.sites.position)
         assert ((anew.hazard & 8) > 0).any()
-
-
-def test_another_domain_is_no_growth_of_the_last():
-    config = configured()
-    follower = LandingSiteSelector(config)
-    for height in (0.0, 100.0):
-        mapper, rng = Mapper(config), np.random.default_rng(4)
-        x, y = scattered(rng, 0.0, 0.0, 16.0, 12000)
-        pose = make_pose((8.0, 8.0, 500.0))
-
-        def ground(x, y, height=height):
-            return rocks(x, y) + height
-
-        mapper.update(scan(ground, x, y, pose, 0.05, rng), pose)
-        cells = round_trip(mapper.snapshot())
-        anew = LandingSiteSelector(config).assess(cells)
-        np.testing.assert_array_equal(follower.assess(cells).hazard, anew.hazard)

@@ -8,7 +8,6 @@ import pytest
 from core.builders import (
     ABOVE,
     configured,
-    elevation,
     flat,
     lattice,
     leaf_at,
@@ -68,11 +67,14 @@ def test_children_keep_the_pose_part_of_all_scans(correlation_time):
 
 
 def test_a_first_scan_is_all_there_is_to_remember():
-    config = configured(lidar={"range_noise": 0.02})
+    """Its pose error is one, however often the cells that it shows divide."""
+    config = configured(lidar={"range_noise": 0.02}, pose=INDEPENDENT)
     mapper, rng = Mapper(config), np.random.default_rng(3)
     look(mapper, block, *scattered(rng, 0.0, 0.0, 16.0, 8000), rng, 0.02, POSE, -0.2)
     cells = mapper.snapshot()
     assert np.median(cells.z[cells.measured]) == pytest.approx(-0.2, abs=0.01)
+    assert (cells.level > 2).any()
+    np.testing.assert_allclose(cells.covariance_pose[cells.measured, 2, 2], 0.01, rtol=1e-3)
 
 
 def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
@@ -84,7 +86,7 @@ def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
     cells = mapper.snapshot()
     assert cells.estimated.all() and not cells.measured.any()
     x, y = lattice(0.0, 0.0, 16.0, 40)
-    np.testing.assert_allclose(elevation(cells, x, y), 0.2 * x - 0.1 * y, atol=0.01)
+    np.testing.assert_allclose(cells.at(x, y).height, 0.2 * x - 0.1 * y, atol=0.01)
     assert np.sqrt(cells.covariance[:, 2, 2]).max() < 0.03
 
 
@@ -131,6 +133,29 @@ def test_a_part_of_a_known_leaf_moves_its_middle_by_no_more_than_its_points(part
     assert after.raised_sum > 100.0
     # So thin a part tells no slope: that is the one before, to the bit.
     np.testing.assert_array_equal(after.normal, before.normal)
+
+
+@pytest.mark.parametrize(
+    ("correlation_time", "align", "stands_out"),
+    [(300.0, False, True), (0.0, True, True), (0.0, False, False)],
+)
+def test_what_pose_errors_explain_of_a_part_does_not_stand_out(correlation_time, align, stands_out):
+    """0.3 m, by poses as uncertain: unless the error lasts, or the rest of the scan tells it."""
+    config = configured(
+        domain={"min_level": 2, "max_level": 2},
+        lidar={"range_noise": 0.02},
+        mapping={"align": align},
+        pose={"correlation_time": correlation_time},
+    )
+    mapper, rng = Mapper(config), np.random.default_rng(7)
+    sigma = pose_covariance(0.3, 1e-9)
+    for k in range(3):
+        places, pose = scattered(rng, 0.0, 0.0, 16.0, 8000), make_pose(ABOVE, sigma, 1 + k)
+        look(mapper, flat(), *places, rng, 0.02, pose)
+    x = np.r_[8.0 + 8.0 * rng.random(6000), 4.0 + 0.4 * rng.random(200)]
+    y = np.r_[16.0 * rng.random(6000), 4.0 + 4.0 * rng.random(200)]
+    look(mapper, lambda x, y: 0.3 * (x < 8.0), x, y, rng, 0.02, make_pose(ABOVE, sigma, 10))
+    assert leaf_at(mapper, 6.0, 6.0).raised_sum == pytest.approx(200.0 * stands_out, abs=20.0)
 
 
 def test_later_points_mend_what_a_child_inherited():

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from core.builders import (
     configured,
-    domain_of,
     flat,
     lattice,
     make_pose,
@@ -18,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.sensing.register import register
+from quadtree_lss.onboard.core.tree.domain import Domain
 
 
 def test_angles_and_range_come_back_from_the_point():
@@ -35,9 +35,9 @@ def test_angles_and_range_come_back_from_the_point():
 def test_points_of_any_kind_of_number_are_taken():
     pose, config = make_pose((8.0, 8.0, 100.0)), configured()
     points = np.array([[1, 2, 100], [-3, 0, 99], [2, 2, 98]])
-    expected, _ = register(points.astype(np.float64), pose, config.lidar, domain_of(config))
+    expected, _ = register(points.astype(np.float64), pose, config.lidar, Domain.of(config.domain))
     for kind in (np.int64, np.int16, np.float32, ">f8"):
-        found, _ = register(points.astype(kind), pose, config.lidar, domain_of(config))
+        found, _ = register(points.astype(kind), pose, config.lidar, Domain.of(config.domain))
         np.testing.assert_array_equal(found.points, expected.points)
 
 
@@ -55,9 +55,9 @@ def test_points_of_a_cell_are_one_run_in_the_order_of_the_scan(form):
         points = points.astype(np.float32)
     elif form == "every other":
         points = np.repeat(points, 2, axis=0)[::2]
-    found, dropped = register(points, pose, config.lidar, domain_of(config))
+    found, dropped = register(points, pose, config.lidar, Domain.of(config.domain))
     place = points.reshape(-1, 3).astype(float) @ pose.rotation_map_lidar.T
-    cell = (place[:, :2] + pose.position[:2]) / domain_of(config).finest_size
+    cell = (place[:, :2] + pose.position[:2]) / Domain.of(config.domain).finest_size
     inside = np.flatnonzero((cell >= 0.0).all(axis=1))
     key = np.array([morton.encode(int(x), int(y)) for x, y in cell[inside]])
     order = np.argsort(key, kind="stable")
@@ -75,7 +75,7 @@ def test_a_scan_that_somebody_keeps_is_not_written_over():
         scan(flat(z), *lattice(0.0, 0.0, 16.0, 40), make_pose((8.0, 8.0, 100.0)), 0.0)
         for z in (0.0, 1.0, 2.0)
     ]
-    args = (make_pose((8.0, 8.0, 100.0)), config.lidar, domain_of(config))
+    args = (make_pose((8.0, 8.0, 100.0)), config.lidar, Domain.of(config.domain))
     kept, _ = register(scans[0], *args)
     part = register(scans[1], *args)[0].points[5:]
     key = memoryview(register(scans[1], *args)[0].key)
@@ -92,7 +92,7 @@ def test_a_scan_that_misses_the_domain_says_where_it_fell():
     config = configured()
     points = scan(flat(), *lattice(70.0, 72.0, 16.0, 40), pose, 0.0)
     points[::7] = np.nan
-    found, dropped = register(points, pose, config.lidar, domain_of(config))
+    found, dropped = register(points, pose, config.lidar, Domain.of(config.domain))
     assert len(found.key) == 0
     assert dropped["outside"] == int(np.isfinite(points[:, 0]).sum())
     middle = np.nanmean(points @ pose.rotation_map_lidar.T, axis=0) + pose.position

@@ -12,7 +12,6 @@ from core.builders import (
     METHODS,
     assert_sound,
     configured,
-    elevation,
     flat,
     lattice,
     look,
@@ -26,6 +25,7 @@ from core.builders import (
     slope,
 )
 
+from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -102,7 +102,7 @@ def test_elevation_of_stepped_ground():
 
     cells = mapped(config, ground, density=100.0, scans=3).snapshot()
     x, y = lattice(0.0, 0.0, 16.0, 100)
-    off = np.abs(elevation(cells, x, y) - ground(x, y))
+    off = np.abs(cells.at(x, y).height - ground(x, y))
     beside = np.abs(x - 5.1) > config.domain.size / 2**config.domain.max_level
     # 18 points a finest cell and three scans: 0.03 / sqrt(18) = 7 mm, a corner twice that.
     assert off[beside].max() < 0.1
@@ -132,7 +132,7 @@ def test_children_without_points_inherit_and_no_hole_appears():
     look(mapper, flat(1.4), x, y, rng, 0.03)
     later = mapper.snapshot()
     assert later.measured[(later.x % 8.0) - 0.5 * later.size >= 4.0].all()
-    np.testing.assert_allclose(elevation(later, x, y), 1.4, atol=0.1)
+    np.testing.assert_allclose(later.at(x, y).height, 1.4, atol=0.1)
 
 
 def test_points_are_all_accounted_for():
@@ -169,6 +169,21 @@ def test_observed_is_where_points_fell_and_count_is_how_many():
     assert (cells.level == 2).all()
     leaf = cells.leaf_raster()[(y / 0.5).astype(int), (x / 0.5).astype(int)]
     np.testing.assert_array_equal(cells.count, 2 * np.bincount(leaf, minlength=16))
+
+
+def test_where_returns_stand_out_is_remembered():
+    """By the last look, if they are more than a sixteenth: 7 of 100 a cell."""
+    config = configured(domain={"min_level": 4, "max_level": 4}, lidar={"range_noise": 0.01})
+    mapper, rng = Mapper(config), np.random.default_rng(9)
+    x, y = lattice(0.0, 0.0, 16.0, 160)
+    cell = np.flatnonzero((np.floor(x) == 5) & (np.floor(y) == 9))
+    for raised in (0, 0, 0, 6, 7, 0):
+        z = np.zeros(len(x))
+        z[cell[3 : 3 + 12 * raised : 12]] = 1.0
+        look(mapper, lambda x, y, z=z: z, x, y, rng, 0.01)
+        expected = np.full(256, 2)
+        expected[morton.encode(5, 9)] = 3 if raised == 7 else 2
+        np.testing.assert_array_equal(mapper.leaves.observed, expected)
 
 
 def test_the_stamp_is_the_newest_since_time_jumped_back():

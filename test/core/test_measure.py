@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, lattice, nees, pose_covariance, unit_vectors
-from core.builders import look as see
+from core.builders import configured, flat, lattice, look, pose_covariance, unit_vectors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
@@ -22,7 +21,6 @@ LIDAR = np.array([30.0, -20.0, 80.0])
 NO_POSE = np.zeros((6, 6))
 GRADIENT = (0.15, -0.08)
 NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
-TRIALS = 2000
 FITS = pytest.mark.parametrize("method", ["height", "ml"])
 
 
@@ -59,74 +57,21 @@ def fitted(
     return Found(run.normal, run.z + lidar[2], *parts, run.unseen)
 
 
-def look(
-    rng: np.random.Generator, per_side: int, noise: float, size: float = 2.0, lidar=LIDAR
-) -> np.ndarray:
+def tilted(rng: np.random.Generator, per_side: int, noise: float) -> np.ndarray:
     """Points (N, 3) of the tilted plane through the origin, one somewhere in each of the squares
     that fill a cell: nothing of it is left out."""
     corner = np.stack(np.meshgrid(*[np.arange(per_side)] * 2), axis=-1).reshape(-1, 2)
-    x, y = ((corner + rng.random(corner.shape)) / per_side - 0.5).T * size
+    x, y = ((corner + rng.random(corner.shape)) / per_side - 0.5).T * 2.0
     truth = np.stack([x, y, GRADIENT[0] * x + GRADIENT[1] * y], axis=1)
-    ray = truth - lidar
+    ray = truth - LIDAR
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     return truth + noise * rng.standard_normal((len(x), 1)) * ray
-
-
-def assert_consistent(error: np.ndarray, covariance: np.ndarray, slack: float = 0.0) -> None:
-    """Sample against predicted covariance, entry by entry, and the mean NEES against 3.
-
-    A sample covariance of T draws errs by sqrt(2 / T) relative, NEES by sqrt(2 * 3 / T).
-    """
-    expected = covariance.mean(axis=0)
-    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    found = error.T @ error / len(error)
-    assert (np.abs(found - expected) <= (5.0 * np.sqrt(2.0 / len(error)) + slack) * scale).all()
-    assert abs(nees(error, covariance).mean() - 3.0) < 5.0 * np.sqrt(6.0 / len(error)) + 3.0 * slack
-
-
-def error_of(found: Found, centre: tuple[float, float]) -> np.ndarray:
-    """(3,) against the plane through the origin, about the cell's centre."""
-    return np.append(sphere.minus(found.normal, NORMAL), np.array([*centre, found.z]) @ NORMAL)
-
-
-@FITS
-@pytest.mark.parametrize(("centre", "side"), [((0.0, 0.0), 10.0), ((1.0, -0.5), 10.0)])
-def test_range_noise_covariance_against_monte_carlo(method, centre, side):
-    """Also with the cell's centre away from the points' centroid.
-
-    With noise of 0.3 m, beside which the 0.015 m do not count that ground may be uneven.
-    """
-    rng = np.random.default_rng(1)
-    by = rules(method, 0.3)
-    found = [fitted(by, look(rng, 6, 0.3, 10.0), centre, side) for _ in range(TRIALS)]
-    assert max(np.abs(one.pose_part).max() for one in found) == 0.0
-    assert max(one.unseen for one in found) == 0.0
-    error = np.array([error_of(one, centre) for one in found])
-    # The tilt's own scatter is a relative 1/36.
-    assert_consistent(error, np.array([one.range_part for one in found]), 0.03)
-
-
-@pytest.mark.parametrize("noise", [0.01, 0.3], ids=["pose only", "pose and range"])
-@FITS
-def test_common_pose_error_against_monte_carlo(method, noise):
-    """Each look has a pose error of its own, common to its points: it does not average out."""
-    rng = np.random.default_rng(2)
-    sigma = pose_covariance(0.3, 4e-3)
-    sigma[0, 4] = sigma[4, 0] = 0.7 * 0.3 * 4e-3
-    by, errors, told = rules(method, noise), [], []
-    for _ in range(TRIALS):
-        error = rng.multivariate_normal(np.zeros(6), sigma)
-        seen = (look(rng, 6, noise, 10.0) - LIDAR) @ rotations.exp(error[3:]).T + LIDAR + error[:3]
-        found = fitted(by, seen, (0.2, -0.1), 10.0, sigma)
-        errors.append(error_of(found, (0.2, -0.1)))
-        told.append(found.total)
-    assert_consistent(np.array(errors), np.array(told), 0.03)
 
 
 def test_independent_treatment_averages_the_pose_out():
     """The paper's: every point as uncertain as range and pose together make it, no pose part."""
     rng = np.random.default_rng(3)
-    sigma, points = pose_covariance(0.3, 0.0), look(rng, 6, 0.02)
+    sigma, points = pose_covariance(0.3, 0.0), tilted(rng, 6, 0.02)
     alone = fitted(rules(covariance="independent"), points)
     both = fitted(rules(covariance="independent"), points, sigma=sigma)
     np.testing.assert_array_equal(both.normal, alone.normal)
@@ -137,7 +82,7 @@ def test_independent_treatment_averages_the_pose_out():
 
 def test_the_ml_fit_minimises_the_weighted_cost():
     """Eq. 25 of one scan with its free offset (Eq. 21)."""
-    points = look(np.random.default_rng(4), 5, 0.02)
+    points = tilted(np.random.default_rng(4), 5, 0.02)
     found = fitted(rules("ml"), points)
 
     def cost(state: np.ndarray) -> float:
@@ -153,7 +98,7 @@ def test_the_ml_fit_minimises_the_weighted_cost():
 @FITS
 def test_a_turn_about_the_vertical_turns_the_fit(method):
     """Eq. 2's basis turns along: R_(Qn) = Q R_n Q^T for Q about z."""
-    cloud, sigma = look(np.random.default_rng(8), 5, 0.02), pose_covariance(0.1, 1e-3)
+    cloud, sigma = tilted(np.random.default_rng(8), 5, 0.02), pose_covariance(0.1, 1e-3)
     turn = rotations.exp(np.array([0.0, 0.0, 0.5 * np.pi]))  # keeps the cell's sides
     centre = np.array([0.3, -0.2, 0.0])
     by = rules(method)
@@ -293,12 +238,8 @@ def test_range_noise_grows_with_the_range_and_with_the_footprint():
 
 def test_a_fit_weighs_by_the_noise_at_its_range():
     of = Rules(configured(lidar={"range_noise": 0.02, "range_noise_per_metre": 1e-3}))
-    near, far = (
-        fit(
-            of, look(np.random.default_rng(13), 7, 0.0) - (0.0, 0.0, up), 0, 0, 2.0, NORMAL, NO_POSE
-        )
-        for up in (20.0, 180.0)
-    )
+    cloud, given = tilted(np.random.default_rng(13), 7, 0.0), (2.0, NORMAL, NO_POSE)
+    near, far = (fit(of, cloud - (0.0, 0.0, up), 0.0, 0.0, *given)[0] for up in (20.0, 180.0))
     assert np.sqrt(far.variance / near.variance) == pytest.approx(0.2 / 0.04, rel=0.01)
 
 
@@ -354,7 +295,7 @@ def test_parts_of_a_leaf_that_were_never_seen_leave_its_height_uncertain():
     mapper, (x, y) = Mapper(config), lattice(0.0, 0.0, 4.0, 160)
     part = (x < 2.0) & (y < 1.0)
     for _ in range(2):
-        see(mapper, flat(), x[part], y[part])
+        look(mapper, flat(), x[part], y[part])
     cells = mapper.snapshot()
     (at,) = np.flatnonzero(cells.measured)
     leaf = mapper.leaves.rows[mapper.leaves.in_order()[at]]

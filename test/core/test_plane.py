@@ -5,9 +5,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import differentiated, random_covariances, unit_vectors, upward_normals
+from core.builders import (
+    configured,
+    differentiated,
+    random_covariances,
+    unit_vectors,
+    upward_normals,
+)
 
 from quadtree_lss.onboard.core.geometry import plane, rotations, sphere
+from quadtree_lss.onboard.core.mapping.measure import Rules, fit
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -17,12 +24,18 @@ def scatter_of(points: np.ndarray) -> np.ndarray:
     return off.T @ off
 
 
+def fitted(points: np.ndarray, prior=UP, method: str = "height", noise: float = 1e-3):
+    """What `measure` makes of points (N, 3) about the lidar that fill a cell of 2 m below it."""
+    rules = Rules(configured(lidar={"range_noise": noise}, mapping={"fit": method}))
+    return fit(rules, points, 0.0, 0.0, 2.0, prior, np.zeros((6, 6)))[0]
+
+
 @pytest.mark.parametrize("count", [1, 2, 30])
 def test_moments_are_the_plain_ones(count):
     points = np.random.default_rng(1).standard_normal((count, 3)) + (50.0, -30.0, 400.0)
-    mean, scatter = plane.moments_of(points)
-    np.testing.assert_allclose(mean, points.mean(axis=0), atol=1e-12)
-    np.testing.assert_allclose(scatter, scatter_of(points), atol=1e-11)
+    run = fitted(points)
+    np.testing.assert_allclose(run.centroid, points.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(run.scatter, scatter_of(points)[np.triu_indices(3)], atol=1e-11)
 
 
 def test_inverse_is_the_inverse():
@@ -34,30 +47,30 @@ def test_inverse_is_the_inverse():
         np.testing.assert_allclose(plane.inverse(matrix) @ matrix, np.eye(3), atol=1e-6)
 
 
-@pytest.mark.parametrize("spread", [0.0, 0.7])
-def test_height_regression_minimises_its_cost(spread):
+@pytest.mark.parametrize("noise", [1e-4, 0.8])
+def test_height_regression_minimises_its_cost(noise):
     """Least squares of z on (1, x, y) with two rows more for the slope prior."""
     rng = np.random.default_rng(4)
     for before in upward_normals(rng, 20):
-        cloud = rng.standard_normal((40, 3)) * (1.0, 0.6, 0.3)
-        weight = np.sqrt(spread)
+        cloud = rng.uniform(-1.0, 1.0, (40, 3)) * (1.0, 1.0, 0.3)
         rows = np.column_stack([np.ones(40), cloud[:, :2]])
-        rows = np.vstack([rows, [[0.0, weight, 0.0], [0.0, 0.0, weight]]])
-        right = np.concatenate([cloud[:, 2], -weight * before[:2] / before[2]])
+        rows = np.vstack([rows, [[0.0, noise, 0.0], [0.0, 0.0, noise]]])
+        right = np.concatenate([cloud[:, 2], -noise * before[:2] / before[2]])
         _, a, b = np.linalg.lstsq(rows, right, rcond=None)[0]
         expected = np.array([-a, -b, 1.0]) / np.sqrt(1.0 + a * a + b * b)
-        found = plane.height_fit(scatter_of(cloud), before, spread)
-        np.testing.assert_allclose(found, expected, atol=1e-12)
+        found = fitted(cloud - (0.0, 0.0, 9.0), before, noise=noise).normal
+        np.testing.assert_allclose(found, expected, atol=1e-11)
 
 
 def test_orthogonal_fit_minimises_the_orthogonal_residuals():
     """The eigenvector of the least eigenvalue, reached from a height regression."""
     rng = np.random.default_rng(5)
     for normal in upward_normals(rng, 30, 0.9):
-        points = rng.uniform(-1.0, 1.0, (60, 2)) @ sphere.tangent_basis(normal).T
-        scatter = scatter_of(points + 0.05 * rng.standard_normal(points.shape))
-        found = plane.orthogonal_fit(scatter, plane.height_fit(scatter, UP, 0.0))
-        expected = np.linalg.eigh(scatter)[1][:, 0]
+        x, y = rng.uniform(-1.0, 1.0, (2, 60))
+        points = np.column_stack([x, y, -(normal[0] * x + normal[1] * y) / normal[2] - 9.0])
+        points += 0.05 * rng.standard_normal(points.shape)
+        expected = np.linalg.eigh(scatter_of(points))[1][:, 0]
+        found = fitted(points, method="ml", noise=0.05).normal
         np.testing.assert_allclose(found, expected * np.sign(expected[2]), atol=1e-9)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import configured, domain_of
+from core.builders import configured
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -17,6 +17,7 @@ from quadtree_lss.onboard.core.sensing.pose_buffer import PoseBuffer
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.sensing.scan_queue import ScanQueue
 from quadtree_lss.onboard.core.sensing.sweep import poses_during, sweep
+from quadtree_lss.onboard.core.tree.domain import Domain
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -53,7 +54,7 @@ def test_each_point_is_turned_and_moved_by_the_pose_at_its_time(seed, count, shu
     during = poses_during(buffer, STAMP + int(offsets.min()), STAMP + int(offsets.max()))
     config = configured(domain={"xmin": -100.0, "ymin": -100.0, "size": 200.0})
     moved = sweep(offsets, at_stamp, during)
-    seen, dropped = register(points, at_stamp, config.lidar, domain_of(config), moved)
+    seen, dropped = register(points, at_stamp, config.lidar, Domain.of(config.domain), moved)
     assert not any(dropped.values())
     turns = Slerp(knots, Rotation.from_matrix([pose.rotation_map_lidar for pose in poses]))
     ways = [np.interp(offsets / MS, knots, [pose.position[k] for pose in poses]) for k in range(3)]
@@ -61,20 +62,6 @@ def test_each_point_is_turned_and_moved_by_the_pose_at_its_time(seed, count, shu
     distance, which = cKDTree(seen.points + seen.origin).query(expected)
     assert distance.max() < 1e-4
     assert len(np.unique(which)) == len(seen.points) == len(points)
-
-
-def test_a_sweep_without_motion_is_a_scan_at_once():
-    rng = np.random.default_rng(1)
-    pose = pose_at(0, (8.0, 8.0, 50.0), (0.1, 0.2, 0.3))
-    points = rng.normal(0.0, 2.0, (500, 3)) + (0.0, 0.0, -40.0)
-    buffer = buffer_of([pose_at(t, (8.0, 8.0, 50.0), (0.1, 0.2, 0.3)) for t in (-50, 100)])
-    during = poses_during(buffer, STAMP, STAMP + 90 * MS)
-    offsets = np.linspace(0.0, 90.0 * MS, 500).astype(np.int32)
-    config = configured()
-    args = (points, pose, config.lidar, domain_of(config))
-    still, moving = register(*args)[0], register(*args, sweep(offsets, pose, during))[0]
-    np.testing.assert_array_equal(still.key, moving.key)
-    np.testing.assert_allclose(still.points, moving.points, atol=1e-9)
 
 
 def waiting(buffer, span_ms, stamp_ms=0.0) -> ScanQueue:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.sensing.mount import MountedPoses, mounted
+from quadtree_lss.onboard.core.sensing.mount import mounted
 from quadtree_lss.onboard.core.sensing.pose_buffer import PoseBuffer
 from quadtree_lss.onboard.core.sensing.scan_queue import ScanQueue
 
@@ -296,17 +296,3 @@ def test_mounted_covariance_is_that_of_perturbed_poses():
         jacobian[:3, k] = (moved.position - lidar.position) / 1e-6
         jacobian[3:, k] = turn.as_rotvec() / 1e-6
     np.testing.assert_allclose(lidar.covariance, jacobian @ sigma @ jacobian.T, rtol=1e-4)
-
-
-def test_a_gimbal_is_interpolated_like_the_poses_and_waited_for():
-    body, gimbal = buffer_of(0, 100), PoseBuffer(SECOND, SECOND)
-    source = MountedPoses(body, gimbal)
-    queue = queue_of(source)
-    queue.push_scan(50 * MS, "scan", 0)
-    assert queue.pop_ready() == [] and source.range_ns is None
-    for t, angle in ((0, 0.0), (100, 0.2)):
-        rotation = Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
-        gimbal.add(Pose(t * MS, np.zeros(3), rotation, np.zeros((6, 6))))
-    ((_, _, pose),) = queue.pop_ready()
-    half = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
-    np.testing.assert_allclose(pose.rotation_map_lidar, half, atol=1e-12)

@@ -444,30 +444,6 @@ def fuse(
     out_rise[0] = rise
 
 
-def moments_of(points: Array) -> tuple[Array, Array]:
-    """Centroid (3,), m, and scatter (3, 3), m^2, of points (N, 3)."""
-    mean = cython.declare(cython.double[3])
-    scatter = cython.declare(cython.double[6])
-    moments(points, 0, len(points), mean, scatter)
-    return np.array(mean), _square(scatter)
-
-
-def height_fit(scatter: Array, prior: ArrayLike, spread: float) -> Array:
-    """`height_normal` of a scatter (3, 3) with the slope of a prior normal (3,): (3,)."""
-    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
-    n: cython.double[3] = prior  # type: ignore[valid-type]
-    height_normal(six, -n[0] / n[2], -n[1] / n[2], spread, n)
-    return np.array(n)
-
-
-def orthogonal_fit(scatter: Array, start: ArrayLike) -> Array:
-    """`orthogonal_normal` of a scatter (3, 3) from a first normal (3,): (3,)."""
-    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
-    n: cython.double[3] = start  # type: ignore[valid-type]
-    orthogonal_normal(six, n)
-    return np.array(n)
-
-
 def upward(normal: ArrayLike) -> Array:
     """`keep_up` of a normal (3,)."""
     n: cython.double[3] = normal  # type: ignore[valid-type]
@@ -556,10 +532,3 @@ def fused(
 
 #: The six numbers of a scatter in the matrix.
 UPPER = np.triu_indices(3)
-
-
-def _square(six: Vector) -> Array:
-    """(3, 3) of the six numbers of a scatter."""
-    out = np.empty((3, 3))
-    out[UPPER] = out.T[UPPER] = six
-    return out

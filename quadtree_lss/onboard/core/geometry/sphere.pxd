@@ -3,7 +3,6 @@ from libc.math cimport atan2, cos, sin, sqrt
 
 cdef void basis_at(double* normal, double* out) noexcept nogil
 cdef void exp_at(double* tangent, double* out) noexcept nogil
-cdef void exp_jacobian_at(double* tangent, double* out) noexcept nogil
 cdef void log_at(double* normal, double* out, double* jacobian) noexcept nogil
 cdef void seen_from(double* normal, double* reference, double* out) noexcept nogil
 cdef void plus_at(double* normal, double* tangent, double* out) noexcept nogil

@@ -53,25 +53,12 @@ def exp_at(tangent: Vector, out: Vector) -> None:
     out[2] = up
 
 
-def exp_jacobian_at(tangent: Vector, out: Vector) -> None:
-    """Eq. 5, Eq. 6, Eq. 7 (bottom row -sinc(phi) phi^T): d exp / d phi, phi (2) to (3, 2)."""
-    x, y = tangent[0], tangent[1]
-    angle = sqrt(x * x + y * y)
-    sinc = sin(angle) / angle if angle > 1e-9 else 1.0
-    chi = (cos(angle) - sinc) / (angle * angle) if angle > 1e-4 else -1.0 / 3.0
-    out[0] = sinc + chi * x * x
-    out[1] = out[2] = chi * x * y
-    out[3] = sinc + chi * y * y
-    out[4] = -sinc * x
-    out[5] = -sinc * y
-
-
 def log_at(normal: Vector, out: Vector, jacobian: Vector) -> None:
     """Eq. 4: angle from the z axis along kappa, n (3) to (2), and d log / d n (2, 3).
 
     The latter for changes of n along the sphere: with unit direction k = kappa / |kappa| and angle
     phi, a change dn turns the angle by lambda k.dkappa - |kappa| dlambda and moves across k by
-    (phi / sin phi) of dkappa.
+    (phi / sin phi) of dkappa: the inverse of d exp / d phi (Eq. 5, Eq. 6, Eq. 7).
     """
     square = normal[0] * normal[0] + normal[1] * normal[1]
     sine = sqrt(square)
@@ -147,11 +134,6 @@ def tangent_basis(normal: ArrayLike) -> Array:
     return np.array(out).reshape(2, 3).T
 
 
-def rotation_to(normal: ArrayLike) -> Array:
-    """Eq. 2: R_n with n = R_n (0, 0, 1), (3,) to (3, 3)."""
-    return np.column_stack([tangent_basis(normal), normal])
-
-
 def exp(tangent: ArrayLike) -> Array:
     """Eq. 3: (2,) to (3,)."""
     phi: cython.double[2] = tangent  # type: ignore[valid-type]
@@ -167,14 +149,6 @@ def log(normal: ArrayLike) -> Array:
     jacobian = cython.declare(cython.double[6])
     log_at(n, out, jacobian)
     return np.array(out)
-
-
-def exp_jacobian(tangent: ArrayLike) -> Array:
-    """Eq. 5 to Eq. 7: (2,) to (3, 2)."""
-    phi: cython.double[2] = tangent  # type: ignore[valid-type]
-    out = cython.declare(cython.double[6])
-    exp_jacobian_at(phi, out)
-    return np.array(out).reshape(3, 2)
 
 
 def log_jacobian(normal: ArrayLike) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.sphere import Vector
@@ -232,19 +232,3 @@ def hides_rock_in(
 ) -> cython.bint:
     """`hides_rock` of records (M,) of type `LEAF` and (R,) of type `RUN`."""
     return hides_rock(rules, leaf_at(rows, row), record(runs, at), side)
-
-
-def distance_of(points: Array, normal: ArrayLike, through: ArrayLike) -> cython.double:
-    """`mean_distance` of points (N, 3) to the plane of a normal (3,) through a point (3,), m."""
-    n: cython.double[3] = normal  # type: ignore[valid-type]
-    p: cython.double[3] = through  # type: ignore[valid-type]
-    return mean_distance(points, 0, len(points), n, p)
-
-
-def factor_of(
-    normal: ArrayLike, mean: ArrayLike, sigma: Array, along: float, plane: float
-) -> cython.double:
-    """`mahalanobis_factor` of a plane (3,) seen at ``mean`` (3,) from the lidar, 1/m."""
-    r: cython.double[3] = mean  # type: ignore[valid-type]
-    cosine = fabs(np.dot(normal, mean)) / sqrt(np.dot(mean, mean))
-    return mahalanobis_factor(r, cosine, sigma, along, plane)
