@@ -172,9 +172,11 @@ def test_the_score_is_the_mean_density_over_the_zone(cells):
 
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_the_slope_counts_in_radians(assessment):
-    alone = {f"weight_{of}": 0.0 for of in ("roughness", "subscale", "hazard_distance")}
-    config = small(assessment=assessment, weight_slope=2.0, **alone)
-    found = assess(mapped(config, slope(0.08, -0.06), density=60.0).snapshot(), config)
+    config = small(assessment=assessment)
+    cells = mapped(config, slope(0.08, -0.06), density=60.0).snapshot()
+    others = dict.fromkeys(("WEIGHT_DISTANCE", "WEIGHT_ROUGHNESS", "WEIGHT_SUBSCALE"), 0.0)
+    with mock.patch.multiple(score, WEIGHT_SLOPE=2.0, **others):
+        found = assess(cells, config)
     assert found.safe[8:-8, 8:-8].all()
     np.testing.assert_allclose(found.score[8:-8, 8:-8], 2.0 * np.arctan(0.1), rtol=0.05)
 

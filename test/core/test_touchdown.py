@@ -8,7 +8,7 @@ import itertools
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, leaf_by_descent, mapped, slope
+from core.builders import configured, flat, mapped, slope
 
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.geometry.feature import height
@@ -29,7 +29,7 @@ class SlowLander:
     def __init__(self, cells: CellMap, config: LssConfig) -> None:
         self.cells, self.config = cells, config
         self.n, self.side = cells.domain.finest_count, cells.domain.finest_size
-        leaf = [[leaf_by_descent(cells, c, r) for c in range(self.n)] for r in range(self.n)]
+        leaf = cells.leaf_raster()
         self.leaf = np.array(leaf)
         self.slope_x = -cells.normal[:, 0] / cells.normal[:, 2]
         self.slope_y = -cells.normal[:, 1] / cells.normal[:, 2]

@@ -90,7 +90,8 @@ def test_manifest_names_every_ros_package_that_is_imported():
     imported = {name for path in ours for name in _imports(path)}
     of_ros = {n for n in imported if n.endswith(("_msgs", "_interfaces")) or n == "rclpy"}
     of_ros |= imported & {"launch", "launch_ros"}
-    of_ros.remove("grid_map_msgs")  # nobody must have it
+    of_ros |= {kind.partition("/")[0] for kind in TOPIC_TYPES.values()}
+    of_ros.discard("grid_map_msgs")  # nobody must have it
     assert of_ros and of_ros <= depends, f"package.xml lacks {of_ros - depends}"
 
 
