@@ -160,6 +160,18 @@ def test_inherited_planes_are_the_parents():
             np.testing.assert_allclose(child[name].reshape(3, 3), expected, atol=1e-15)
 
 
+def test_childrens_bounds_are_their_planes_reach_unless_the_parents_are_narrower():
+    """No return that is known in a child lay farther from the plane, but for the spread."""
+    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
+    n = tree.rows[0].normal.copy()
+    tree.rows[0].low, tree.rows[0].high = 1.5, 90.0
+    tree.make_room_and_divide(0, 0.0, 0.0, 0.1)
+    children, reach = tree.rows[:4], (2.0 * (abs(n[0]) + abs(n[1])) + 0.1) / n[2]
+    np.testing.assert_allclose(children.high, children.z + reach)
+    np.testing.assert_allclose(children.low, np.maximum(children.z - reach, 1.5))
+    assert len(set(children.low.tolist())) > 1
+
+
 def test_misfit_makes_what_is_inherited_less_certain():
     """In height and in slope."""
     square, tilt = 0.01, 3e-4
@@ -175,14 +187,14 @@ def test_misfit_makes_what_is_inherited_less_certain():
 def test_children_begin_their_statistics_anew():
     tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
     leaf = tree.rows[0]
-    leaf.feature[:], leaf.points = 1.0, 500.0
+    leaf.feature[:], leaf.points, leaf.bias[:], leaf.greatest = 1.0, 500.0, 7.0, 7.0
     for name in tree.rows.dtype.names:
         if name.endswith(("_sum", "_weight", "_noise")) or name == "residuals":
             leaf[name] = 7.0
     divide(tree, 0)
     children = tree.rows[:4]
     assert np.isnan(children.feature).all()
-    assert not children.points.any()
+    assert not (children.points.any() or children.bias.any() or children.greatest.any())
     for name in tree.rows.dtype.names:
         if name.endswith(("_sum", "_weight", "_noise")) or name == "residuals":
             assert not children[name].any(), name

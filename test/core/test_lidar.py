@@ -97,3 +97,12 @@ def test_a_scan_that_misses_the_domain_says_where_it_fell():
     assert dropped["outside"] == int(np.isfinite(points[:, 0]).sum())
     middle = np.nanmean(points @ pose.rotation_map_lidar.T, axis=0) + pose.position
     np.testing.assert_allclose(found.centre, middle[:2], atol=1e-9)
+
+
+def test_a_covariance_is_made_positive_and_bounded():
+    values = np.array([-1.0, 0.0, 1e-6, 0.5, 3.0, 2e6])
+    axes = np.linalg.qr(np.random.default_rng(4).standard_normal((6, 6)))[0]
+    expected = (axes * np.clip(values, 0.0, 1e6)) @ axes.T
+    np.testing.assert_allclose(
+        lidar.sound_covariance((axes * values) @ axes.T), expected, atol=1e-8
+    )

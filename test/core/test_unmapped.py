@@ -91,6 +91,7 @@ def test_the_lander_is_not_set_down_on_it_nor_its_height_taken(level_ground):
 def test_gaps_are_bridged_from_known_ground_alone():
     """Of four columns without a return, those beside ground not yet mapped are not firm."""
     cells = strip(4)
+    cells = replace(cells, normal=np.where(np.isfinite(cells.normal), (-0.6, 0.0, 0.8), np.nan))
     raster = rasterise(replace(cells, known=cells.known & (np.arange(64) < 34)), 0.6)
     known = np.arange(64) < 30
     np.testing.assert_array_equal(raster.unmapped.all(axis=0), np.arange(64) >= 34)
@@ -98,6 +99,7 @@ def test_gaps_are_bridged_from_known_ground_alone():
     np.testing.assert_array_equal(raster.firm.all(axis=0), known)
     # Heights in the gap are those of the known side.
     np.testing.assert_array_equal(raster.elevation[:, 33], raster.elevation[:, 29])
+    np.testing.assert_allclose(raster.slope_x, np.where(known, 0.75, 0.0) * np.ones((64, 1)))
 
 
 def test_heights_are_lent_by_known_cells_alone(level_ground):
