@@ -87,7 +87,7 @@ def hazard_figure(content: Content) -> Figure:
     names = [("excluded", EXCLUDED_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
     decisions = _classes(right, content, allowed, [*names, (UNMAPPED_NAME, UNMAPPED_COLOUR)])
     figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
-    figure.legend(handles=decisions, loc="lower right", ncols=3, frameon=False)
+    figure.legend(handles=decisions, loc="lower right", ncols=2, frameon=False)
     drawing.mark_sites(right, content.places, content.zone)
     return figure
 
