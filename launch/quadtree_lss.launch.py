@@ -56,9 +56,9 @@ TOPICS = {
 
 def generate_launch_description() -> LaunchDescription:
     """``mapping_node`` and ``lss_node`` with one parameter file, in one namespace."""
-    default = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "default.yaml"])
     arguments = {
-        "params_file": (default, "ROS parameter file for both nodes"),
+        "params_file": ("", "ROS parameter file for both nodes; empty takes config"),
+        "config": ("default", "shipped configuration, as in config:=drone"),
         "namespace": ("", "namespace of nodes and topics"),
         "use_sim_time": ("", "true or false: time from /clock; empty leaves it as it is set"),
         "log_level": ("", "debug, info, warn, error or fatal; empty leaves it as it is set"),
@@ -86,7 +86,9 @@ def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         return LaunchConfiguration(name).perform(context)
 
     # Later ones win; what is not given here is left to the file and to a parent's SetParameter.
-    parameters: list[object] = [_checked(given("params_file"))]
+    named = f"{given('config')}.yaml"
+    shipped = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", named])
+    parameters: list[object] = [_checked(given("params_file") or shipped.perform(context))]
     if given("use_sim_time"):
         parameters.append({"use_sim_time": _truth("use_sim_time", given("use_sim_time"))})
     sources: list[object] = []

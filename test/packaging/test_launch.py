@@ -44,6 +44,11 @@ def test_both_nodes_start_with_the_shipped_defaults(make):
         assert node.respawn is True and node.respawn_delay > 0.0
 
 
+def test_a_shipped_configuration_is_taken_by_its_name(make):
+    for node in make(config="drone")[0].values():
+        assert node.parameters == [str(SHARE / "config" / "drone.yaml")]
+
+
 def test_a_parameter_file_is_the_only_source_unless_more_is_said(make, tmp_path, monkeypatch):
     """Unset means untouched: the file's and a parent's use_sim_time hold."""
     (tmp_path / "vehicle.yaml").write_text(CONTENT)

@@ -22,6 +22,7 @@ from quadtree_lss.desk.commands.explained import (
     check_files,
     explain,
     explain_text,
+    lengths_text,
     parameter_as_dict,
 )
 from quadtree_lss.onboard.config.loading import (
@@ -42,6 +43,7 @@ EXAMPLES = """examples:
   quadtree-lss config check my_lander.yaml other.yaml   (all errors; exit code 1 if there is one)
   quadtree-lss config explain lss.margin                (one parameter)
   quadtree-lss config explain lss                       (a section)
+  quadtree-lss config explain vehicle --config drone    (and the lengths that follow from it)
   quadtree-lss config suggest flight_bag > flight.yaml  (domain, noise, cell sizes from its data)
 
 ACTION is print (the default), check, explain or suggest.
@@ -74,7 +76,10 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({row.name: parameter_as_dict(row) for row in rows})
     else:
-        show("\n\n".join(explain_text(row) for row in rows))
+        texts = [explain_text(row) for row in rows]
+        if any(row.name.startswith("vehicle.") for row in rows):
+            texts.append(lengths_text(chosen_config(options).vehicle))
+        show("\n\n".join(texts))
     return DONE
 
 

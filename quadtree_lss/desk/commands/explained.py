@@ -21,6 +21,7 @@ from quadtree_lss.onboard.config.settings import (
     parameters,
     unknown_parameter,
 )
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig, rule
 
 INTRODUCTION = """\
 # Parameters
@@ -32,6 +33,10 @@ module `settings` beside it checks them.
 Both nodes accept all of them, so one parameter file serves both, and `quadtree-lss replay` as
 well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
 the start. Lengths are m, and a name that ends in `_deg` is in degrees.
+
+[What follows from `vehicle`](#what-follows-from-the-vehicle) is no parameter: `quadtree-lss config
+explain vehicle` shows each value and rule. Old names (`lss.vehicle_diameter`, `lss.max_roughness`,
+`lss.max_slope_deg`, `lss.pad_radius`) are still read, with a line.
 """
 
 
@@ -83,6 +88,17 @@ def explain_text(row: Parameter) -> str:
     return "\n".join(lines)
 
 
+def lengths_text(vehicle: VehicleConfig) -> str:
+    """What follows from a vehicle, value and rule of each, a line each."""
+    lines = [f"what follows from a vehicle of {vehicle.diameter:g} m that clears"]
+    lines[0] += f" {vehicle.clearance:g} m:"
+    for item in dataclasses.fields(Lengths):
+        value = f"{getattr(vehicle.lengths, item.name):.4g} {item.metadata['unit']}"
+        text = f"{rule(item.name)}: {item.metadata['doc']}"
+        lines.append(f"  {item.name:<20} {value:<12} = {text}")
+    return "\n".join(lines)
+
+
 def parameter_as_dict(row: Parameter) -> dict[str, object]:
     """One parameter in JSON's types; limits that are infinite are None."""
     numeric = row.type in (int, float)
@@ -103,7 +119,13 @@ def parameter_table() -> str:
     parts = [INTRODUCTION]
     for section, rows in groupby(parameters(), key=lambda row: row.name.partition(".")[0]):
         parts.append("\n".join([f"\n## {section}\n", *_table(rows)]) + "\n")
-    return "".join(parts)
+    rows = (
+        f"| {item.name} | {rule(item.name).replace(' x ', ' · ')} | {item.default:g}"
+        f" {item.metadata['unit']} | {item.metadata['doc']} |"
+        for item in dataclasses.fields(Lengths)
+    )
+    heads = ["\n## What follows from the vehicle\n", "| Length | Rule | By default | Meaning |"]
+    return "".join(parts) + "\n".join([*heads, "| --- | --- | --- | --- |", *rows]) + "\n"
 
 
 def _table(rows: Iterator[Parameter]) -> Iterator[str]:

@@ -56,7 +56,7 @@ def rank_sites(
     wanted = {key: value for key, value in (landing or {}).items() if value is not None}
     if "area" in wanted:
         corners = np.asarray(wanted["area"], np.float64)
-        room = 0.5 * config.lss.vehicle_diameter + config.lss.margin + 2.0 * model.spacing
+        room = 0.5 * config.lss.vehicle.diameter + config.lss.margin + 2.0 * model.spacing
         part = model.within(corners.min(axis=0) - room, corners.max(axis=0) + room)
         model = part if min(len(part.x), len(part.y)) >= 3 else model
     cells, block = cells_of(model, config.lidar.range_noise)
@@ -65,7 +65,7 @@ def rank_sites(
     levels = {"min_level": 0, "max_level": domain.max_level}
     own: dict[str, Any] = {f"domain.{key}": value for key, value in (values | levels).items()}
     coarsest = domain.size / MOST_POINTS
-    if config.lss.grid_spacing < coarsest:
+    if config.lss.spacing < coarsest:
         own["lss.grid_spacing"] = coarsest
     config = config_from_values(own, config)
     asked = time.perf_counter()

@@ -67,7 +67,7 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     layers = [(name, values, grid.x, grid.y) for name, values in grid.layers.items()]
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
     x, y = domain.xmin + middles, domain.ymin + middles
-    raster = rasterise(results.map, results.config.lss.max_gap)
+    raster = rasterise(results.map, results.config.lss)
     deviation = results.map.at(x, y[:, None]).deviation
     known = (np.where(raster.seen, values, np.nan) for values in (raster.elevation, deviation))
     names = ("map_height", "map_deviation")
@@ -109,7 +109,7 @@ def _colours(results: Results) -> Bytes:
 
 def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
     lss, path = results.config.lss, folder / "sites.geojson"
-    content = sites_geojson(results.sites, 0.5 * lss.vehicle_diameter + lss.margin, crs)
+    content = sites_geojson(results.sites, 0.5 * lss.vehicle.diameter + lss.margin, crs)
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return [path]
 

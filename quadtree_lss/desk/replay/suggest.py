@@ -159,7 +159,7 @@ class _Seen:
             f" {spacing:.2g} m apart on the ground",
             "lidar.range_noise": "scatter of neighbouring returns where the ground is smoothest",
         }
-        if 2.0 * spacing > config.lss.max_gap:
+        if 2.0 * spacing > config.lss.gap:
             values["lss.max_gap"] = _rounded(2.0 * spacing)
             reasons["lss.max_gap"] = "returns are farther apart than the default bridges"
         notes = [f"Suggested for {bag} from {self._used} of its {self._scans} scans."]

@@ -62,12 +62,12 @@ class Content:
     def spacing(self) -> float:
         """Of the grid points, m."""
         x = self.grid["x"]
-        return float(x[1] - x[0]) if len(x) > 1 else self.config.lss.grid_spacing
+        return float(x[1] - x[0]) if len(x) > 1 else self.config.lss.spacing
 
     @property
     def zone(self) -> float:
         """Radius of the ground that a landing needs, m."""
-        return 0.5 * self.config.lss.vehicle_diameter + self.config.lss.margin
+        return 0.5 * self.config.lss.vehicle.diameter + self.config.lss.margin
 
     @property
     def probability(self) -> Array | None:

@@ -35,10 +35,10 @@ def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
         finest: Finest cells along it.
         lss: How landing is judged.
     """
-    points = size / lss.grid_spacing
+    points = size / lss.spacing
     if points > MOST_GRID_POINTS:
         return (
-            f"lss.grid_spacing = {lss.grid_spacing:g} m makes {points:.0f} grid points a side over"
+            f"lss.grid_spacing = {lss.spacing:g} m makes {points:.0f} grid points a side over"
             f" {size:g} m; {MOST_GRID_POINTS} is the most"
         )
     memory = 300.0 * finest**2 + 60.0 * points**2
@@ -50,7 +50,7 @@ def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
     seconds = pass_seconds(size, finest, lss)
     if seconds > LONGEST:
         return (
-            f"lss.vehicle_diameter = {lss.vehicle_diameter:g} m, lss.margin = {lss.margin:g} m and"
+            f"vehicle.diameter = {lss.vehicle.diameter:g} m, lss.margin = {lss.margin:g} m and"
             f" lss.sites = {lss.sites} on {finest} finest cells of {size / finest:.3g} m a side may"
             f" take {seconds:.0f} s for a landing site pass; {LONGEST:g} is the most"
         )
@@ -63,11 +63,11 @@ def pass_seconds(size: float, finest: int, lss: LssConfig) -> float:
     A zone that is larger than the domain costs as much as one that just fills it, and a lander that
     does not fit into it is not set down.
     """
-    side, radius = size / finest, 0.5 * lss.vehicle_diameter
+    side, radius = size / finest, 0.5 * lss.vehicle.diameter
     lander = min(radius / side, 0.5 * finest)
     zone = min((radius + lss.margin) / side, 0.5 * finest)
     each = 600.0 + 6.0 * lander + 3.0 * zone + 10.0 * lss.sites
-    if lss.assessment != "paper" and lss.vehicle_diameter <= size:
+    if lss.assessment != "paper" and lss.vehicle.diameter <= size:
         each += YAWS * (25.0 + 5.0 * lander**2)
-    ranking = 5.0 * lss.sites * (size / lss.grid_spacing) ** 2
+    ranking = 5.0 * lss.sites * (size / lss.spacing) ** 2
     return 1e-9 * (each * finest**2 + ranking)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS
 from quadtree_lss.onboard.config.parameter import declared as _p
 from quadtree_lss.onboard.config.parameter import live as _live
+from quadtree_lss.onboard.config.vehicle import VehicleConfig
 
 
 @dataclass(frozen=True)
@@ -198,39 +199,22 @@ class LssConfig:
         "file of the fit that turns the worst rest on the map into a probability (fit-risk writes"
         " one); empty for the one that comes with the package",
     )
-    grid_spacing: float = _p(0.5, "spacing of candidate sites", (0.01, 1000.0), "m")
-    vehicle_diameter: float = _p(3.7, "diameter of the pads' circle", (0.1, 1000.0), "m")
+    grid_spacing: float = _p(
+        0.0, "spacing of candidate sites; 0 follows from the vehicle", (0.0, 1000.0), "m"
+    )
     margin: float = _live(0.0, "guidance error added to the vehicle's radius", (0.0, 1000.0), "m")
-    max_slope_deg: float = _live(
-        10.0,
-        "steepest ground that the lander stands on; with assessment paper the slope tolerance of"
-        " leaves, only shown with touchdown",
-        (0.1, 89.0),
-        "deg",
-    )
-    max_roughness: float = _live(
-        0.3,
-        "highest ground over its pads' plane that the lander clears; with assessment paper the"
-        " elevation tolerance of leaves, only shown with touchdown",
-        (0.01, 100.0),
-        "m",
-    )
-    touchdown_slope_deg: float = _live(
-        9.0, "slope limit of the touchdown check on the map", (0.1, 89.0), "deg"
-    )
-    touchdown_roughness: float = _live(
-        0.25, "roughness limit of the touchdown check on the map", (0.01, 100.0), "m"
-    )
-    pad_radius: float = _p(0.15, "radius of a landing pad", (0.0, 10.0), "m")
     hazard_growth: float = _live(
-        0.25,
+        -1.0,
         "unsafe ground is taken to reach this much farther: what the map's place is wrong by; "
-        "rounded up to whole finest cells",
-        (0.0, 100.0),
+        "rounded up to whole finest cells; below 0 it follows from the vehicle",
+        (-1.0, 100.0),
         "m",
     )
     max_gap: float = _live(
-        0.6, "ground farther from any that is mapped is unseen", (0.0, 1000.0), "m"
+        -1.0,
+        "ground farther from any that is mapped is unseen; below 0 it follows from the vehicle",
+        (-1.0, 1000.0),
+        "m",
     )
     weight_target: float = _live(
         0.02, "added score per metre from the target, when one is given", (0.0, 1e6)
@@ -243,7 +227,12 @@ class LssConfig:
         "1/m",
     )
     sites: int = _live(5, "sites to rank", (1, 1000))
-    min_separation: float = _live(3.7, "least distance between ranked sites", (0.0, 1e5), "m")
+    min_separation: float = _live(
+        -1.0,
+        "least distance between ranked sites; below 0 it follows from the vehicle",
+        (-1.0, 1e5),
+        "m",
+    )
     required_input: str = _p(
         "none",
         "lss_node gives out no site before it has heard these topics of landing/: for a vehicle "
@@ -269,6 +258,60 @@ class LssConfig:
         "follows from the map alone",
         (0.0, 1e6),
     )
+    #: No parameter: what lands, of the section ``vehicle``.
+    vehicle: VehicleConfig = VehicleConfig()
+
+    @property
+    def vehicle_diameter(self) -> float:
+        """Of the pads' circle, m."""
+        return self.vehicle.diameter
+
+    @property
+    def max_slope_deg(self) -> float:
+        """Steepest ground that the lander stands on."""
+        return self.vehicle.max_slope_deg
+
+    @property
+    def max_roughness(self) -> float:
+        """The vehicle's clearance, m."""
+        return self.vehicle.clearance
+
+    @property
+    def pad_radius(self) -> float:
+        """Of a landing pad, m."""
+        return self.vehicle.pad_radius
+
+    @property
+    def touchdown_slope_deg(self) -> float:
+        """Limit of the touchdown check on the map."""
+        return self.vehicle.lengths.touchdown_slope_deg
+
+    @property
+    def touchdown_roughness(self) -> float:
+        """Limit of the touchdown check on the map, m."""
+        return self.vehicle.lengths.touchdown_roughness
+
+    @property
+    def spacing(self) -> float:
+        """Of candidate sites, m."""
+        return self.grid_spacing or self.vehicle.lengths.grid_spacing
+
+    @property
+    def growth(self) -> float:
+        """By how much farther unsafe ground is taken to reach, m."""
+        set_to = self.hazard_growth
+        return self.vehicle.lengths.hazard_growth if set_to < 0.0 else set_to
+
+    @property
+    def gap(self) -> float:
+        """Ground farther from any that is mapped is unseen, m."""
+        return self.vehicle.lengths.max_gap if self.max_gap < 0.0 else self.max_gap
+
+    @property
+    def separation(self) -> float:
+        """Least distance of ranked sites, m."""
+        set_to = self.min_separation
+        return self.vehicle.lengths.min_separation if set_to < 0.0 else set_to
 
 
 @dataclass(frozen=True)

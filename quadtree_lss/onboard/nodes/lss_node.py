@@ -193,7 +193,7 @@ class LssNode(Node):
         if self._result is None:
             return None
         lss = self._settings.config.lss
-        return site_markers(self._result, self._map.frame, 0.5 * lss.vehicle_diameter + lss.margin)
+        return site_markers(self._result, self._map.frame, 0.5 * lss.vehicle.diameter + lss.margin)
 
     def _grid_map_message(self) -> Any:
         result = self._result

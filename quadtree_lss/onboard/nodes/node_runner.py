@@ -207,7 +207,7 @@ def ground_text(config: Config) -> list[str]:
     return [
         f"domain x {d.xmin:g} ... {d.xmin + d.size:g}, y {d.ymin:g} ... {d.ymin + d.size:g} m"
         f" in frame '{config.frames.map}', cells {sizes[0]:g} ... {sizes[1]:g} m",
-        f"vehicle of {lss.vehicle_diameter:g} m diameter, margin {lss.margin:g} m",
+        f"vehicle of {lss.vehicle.diameter:g} m diameter, margin {lss.margin:g} m",
     ]
 
 

@@ -28,10 +28,13 @@ from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstCon
 
 #: Weights of Eq. 58, of which the paper prints none: alpha_theta, per radian; alpha_R, per metre of
 #: roughness over the leaf's area, so that a centimetre counts like a degree of slope; alpha_H, per
-#: metre of distance to a hazard; alpha_s, per metre of subscale height.
+#: metre of distance to a hazard; alpha_s, per metre of subscale height. A metre is one of the
+#: vehicle of the defaults: of others it is in proportion.
 WEIGHT_SLOPE, WEIGHT_ROUGHNESS, WEIGHT_DISTANCE, WEIGHT_SUBSCALE = 1.0, 2.0, 0.02, 1.0
-#: Farther hazards do not improve a score, m.
+#: Farther hazards do not improve a score, m of that vehicle.
 DISTANCE_CAP = 10.0
+#: A share of a length that rounding may take.
+SLACK = 1e-9
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,12 @@ class Surroundings:
 
 def ground_radius(lss: LssConfig) -> float:
     """Radius of the ground at the lander's scale, m."""
-    return 0.75 * 0.5 * lss.vehicle_diameter
+    return 0.75 * 0.5 * lss.vehicle.diameter
 
 
 def zone_radius(lss: LssConfig) -> float:
     """Radius of the landing zone, m."""
-    return 0.5 * lss.vehicle_diameter + lss.margin
+    return 0.5 * lss.vehicle.diameter + lss.margin
 
 
 def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
@@ -69,15 +72,16 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     n, side = domain.finest_count, domain.finest_size
     radius = min(ground_radius(lss), 0.5 * domain.size)
     planes = ground_planes(raster.elevation, raster.seen, side, radius)
-    limit = max(zone_radius(lss), DISTANCE_CAP)
+    limit = max(zone_radius(lss), DISTANCE_CAP * lss.vehicle.size)
     room = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
     unmapped = touching(raster.unmapped.view(np.uint8)) > 0
-    to_unmapped = distance_from(unmapped, side, limit + lss.pad_radius)
-    np.minimum(room, to_unmapped - lss.pad_radius, out=room)
+    to_unmapped = distance_from(unmapped, side, limit + lss.vehicle.pad_radius)
+    np.minimum(room, to_unmapped - lss.vehicle.pad_radius, out=room)
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
     np.minimum(room, border, out=room)
     np.minimum(room, border[:, None], out=room)
-    return Surroundings(planes, room, to_unmapped, room >= 0.5 * lss.vehicle_diameter - 1e-9)
+    judged = room >= (0.5 - SLACK) * lss.vehicle.diameter
+    return Surroundings(planes, room, to_unmapped, judged)
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,8 @@ def assess_points(
         lss: Limits and weights.
     """
     cells, n, side = raster.cells, raster.domain.finest_count, raster.domain.finest_size
-    radius, zone = 0.5 * lss.vehicle_diameter, zone_radius(lss)
+    vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, zone_radius(lss)
+    cap = DISTANCE_CAP * vehicle.size
     bits = hazards.avoided_features(cells, lss).take(raster.leaf)
     bits *= raster.seen.view(np.uint8)
     bits |= unknown_bits(raster)
@@ -139,40 +144,40 @@ def assess_points(
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0
         safe = ~grown(near_feature, zone, side)
-        near, reach = distance_from(near_feature, side, DISTANCE_CAP), zone
+        near, reach = distance_from(near_feature, side, cap), zone
         of_slope, of_leaves = 0.0, np.nan_to_num(WEIGHT_SLOPE * hazards.slope(cells.normal))
     else:
         excepted = grown(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
             spoiled = around.judged & (check.over(worst) | excepted)
             # Rounded outwards: a map that may be off at all is off by a grid point.
-            steps = np.ceil(lss.hazard_growth / side - 1e-9)
+            steps = np.ceil(lss.growth / side - SLACK)
             spoiled |= around.judged & grown(spoiled, steps * side, side)
         else:
             fails = around.judged & (risk > lss.max_risk)
             spoiled = fails | (around.judged & excepted)
-            stands = worst.rise <= lss.max_roughness
-            stands &= worst.slope <= tan(radians(lss.max_slope_deg))
+            stands = worst.rise <= vehicle.clearance
+            stands &= worst.slope <= tan(radians(vehicle.max_slope_deg))
             hazard |= (fails & stands) * np.uint8(hazards.UNCERTAIN)
         hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
         safe = ~grown(spoiled, lss.margin, side)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.
-        near, reach = distance_from(spoiled, side, DISTANCE_CAP), lss.margin
+        near, reach = distance_from(spoiled, side, cap), lss.margin
         near += radius
         of_slope, of_leaves = WEIGHT_SLOPE, np.zeros(len(cells.level))
-    safe &= around.room >= zone - 1e-9
+    safe &= around.room >= (1.0 - SLACK) * zone
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
     # Eq. 58, of the four grid points of each finest cell and of its leaf.
     free = np.minimum(near, around.room, out=near)
-    np.minimum(free, DISTANCE_CAP, out=free)
-    free *= WEIGHT_DISTANCE
+    np.minimum(free, cap, out=free)
+    free *= WEIGHT_DISTANCE / vehicle.size
     line = of_slope * around.planes.slope - free
     line = line[:n] + line[1:]
     density = 0.25 * (line[:, :n] + line[:, 1:])
-    density += (of_leaves + WEIGHT_ROUGHNESS * rough).take(raster.leaf)
-    density += WEIGHT_SUBSCALE * raster.subscale
+    density += (of_leaves + WEIGHT_ROUGHNESS / vehicle.height * rough).take(raster.leaf)
+    density += WEIGHT_SUBSCALE / vehicle.height * raster.subscale
     # Eq. 56's integral as Eq. 59's mean over the disc of each point. No zone fits a domain smaller
     # than itself: none needs sums over more than that.
     over = disc(min(zone, 0.5 * cells.domain.size), side)
@@ -212,7 +217,7 @@ def zones_about(
     rough, raised = points.roughness[raster.leaf[row, column]], raster.subscale_peak[row, column]
     x, y = place[:, 0] - domain.xmin, place[:, 1] - domain.ymin
     room = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
-    unmapped = (raster.unmapped, zone + lss.pad_radius)
+    unmapped = (raster.unmapped, zone + lss.vehicle.pad_radius)
     for marked, reach in ((points.spoiled, points.reach), (~raster.firm, zone), unmapped):
         # Cells have an extent, points of the lattice have none.
         half = 0.5 * (domain.finest_count + 1 - len(marked))

@@ -190,9 +190,9 @@ def hides_rock(rules: Rules, leaf: Record, run: Record, side: float) -> cython.b
 
     A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows in one of
     three ways: by its exceptions (Eq. 48), if beyond what noise makes of them they amount to
-    `ROCK_EXCEPTIONS` measurements and to more than stray returns leave; by raised
-    measurements, lower than these, over `ROCK_AREA` of the leaf; or as a feature as high and narrow
-    as a rock. A leaf has one feature, so a rock beside another, or one that lies across the border
+    `ROCK_EXCEPTIONS` measurements and to more than stray returns leave; by raised measurements,
+    lower than these, over ``rules.divide_area`` of it; or as a feature as high and narrow as a
+    rock. A leaf has one feature, so a rock beside another, or one that lies across the border
     of leaves, shows by its raised measurements alone.
     """
     counted = leaf.residuals
