@@ -82,7 +82,7 @@ def simulate(
     stop: Callable[[], bool] | None = None,
     **conditions: Any,
 ) -> SimulationResult:
-    """Simulate ``scenario`` (morpheus, parabola or descent) into a ROS 2 bag.
+    """Simulate ``scenario`` (morpheus, parabola, descent or drone) into a ROS 2 bag.
 
     Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
     lidar's estimated pose in frame ``map``, with covariance). ``truth.npz`` goes into the bag's
