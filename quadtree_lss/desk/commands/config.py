@@ -41,6 +41,7 @@ EXAMPLES = """examples:
   quadtree-lss config > my_lander.yaml                  (every parameter, explained)
   quadtree-lss config --config morpheus --set lss.margin=1.0
   quadtree-lss config check my_lander.yaml other.yaml   (all errors; exit code 1 if there is one)
+  quadtree-lss config check my_lander.yaml --node /uav1/lss_node    (does it reach this node?)
   quadtree-lss config explain lss.margin                (one parameter)
   quadtree-lss config explain lss                       (a section)
   quadtree-lss config explain vehicle --config drone    (and the lengths that follow from it)
@@ -59,6 +60,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
     add_config_options(parser)
     add("--poses", type=named, metavar="FILE", help=POSES)
+    add("--node", default="", metavar="NAME", help="check: the files are for this node, /uav1/lss_node")
     add("--plain", action="store_true", help="print without the explanations")
     add_json(parser)
 
@@ -95,7 +97,7 @@ def _print(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    found = check_files(options.names)
+    found = check_files(options.names, options.node)
     if options.json:
         print_json(found)
     else:

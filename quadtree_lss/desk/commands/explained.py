@@ -11,7 +11,12 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 from types import SimpleNamespace
 
-from quadtree_lss.onboard.config.loading import find_config, read_values, scalar_text
+from quadtree_lss.onboard.config.loading import (
+    check_reaches,
+    find_config,
+    read_values,
+    scalar_text,
+)
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -40,15 +45,24 @@ explain vehicle` shows each value and rule. Old names (`lss.vehicle_diameter`, `
 """
 
 
-def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, list[str]]:
-    """Each file by itself over the defaults: all that is wrong with it, a line each."""
-    return {str(path): _errors_of(path) for path in paths}
+def check_files(
+    paths: Iterable[str | os.PathLike[str]], node: str = ""
+) -> dict[str, list[str]]:
+    """Each file by itself over the defaults: all that is wrong with it, a line each.
+
+    Args:
+        paths: The files.
+        node: Full name of a node that is to get something of each.
+    """
+    return {str(path): _errors_of(path, node) for path in paths}
 
 
-def _errors_of(path: str | os.PathLike[str]) -> list[str]:
+def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
     errors: list[str] = []
     try:
         found = find_config(path)
+        if node:
+            check_reaches(found, node)
         values = read_values(found, errors)
     except ConfigError as error:
         return [str(error).removeprefix(f"{path}: ")]

@@ -20,6 +20,8 @@ MOST_LEVELS = 11
 """Level of the finest cells that a map may have."""
 MOST_LEAVES = 1_000_000
 """That a map may have; each takes up to 1.5 kB while it is updated, copied and sent."""
+LEAST_SIDE = 1e-3
+"""Of the finest cells, m: no lidar knows less, and a lander would be on millions of them."""
 MOST_GRID_POINTS = 4096
 """Along a side of the domain."""
 YAWS = 12
@@ -35,6 +37,8 @@ def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
         finest: Finest cells along it.
         lss: How landing is judged.
     """
+    if size / finest < LEAST_SIDE:
+        return f"the finest cells are {size / finest:.3g} m wide; {LEAST_SIDE:g} is the least"
     points = size / lss.spacing
     if points > MOST_GRID_POINTS:
         return (

@@ -5,6 +5,7 @@ went wrong, at a level that its data's age sets."""
 from __future__ import annotations
 
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
@@ -16,6 +17,7 @@ from rclpy.qos import QoSProfile
 
 from quadtree_lss import build
 from quadtree_lss.onboard.config.settings import DiagnosticsConfig
+from quadtree_lss.onboard.errors import one_line
 
 
 class Logger(Protocol):
@@ -55,6 +57,32 @@ class Problems:
         suffix = f" ({more} more of this kind since the last such line)" if more else ""
         self._logger.warning(text + suffix)
         self._told[reason] = (now, self.counts[reason])
+
+
+def failure(what: str, error: Exception, logger: Logger) -> str:
+    """What to say of an error that should not be; the log gets where it arose."""
+    logger.warning("".join(traceback.format_exception(error)))
+    return f"{what} failed: {one_line(repr(error), 200)}"
+
+
+class Waiting:
+    """Says in the log what a node waits for before it has given anything out: after five seconds,
+    then each time after twice as long.
+
+    Args:
+        logger: Where the lines go.
+    """
+
+    def __init__(self, logger: Logger) -> None:
+        self._logger = logger
+        self._told, self._period = time.monotonic(), 5.0
+
+    def tell(self, what: str) -> None:
+        """Call it often; nothing is said of nothing."""
+        now = time.monotonic()
+        if what and now - self._told >= self._period:
+            self._logger.warning(f"waiting for {what}")
+            self._told, self._period = now, 2.0 * self._period
 
 
 class Arrivals:

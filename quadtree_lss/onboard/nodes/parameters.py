@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
+from quadtree_lss.onboard.config.loading import check_reaches
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -116,10 +119,13 @@ class NodeParameters:
 
     Raises:
         ConfigError: unknown key (names the nearest one), wrong type or range, values that
-            contradict one another.
+            contradict one another, a parameter file of the command line that is for other nodes.
     """
 
     def __init__(self, node: Node, changed: Callable[[Config], None] | None = None) -> None:
+        for option, path in itertools.pairwise(sys.argv):
+            if option == "--params-file":
+                check_reaches(path, node.get_fully_qualified_name())
         given = node.get_parameters_by_prefix("")
         # Declared anew, with descriptors, by whoever they belong to.
         for name in given:

@@ -70,6 +70,15 @@ class ReceivedMap:
         self._whole = (cells, observed, self.arrivals.now())
         return True
 
+    def lacks(self) -> str:
+        """What is not there yet of a first map, empty once there is one."""
+        if self.cells is not None:
+            return ""
+        came = " and ".join(f"map/{half}" for half in sorted(self._halves))
+        rest = "both halves" if len(self._halves) == 2 else "the other half"
+        heard = f"{came} came, {rest} of one stamp did not" if came else "nothing came"
+        return f"a map: {self.refused or heard}"
+
     def take(self) -> None:
         """Decodes the newest complete map if that was not done yet."""
         if self._whole is None:

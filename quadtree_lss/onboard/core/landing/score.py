@@ -243,13 +243,14 @@ def lower_room(
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    farthest: cython.Py_ssize_t = max(marked.shape[0], marked.shape[1])
     with cython.nogil:
         for k in range(x.shape[0]):
             u, v = x[k] / side, y[k] / side
             column, row = cython.cast(cython.Py_ssize_t, u), cython.cast(cython.Py_ssize_t, v)
             ring = 0
             # What lies beyond a ring of places is at least as many steps away.
-            while (ring - 1) * side - reach < room[k]:
+            while (ring - 1) * side - reach < room[k] and ring <= farthest:
                 for i in range(row - ring, row + ring + 1):
                     if not 0 <= i < marked.shape[0]:
                         continue

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.geometry.heights import height_by_error
@@ -119,7 +119,8 @@ class LandingSiteSelector:
         self._target.heed(wanted, self._reach(), lss)
         raster = rasterise(cells, lss)
         if not raster.seen.any():
-            return self._nothing_mapped(raster, at, withheld)
+            reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
+            return self._nothing(cells, at, reason, unknown_bits(raster))
         around = look_around(raster, lss)
         worst = None
         if self._check is not None:
@@ -128,16 +129,23 @@ class LandingSiteSelector:
         aims = aim(points, at, spread, wanted, lss)
         return self._choose_sites(points, aims, spread, wanted)
 
-    def _nothing_mapped(
-        self, raster: TerrainRaster, at: GridSampler, withheld: str
+    def withhold(self, cells: CellMap, why: str) -> LandingAssessment:
+        """Neither site nor target, because a map could not be assessed."""
+        self._number += 1
+        self.configure(self.config)  # what was found by half is forgotten
+        at = users_grid(cells.domain, self.config.lss.grid_spacing)
+        unseen = np.full((cells.domain.finest_count,) * 2, hazards.UNSEEN, dtype=np.uint8)
+        nothing = self._nothing(cells, at, Reason.WITHHELD, unseen)
+        return replace(nothing, explanation=f"no site is given out: {why}")
+
+    def _nothing(
+        self, cells: CellMap, at: GridSampler, reason: Reason, bits: Bytes
     ) -> LandingAssessment:
-        reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
         nowhere = np.full((len(at.y), len(at.x)), np.nan)
         self._choose(
             Candidates(at.x, at.y, np.isfinite(nowhere), nowhere), lambda *_: reason, reason
         )
-        bits = at.any(touching(unknown_bits(raster)))
-        return nothing_mapped(raster.cells, self._number, reason, at.x, at.y, bits)
+        return nothing_mapped(cells, self._number, reason, at.x, at.y, at.any(touching(bits)))
 
     def _choose_sites(
         self, points: PointAssessment, aims: Aims, spread: Dispersion, wanted: Restrictions
