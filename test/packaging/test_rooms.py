@@ -35,13 +35,13 @@ desk.replay: build onboard.config onboard.core onboard.messages desk.report desk
 desk.replay: plot desk.bags
 desk.player: onboard.messages onboard.nodes desk.bags desk.replay
 desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.player
-lab.simulation: build
+lab.simulation: build desk.exchange
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
 lab.flight: lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
 lab.live: lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay
-lab.evaluation: desk.report lab.simulation
+lab.evaluation: desk.exchange desk.report lab.simulation
 lab.campaign: onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight
 lab.campaign: lab.simulation
 lab.commands: onboard.config desk.commands desk.replay lab.simulation lab.flight lab.live

@@ -7,14 +7,16 @@ import argparse
 import difflib
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from quadtree_lss.desk.commands.completion import completed, config_names, parameter_settings
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 CLOUDS = "rosbag2 folder, .mcap, .db3, ROS 1 .bag; or point clouds: a file or a folder of them"
 POSES = "poses of point clouds, TUM or CSV; without it they are taken to be in the map frame"
@@ -24,8 +26,24 @@ EXIT_CODES = """exit codes:
 """
 
 
+class UsageError(QuadtreeLssError):
+    """Words that make no command."""
+
+
 class Parser(argparse.ArgumentParser):
-    """As of argparse; a word that is not known comes with the nearest one that is."""
+    """As of argparse; a word that is not known comes with the nearest one that is.
+
+    What begins as a negative number, as a place may, is no option.
+    """
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **named)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message: str) -> NoReturn:
+        """Raises `UsageError`."""
+        msg = f"{message} ({self.prog} --help)"
+        raise UsageError(msg)
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None

@@ -154,9 +154,11 @@ def result_text(result: ReplayResult, columns: int) -> str:
         )
     elif "posts" in summary:
         across, along = summary["posts"]
+        low, high = summary["height_range"]
         text = (
-            f"{across} x {along} posts, {summary['post_spacing']:g} m apart; landing site selection"
-            f" {summary['lss_ms']:.0f} ms; {result.assessment.explanation}"
+            f"{across} x {along} posts, {summary['post_spacing']:g} m apart; heights {low:.1f} to"
+            f" {high:.1f} m, median slope {summary['median_slope_deg']:.1f}°\n"
+            f"landing site selection {summary['lss_ms']:.0f} ms; {result.assessment.explanation}"
         )
     else:
         text = (

@@ -17,6 +17,9 @@ from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 HAZARDS = {1: "slope", 2: "elevation", 4: "exception", 8: "touchdown"}
 HAZARDS |= {UNMAPPED: "seen, not yet mapped", UNSEEN: "unseen"}
 SIGMAS = 3.0
+SAME_GROUND = 0.5
+"""Correlation of heights. Flights over one field have 0.97 and more, over two fields -0.1 to 0.1; a
+yard of mounds that is 1 or 3 m off 0.94 or 0.71."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,7 @@ class Heights:
         rms_mean_removed: Of what is left without the mean.
         most: 95 % of the differences are smaller than this, without sign.
         greatest, x, y: The greatest difference and where it is.
+        correlation: Of the heights; NaN of level ground.
         beyond: Share of the points where the difference, without its mean, is more than three of
             its standard deviations by both maps' covariances.
     """
@@ -42,6 +46,7 @@ class Heights:
     x: float
     y: float
     beyond: float
+    correlation: float
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,12 @@ class Comparison:
     sites_lost: tuple[Site, ...]
     difference: Array
 
+    @property
+    def same_ground(self) -> bool:
+        """Whether heights go together, or differ by no more than noise, as of level ground."""
+        noise = max(r.config.lidar.range_noise for r in (self.first, self.second))
+        return self.heights.correlation >= SAME_GROUND or self.heights.rms_mean_removed <= noise
+
     def as_dict(self) -> dict[str, Any]:
         """In JSON's types."""
         names = ("safe_first", "safe_second", "gained", "lost", "seen_first", "seen_second")
@@ -93,6 +104,7 @@ class Comparison:
             {
                 "first": str(self.first.folder),
                 "second": str(self.second.folder),
+                "same_ground": self.same_ground,
                 "heights": asdict(self.heights),
                 "area": {name: getattr(self, name) for name in names},
                 "sites_kept": self.sites_kept,
@@ -158,7 +170,7 @@ def compare_results(
     result = Comparison(
         first=a,
         second=b,
-        heights=_heights(difference, deviation, x, y),
+        heights=_heights(difference, deviation, x, y, other.height),
         safe_first=area * np.count_nonzero(safe_a),
         safe_second=area * np.count_nonzero(safe_b),
         gained=area * np.count_nonzero(safe_b & ~safe_a),
@@ -193,7 +205,7 @@ def _seen_alone(grid: Grid, other: Grid) -> float:
     return grid.spacing**2 * np.count_nonzero(_seen(grid) & ~(inside & _seen(other)[row, column]))
 
 
-def _heights(difference: Array, deviation: Array, x: Array, y: Array) -> Heights:
+def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Array) -> Heights:
     known = np.isfinite(difference)
     values = difference[known]
     mean = float(values.mean())
@@ -209,7 +221,13 @@ def _heights(difference: Array, deviation: Array, x: Array, y: Array) -> Heights
         x=float(x[worst]),
         y=float(y[worst]),
         beyond=float(np.mean(np.abs(left) > SIGMAS * deviation[known])),
+        correlation=_correlation(second[known] - values, second[known]),
     )
+
+
+def _correlation(one: Array, other: Array) -> float:
+    spread = float(one.std() * other.std())
+    return float(np.cov(one, other, ddof=0)[0, 1]) / spread if spread > 0.0 else float("nan")
 
 
 def _sites(a: Results, b: Results) -> tuple[Any, tuple[Site, ...], tuple[Site, ...]]:

@@ -72,6 +72,8 @@ def rank_sites(
     found = LandingSiteSelector(config).assess(cells, **wanted)
     lss_ms = 1e3 * (time.perf_counter() - asked)
     notes = tuple(_notes(model, block))
+    heights = model.elevation[np.isfinite(model.elevation)]
+    upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
     summary = {
         **run_summary((), len(cells.level), config, 0.0, lss_ms),
         **dict.fromkeys(("scans_dropped", "points_dropped", "messages_rejected"), {}),
@@ -82,6 +84,8 @@ def rank_sites(
         "bag": name,
         "posts": [len(model.x), len(model.y)],
         "post_spacing": model.spacing,
+        "height_range": [float(heights.min()), float(heights.max())],
+        "median_slope_deg": float(np.degrees(np.arccos(upward))),
         "crs": model.crs,
         "duration": time.perf_counter() - began,
         "maps": 1,

@@ -7,8 +7,6 @@ import contextlib
 import csv
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
@@ -45,9 +45,6 @@ SAME += ("exception_fraction", "feature", "low", "high")
 """Arrays of ``cells.npz`` that are the columns of a map of that name."""
 NEEDED = (*SAME[:-2], "nx", "ny", "nz", "covariance")
 NEEDED_ELSE = ("observed_cells", "domain", "stamp_ns", "offset")
-UNREADABLE = (OSError, ValueError, EOFError, AttributeError, TypeError)
-UNREADABLE += (zipfile.BadZipFile, zlib.error)
-"""What NumPy raises of an archive that is damaged."""
 
 
 class ResultsError(QuadtreeLssError):
@@ -290,10 +287,9 @@ def _cell_map(path: Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except UNREADABLE as error:
-        raise _unreadable(path, error) from None
+        return read_arrays(path)
+    except ExchangeError as error:
+        raise ResultsError(error) from None
 
 
 def _read_table(path: Path) -> Table:

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import csv
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.result import ReplayResult
 from quadtree_lss.desk.replay.results import cells_arrays, grid_arrays
 from quadtree_lss.lab.simulation.safety import LandingGear
@@ -216,19 +216,13 @@ def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) 
             msg += f"; did you mean {near[0]}?"
         raise EvaluationError(msg)
     try:
-        opened = np.load(path, allow_pickle=False)
-        if isinstance(opened, np.ndarray):
-            msg = f"{path} is a single array, no .npz file"
-            raise EvaluationError(msg)
-        with opened as file:
-            missing = [name for name in names if name not in file]
-            if missing:
-                msg = f"{path} lacks {', '.join(missing)}"
-                raise EvaluationError(msg)
-            return {name: file[name] for name in (*names, *optional) if name in file}
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        msg = f"{path} is not a readable .npz file: {error}"
-        raise EvaluationError(msg) from error
+        found = read_arrays(path, (*names, *optional))
+    except ExchangeError as error:
+        raise EvaluationError(error) from error
+    if missing := [name for name in names if name not in found]:
+        msg = f"{path} lacks {', '.join(missing)}"
+        raise EvaluationError(msg)
+    return found
 
 
 def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: str) -> None:

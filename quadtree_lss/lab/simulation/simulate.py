@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import shutil
-import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.lab.simulation.recording import SCAN_TOPIC, BagRecorder
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulation import Leg, Simulation
@@ -157,9 +158,8 @@ def _spare_truth(path: Path, bag_name: str) -> None:
     if not path.exists():
         return
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            owner = str(arrays["bag_name"])
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
+        owner = str(read_arrays(path, ("bag_name",))["bag_name"])
+    except (ExchangeError, KeyError):
         owner = ""
     if owner != bag_name:
         whose = f"of the bag '{owner}'" if owner else "of a bag it does not name"

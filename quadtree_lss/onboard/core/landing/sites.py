@@ -133,7 +133,7 @@ class LandingSiteSelector:
         """Neither site nor target, because a map could not be assessed."""
         self._number += 1
         self.configure(self.config)  # what was found by half is forgotten
-        at = users_grid(cells.domain, self.config.lss.grid_spacing)
+        at = users_grid(cells.domain, self.config.lss.spacing)
         unseen = np.full((cells.domain.finest_count,) * 2, hazards.UNSEEN, dtype=np.uint8)
         nothing = self._nothing(cells, at, Reason.WITHHELD, unseen)
         return replace(nothing, explanation=f"no site is given out: {why}")
