@@ -11,15 +11,13 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
-from core.builders import configured, make_pose, pose_covariance, scan, scattered
+from core.builders import by, configured, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss import build
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.consistency import prefit_statistics
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.register import register
@@ -86,7 +84,7 @@ def flights() -> dict[str, Any]:
     out: dict[str, Any] = {"interpreted": build.interpreted()}
     for name, of in sections.items():
         rocks = {"ROCK_EXCEPTIONS": np.inf, "ROCK_HEIGHT": 2.0} if name == "touchdown" else {}
-        with mock.patch.dict(vars(measure), rocks):
+        with by(**rocks):
             found = flight(configured(**of), organised=name != "paper")
         for key, value in found.items():
             out[f"{name} {key}"] = dataclasses.asdict(value)

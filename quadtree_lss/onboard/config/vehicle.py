@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from typing import Any
 
 from quadtree_lss.onboard.config.parameter import declared, live
@@ -34,15 +34,10 @@ class VehicleConfig:
         """Its clearance over that vehicle's."""
         return self._ratio("clearance")
 
-    @cached_property
+    @property
     def lengths(self) -> Lengths:
         """What follows from it."""
-        return Lengths(
-            **{
-                item.name: item.default * self._ratio(item.metadata["of"]) ** item.metadata["power"]
-                for item in dataclasses.fields(Lengths)
-            }
-        )
+        return _lengths(self)
 
     def _ratio(self, name: str) -> float:
         """Over the vehicle that all was tried with: the defaults, for which this is exactly 1."""
@@ -91,6 +86,15 @@ class Lengths:
     feature_volume: float = _follows(
         0.002, "features of less volume k^2 are noise", "clearance", "m^3", 3
     )
+
+
+@lru_cache(maxsize=8)
+def _lengths(vehicle: VehicleConfig) -> Lengths:
+    values = {}
+    for item in dataclasses.fields(Lengths):
+        share = vehicle._ratio(item.metadata["of"])
+        values[item.name] = item.default * share ** item.metadata["power"]
+    return Lengths(**values)
 
 
 def rule(name: str) -> str:
