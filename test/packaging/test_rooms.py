@@ -42,7 +42,7 @@ lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay
 lab.live: lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay
 lab.evaluation: desk.exchange desk.report lab.simulation
-lab.campaign: onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight
+lab.campaign: build onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight
 lab.campaign: lab.simulation
 lab.commands: onboard.config desk.commands desk.replay lab.simulation lab.flight lab.live
 lab.commands: lab.evaluation lab.campaign
