@@ -36,7 +36,7 @@ left = [3]
 
 def update(self, *scan):
     left[0] -= 1
-    if left[0] < 0:
+    if left[0] == -1:
         self.leaves.plant()
         self.stamp_ns = 1
         raise ValueError("math domain error")
@@ -45,7 +45,7 @@ def update(self, *scan):
 mapper.Mapper.update = update
 sys.exit(main())
 """
-"""A node that maps three scans and dies of the fourth, after it has spoilt the map."""
+"""A node that maps three scans, and the fourth ends in an error after it has spoilt the map."""
 SMALL = {
     "domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6},
 }
@@ -175,10 +175,11 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     assert "[ERROR]" in mapping.output().splitlines()[-1]
 
 
-def test_a_node_that_dies_of_an_exception_leaves_its_checkpoint_alone(ros):
-    """Whatever it was, the map that it happened to may be half written."""
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
+    """Whatever it was, the map that it happened to may be half changed."""
     path = ros.folder / "checkpoint.map"
-    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1") if kept else ()
     command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params), *args]
     with (
         ros.listen() as listener,
@@ -187,14 +188,28 @@ def test_a_node_that_dies_of_an_exception_leaves_its_checkpoint_alone(ros):
         sensors = Sensors(listener)
         sensors.wait_for_subscribers()
         good = sensors.publish(SCANS - 1)
-        assert listener.wait_for(lambda: _stamp_in(path) == good)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == good)
+        assert not kept or listener.wait_for(lambda: _stamp_in(path) == good)
+        leaves = len(listener.newest["map/cells"].data)
         sensors.publish(1, offset_ns=TEN_SECONDS_NS)
+
+        def told():
+            status = listener.diagnostics["mapping_node"]
+            how = "that of the checkpoint" if kept else "sound and goes on"
+            return status.level == DiagnosticStatus.ERROR and how in status.message
+
+        assert listener.wait_for(told), listener.diagnostics
+        assert "ValueError" in listener.diagnostics["mapping_node"].message
+        assert has(listener, "problems.scan_failed", 1)
+        assert not kept or _stamp_in(path) == good
+        last = sensors.publish(1, offset_ns=2 * TEN_SECONDS_NS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last)
+        assert not kept or len(listener.newest["map/cells"].data) >= leaves
+        well = lambda: "failed" not in listener.diagnostics["mapping_node"].message  # noqa: E731
+        assert listener.wait_for(well), listener.diagnostics
+        faulty.send_signal(signal.SIGTERM)
         _, errors = faulty.communicate(timeout=20.0)
-    assert faulty.returncode == 1 and "ValueError: math domain error" in errors
-    assert _stamp_in(path) == good
-    again = ros.start("mapping_node", *args)
-    with ros.listen() as listener:
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == good), again.output()
+    assert faulty.returncode == 0 and "ValueError: math domain error" in errors
 
 
 def test_two_nodes_on_one_checkpoint(ros):

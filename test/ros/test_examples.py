@@ -119,7 +119,7 @@ def selected(place, stamp_ns=7):
 @pytest.fixture
 def run(ros):
     """Starts an example; its output is in a file."""
-    processes = []
+    processes, logs = [], []
 
     def start(name, *options):
         log = ros.folder / f"{name}.txt"
@@ -128,12 +128,13 @@ def run(ros):
             processes.append(
                 subprocess.Popen(command, env=ros.env, stdout=output, stderr=subprocess.STDOUT)
             )
+            logs.append(log)
         return log
 
     yield start
-    for process in processes:
+    for process, log in zip(processes, logs, strict=True):
         process.terminate()
-        process.wait()
+        assert process.wait() == 0 and "Traceback" not in log.read_text(), log.read_text()
 
 
 def publisher_of_selected(listener):

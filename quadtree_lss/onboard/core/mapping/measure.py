@@ -198,7 +198,8 @@ def _bias(
     least = 0.01 * deviation * deviation
     flat = ray_x * ray_x + ray_y * ray_y
     along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
-    thin = deviation * flat / sqrt(12.0 * along + least * flat)
+    # Of a vertical ray, or nearly, it is 0.
+    thin = deviation * flat / sqrt(max(12.0 * along + least * flat, 1e-300))
     run.bias[0] = run.bias[2] = 0.0
     run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
     if sloped:

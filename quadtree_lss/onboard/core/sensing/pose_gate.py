@@ -60,7 +60,9 @@ class PoseGate:
     def _take(self, poses: list[Pose]) -> list[Pose]:
         self.dropped += len(self._doubtful) + 1 - len(poses)
         self._doubtful = []
-        self._last = [*self._last, *poses][-2:]
+        # Of the same stamp, two say nothing of the way from one to the other.
+        newest = {pose.stamp_ns: pose for pose in (*self._last, *poses)}
+        self._last = [newest[stamp_ns] for stamp_ns in sorted(newest)[-2:]]
         return poses
 
 

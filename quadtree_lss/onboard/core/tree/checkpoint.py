@@ -136,7 +136,7 @@ def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
         raise CheckpointError(msg)
     height, variance = state["offset"].tolist()
     none = math.isnan(height) and math.isnan(variance)
-    if not none and not (abs(height) < MOST_HEIGHT and 0.0 <= variance < MOST):
+    if not none and not (abs(height) < 0.5 * MOST_HEIGHT and 0.0 <= variance < MOST):
         msg = "has an impossible offset from navigation"
         raise CheckpointError(msg)
     refused, height, variance = state["against"].tolist()
@@ -175,8 +175,9 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     whole &= (np.maximum(np.abs(turn), np.abs(rise)) < MOST_TURN).all() and (weight >= 0.0).all()
     whole &= (leaves["points"] < 2**32).all()
     low, high = leaves["low"], leaves["high"]
-    none = (low == np.inf) & (high == -np.inf)  # where nothing came to rest yet
-    whole &= (none | (low <= high) & (np.maximum(np.abs(low), np.abs(high)) < MOST_HEIGHT)).all()
+    # Where nothing came to rest yet they are infinity and minus infinity.
+    within = (low > -MOST_HEIGHT) & (high < MOST_HEIGHT)
+    whole &= (within & ((low > high) | (low < MOST_HEIGHT) & (high > -MOST_HEIGHT))).all()
     if not whole or (planes["range_part"][:, ::4] <= 0.0).any() or not _covariances(planes):
         msg = "has a leaf with an impossible plane"
         raise CheckpointError(msg)
@@ -190,8 +191,10 @@ def _covariances(planes: NDArray[Any]) -> bool:
     for name in ("range_part", "pose_part"):
         covariance = planes[name].reshape(-1, 3, 3)
         variance = covariance.diagonal(axis1=1, axis2=2)
-        deviation = np.sqrt(np.where(variance > 0.0, variance, TINY))
+        deviation = np.sqrt(np.maximum(variance, TINY))
         correlation = covariance / (deviation[:, :, None] * deviation[:, None, :])
+        if not (np.abs(correlation) <= 1.0 + ROUNDING).all():
+            return False
         # No principal minor is negative, nor NaN.
         u, v, w = np.sign(variance).T
         a, b, c = correlation[:, 0, 1], correlation[:, 0, 2], correlation[:, 1, 2]
