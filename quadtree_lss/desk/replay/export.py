@@ -29,22 +29,17 @@ def export_results(
     crs: str = "",
     origin: tuple[float, float] | None = None,
 ) -> list[Path]:
-    """Writes what a replay found in the forms of other programs.
+    """Writes what a replay found in the forms of other programs; returns what was written.
 
     Args:
         results: Results or their folder.
         out: Folder for the files, made if missing; by default ``exchange`` in the results.
         formats: Names of `FORMATS`; none takes all.
-        crs: Coordinate reference system of the map frame, as ``EPSG:32611``; by default that of the
-            elevation model, if the results are of one that tells.
+        crs: Of the map frame, as ``EPSG:32611``; by default the elevation model's, if it tells.
         origin: Instead, latitude and longitude of the map frame's origin, deg (x east, y north).
 
-    Returns:
-        What was written.
-
     Raises:
-        ResultsError: the folder is none of results.
-        ExchangeError: a library is missing, the system is none, or nothing can be written.
+        ResultsError, ExchangeError: no results; no library, no such system, no place to write.
     """
     found = results if isinstance(results, Results) else load_results(results)
     if origin is None:

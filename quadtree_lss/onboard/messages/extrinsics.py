@@ -16,10 +16,7 @@ from quadtree_lss.onboard.messages.poses import mount_from_message
 
 class Extrinsics:
     """Knows the frames of body and scans, and with ``mount.tf`` the way from one to the other.
-
-    Args:
-        config: Of which ``mount`` and ``frames.body`` matter.
-    """
+    ``config``: of which ``mount`` and ``frames.body`` matter."""
 
     def __init__(self, config: Config) -> None:
         self.tf = config.mount.tf
@@ -40,11 +37,8 @@ class Extrinsics:
         return replace(lidar, rotation_map_lidar=lidar.rotation_map_lidar @ self._turn)
 
     def check_body(self, frame: str) -> None:
-        """Takes the child frame of an odometry, the first if ``frames.body`` names none.
-
-        Raises:
-            MessageError: ``child_frame`` if it is another one.
-        """
+        """Takes the child frame of an odometry, the first if ``frames.body`` names none. Raises
+        `MessageError`: ``child_frame`` if it is another one."""
         frame = str(frame).lstrip("/")
         if not self._body and frame:
             self._body = frame
@@ -54,11 +48,8 @@ class Extrinsics:
             raise MessageError("child_frame", text)
 
     def check_lidar(self, frame: str) -> None:
-        """Takes the frame of a cloud, which matters with ``mount.tf`` alone.
-
-        Raises:
-            MessageError: ``frame`` if it is another one than before.
-        """
+        """Takes the frame of a cloud, which matters with ``mount.tf`` alone. Raises `MessageError`:
+        ``frame`` if it is another one than before."""
         frame = str(frame).lstrip("/")
         if not self.tf or frame == self._lidar:
             return
@@ -69,11 +60,8 @@ class Extrinsics:
         self._look()
 
     def on_transforms(self, msg: Any) -> None:
-        """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``.
-
-        Raises:
-            MessageError: ``stamp``, ``position`` or ``quaternion`` of a transform; the others hold.
-        """
+        """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``. Raises `MessageError`: ``stamp``,
+        ``position`` or ``quaternion`` of a transform; the others hold."""
         wrong: MessageError | None = None
         new = False
         for item in msg.transforms:

@@ -56,13 +56,8 @@ class TerrainRaster:
 
 
 def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
-    """Lay out the map.
-
-    Args:
-        cells: The map.
-        max_gap: Ground farther than this from any finest cell that is known (distance of the
-            centres less half a cell) is unseen, m.
-    """
+    """Lay out the map. ``cells``: the map. ``max_gap``: ground farther than this from any finest
+    cell that is known (distance of the centres less half a cell) is unseen, m."""
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
     leaf = np.empty((n, n), dtype=np.int32)
