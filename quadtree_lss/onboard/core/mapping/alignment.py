@@ -128,7 +128,7 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
 @cython.boundscheck(False)
 def weighted_median(values: Array, weights: Array) -> float:
     """The value of (N,), one at least, up to which in their order half of the weights (N,) lie."""
-    i: cython.Py_ssize_t
+    i: cython.Py_ssize_t = 0
     order = cython.declare(cython.Py_ssize_t[::1], np.argsort(values))
     value = cython.declare(cython.double[:], values)
     weight = cython.declare(cython.double[:], weights)
