@@ -15,7 +15,6 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.mapping.departure import BEYOND, FLOOR, Departure
-from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 if cython.compiled:
     from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
@@ -23,6 +22,8 @@ if cython.compiled:
 else:
     from math import exp, fabs, sqrt
     from math import inf as INFINITY
+
+    from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
     HINTS = 1
 

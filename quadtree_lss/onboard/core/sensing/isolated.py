@@ -75,7 +75,7 @@ def spread_over(count: int, sample: int) -> Ints:
 
 @cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1])
-def pixels_with_few_links(ranges: Array, limit: float, pixels: Ints) -> int:
+def pixels_with_few_links(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
     """Returns with fewer than two links: their places in (H, W) to ``pixels``, how many.
 
     In a row without a step beyond the limit only the first and the last pixel may be such.
@@ -99,7 +99,7 @@ def pixels_with_few_links(ranges: Array, limit: float, pixels: Ints) -> int:
 
 @cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1])
-def pixels_without_hold(ranges: Array, limit: float, pixels: Ints) -> int:
+def pixels_without_hold(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
     """Those of ``pixels`` (M,) that are isolated, to the front of them; how many."""
     i: cython.Py_ssize_t
     lonely: cython.Py_ssize_t = 0
@@ -168,7 +168,7 @@ def step_to(
 
 @cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1], steps=cython.double[::1])
-def second_steps(ranges: Array, pixels: Ints, steps: Array) -> int:
+def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t:
     """Second least step from each of ``pixels`` (M,) to those next to it, to ``steps`` (M,), m;
     how many of them have two neighbours."""
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
@@ -249,7 +249,7 @@ def second_distances(points: Array, distances: Array) -> None:
 
 @cython.boundscheck(False)
 @cython.locals(points=cython.double[:, ::1], ranges=cython.double[::1], sure=cython.uchar[::1])
-def linked_in_order(points: Array, ranges: Array, limit: float, sure: Bytes) -> int:
+def linked_in_order(points: Array, ranges: Array, limit: float, sure: Bytes) -> cython.Py_ssize_t:
     """How many points (N, 3) are linked with two of the four that are next in the scan's order.
     ``sure``: (N,) for 1 where a point is, else 0."""
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, links=cython.int)
@@ -360,7 +360,7 @@ def drop(
     slots: Ints,
     around: Keys,
     sure: Bytes,
-) -> int:
+) -> cython.Py_ssize_t:
     """Make the ranges of isolated points NaN; how many. The table is that of `fill`. ``sure``: (N,)
     of `linked_in_order`."""
     cython.declare(i=cython.Py_ssize_t, links=cython.Py_ssize_t)

@@ -7,7 +7,6 @@ import cython
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Numbers
 from quadtree_lss.onboard.core.geometry import feature
-from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 if cython.compiled:
     from cython.cimports.libc.math import NAN
@@ -15,7 +14,7 @@ if cython.compiled:
 else:
     from math import nan as NAN
 
-    from quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED
+    from quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED, LeafTable
 
 #: A bell fitted to a hemisphere (Eq. 53) by least squares peaks a quarter above it. Its volume is
 #: right; a sigma wider by this lowers the peak and keeps it.
