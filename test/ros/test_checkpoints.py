@@ -57,10 +57,8 @@ def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        last = sensors.map(mapping, SCANS)
         before = bytes(listener.newest["map/cells"].data)
         assert listener.wait_for(lambda: _stamp_in(path) == last), mapping.output()
         mapping.process.kill()
@@ -107,10 +105,8 @@ def test_damaged_checkpoint_is_set_aside_and_mapping_goes_on(ros):
     path.write_bytes(b"PK\x03\x04 something else")
     mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={path}")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        sensors.map(mapping, SCANS)
         assert listener.wait_for(lambda: has(listener, "problems.checkpoint", 1))
     assert path.with_name("checkpoint.map.refused").exists()
     assert "starting with an empty map" in mapping.output()
@@ -124,10 +120,8 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     before = resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE, (20_000, before[1]))
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        sensors.map(mapping, SCANS)
         assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 3))
         lines = [line for line in mapping.output().splitlines() if "File too large" in line]
         assert len(lines) == 1, "told once, though it fails again and again"
@@ -142,10 +136,8 @@ def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
     args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=3600.0")
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        sensors.map(mapping, SCANS)
         assert listener.wait_for(path.exists), mapping.output()
         path.unlink()
         path.mkdir()
@@ -163,8 +155,7 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     args = ("-p", f"checkpoint.path:={folder / 'a.map'}", "-p", "checkpoint.interval:=0.1")
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         sensors.publish(SCANS)
         assert listener.wait_for((folder / "a.map").exists), mapping.output()
         shutil.rmtree(folder)
@@ -185,8 +176,7 @@ def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
         ros.listen() as listener,
         process(command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE) as faulty,
     ):
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         good = sensors.publish(SCANS - 1)
         assert listener.wait_for(lambda: listener.stamp("map/cells") == good)
         assert not kept or listener.wait_for(lambda: _stamp_in(path) == good)
@@ -217,8 +207,7 @@ def test_two_nodes_on_one_checkpoint(ros):
     args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
     first = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         stamp = sensors.publish(SCANS)
         assert listener.wait_for(lambda: _stamp_in(path) == stamp), first.output()
         second = ros.start("mapping_node", *args, "-r", "__node:=second")
@@ -244,8 +233,7 @@ def test_both_nodes_recover_from_kills_while_sensors_stay(ros):
     nodes = {name: ros.start(name, *args) for name in ("mapping_node", "lss_node")}
     rng = np.random.default_rng(5)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         for attempt in range(8):
             newest = _publish_until_mapped(listener, sensors, 100 * attempt, "landing/sites")
             assert newest, "".join(node.output() for node in nodes.values())

@@ -13,10 +13,11 @@ from quadtree_lss.desk.commands.common import (
     add_config_options,
     add_json,
     chosen_config,
+    completed,
     named,
     print_json,
 )
-from quadtree_lss.desk.commands.completion import completed, names_of_action
+from quadtree_lss.desk.commands.completion import names_of_action
 from quadtree_lss.desk.commands.console import ProgressBar, show, warn
 from quadtree_lss.desk.commands.explained import (
     check_files,

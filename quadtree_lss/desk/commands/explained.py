@@ -75,11 +75,8 @@ def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
 
 
 def explain(name: str) -> list[Parameter]:
-    """The parameter of that name, or all of the section of that name.
-
-    Raises:
-        ConfigError: there is none; names the nearest.
-    """
+    """The parameter of that name, or all of the section of that name. Raises `ConfigError`: there
+    is none; names the nearest."""
     table = parameters()
     rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
     if not rows:

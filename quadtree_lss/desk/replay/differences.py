@@ -24,18 +24,9 @@ yard of mounds that is 1 or 3 m off 0.94 or 0.71."""
 
 @dataclass(frozen=True)
 class Heights:
-    """Second less first height where both maps have seen the ground, m.
-
-    Attributes:
-        points: Grid points that are compared.
-        mean, rms: Of the difference.
-        rms_mean_removed: Of what is left without the mean.
-        most: 95 % of the differences are smaller than this, without sign.
-        greatest, x, y: The greatest difference and where it is.
-        correlation: Of the heights; NaN of level ground.
-        beyond: Share of the points where the difference, without its mean, is more than three of
-            its standard deviations by both maps' covariances.
-    """
+    """Second less first height where both maps have seen the ground, m: 95 % of the differences are
+    less than ``most``, the ``greatest`` is at (``x``, ``y``), and of ``beyond``, a share, what is
+    left without the mean is more than three deviations by both maps' covariances."""
 
     points: int
     mean: float
@@ -64,17 +55,11 @@ class Site:
 class Comparison:
     """How two results of the same ground differ; the second is the newer one.
 
-    Attributes:
-        first, second: Their folders.
-        heights: Of the maps.
-        safe_first, safe_second: Ground where landing is allowed, of what both have seen, m^2.
-        gained, lost: Ground that is allowed in the second only, and in the first only, m^2.
-        seen_first, seen_second: Ground that only one of them has seen, m^2.
-        sites_kept: Pairs of ranks of the same place.
-        sites_gained, sites_lost: Sites of the second without one of the first near by; the other
-            way round.
-        difference: (ny, nx) of the first one's grid points, second less first height, m; NaN
-            where not compared.
+    Areas are m^2: allowed ground of what both have seen, in either (``safe_…``) and in one alone
+    (``gained``, ``lost``), and ground that one alone has seen. ``sites_kept`` are pairs of ranks of
+    the same place, ``sites_gained`` and ``sites_lost`` those without another near by.
+    ``difference`` (ny, nx) is the second less the first height at the first's grid points, m; NaN
+    where not compared.
     """
 
     first: Results
@@ -142,15 +127,10 @@ class Comparison:
 def compare_results(
     first: Results | str | Path, second: Results | str | Path, out: str | Path | None = None
 ) -> Comparison:
-    """Compares two results of the same ground at the grid points of the first.
-
-    Args:
-        first, second: Results or their folders.
-        out: Folder for ``comparison.json`` and ``comparison.png``; None writes nothing.
-
-    Raises:
-        ResultsError: a folder is none of results, or the two have seen no ground in common.
-    """
+    """Compares two results of the same ground at the grid points of the first. ``first``,
+    ``second``: results or their folders. ``out``: folder for ``comparison.json`` and
+    ``comparison.png``; None writes nothing. Raises `ResultsError`: a folder is none of results, or
+    the two have seen no ground in common."""
     a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
     grid = a.grid
     row, column, inside = _nearest(b.grid, grid.x, grid.y)

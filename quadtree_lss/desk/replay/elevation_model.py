@@ -33,17 +33,13 @@ def rank_sites(
     report: bool = True,
     landing: Mapping[str, ArrayLike | None] | None = None,
 ) -> ReplayResult:
-    """Ranks landing sites on an elevation model and writes the results.
+    """Ranks landing sites on an elevation model (or its file, see `read_dem`) and writes the
+    results.
 
-    The domain is that of the model, its smallest cells are those between the posts, or of
-    several of them where a map would have more than 1024 x 1024. An area cuts the model to it.
-
-    Args:
-        dem: Model or its file (see `read_dem`).
-        out: Folder for the results as of `replay`; None writes nothing.
-        config: Of which ``lss`` matters, and ``lidar.range_noise`` as the posts' deviation.
-        report: Also draw figures and ``report.html``.
-        landing: By ``area``, ``keep_out`` (V, 2) and ``target`` (2,), map frame, m.
+    The domain is that of the model, its smallest cells are those between the posts, or of several
+    of them where a map would have more than 1024 x 1024. An area cuts the model to it. Of
+    ``config``, ``lss`` matters, and ``lidar.range_noise`` as the posts' deviation; ``out``,
+    ``report`` and ``landing`` are as of `replay.replay`.
 
     Raises:
         ExchangeError: the file is no elevation model.
@@ -122,11 +118,7 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
     """A map whose leaves are all of one level, and how many cells of the model a leaf has a side.
 
     A leaf's plane is the least-squares one through its posts; one that lacks a post is not
-    measured.
-
-    Args:
-        model: The heights.
-        deviation: Standard deviation of each, m.
+    measured. ``model``: the heights. ``deviation``: standard deviation of each, m.
     """
     block = 1
     count = max(len(model.x), len(model.y)) - 1

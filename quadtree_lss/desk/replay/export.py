@@ -49,7 +49,7 @@ def export_results(
     crs: str = "",
     origin: tuple[float, float] | None = None,
 ) -> list[Path]:
-    """Writes what a replay found in the forms of other programs.
+    """Writes what a replay found in the forms of other programs; returns what was written.
 
     Args:
         results: Results or their folder.
@@ -58,9 +58,6 @@ def export_results(
         crs: Coordinate reference system of the map frame, as ``EPSG:32611``; by default that of the
             elevation model, if the results are of one that tells.
         origin: Instead, latitude and longitude of the map frame's origin, deg (x east, y north).
-
-    Returns:
-        What was written.
 
     Raises:
         ResultsError: the folder is none of results.

@@ -55,10 +55,7 @@ def write_results(
     out: Path, result: ReplayResult, config: Config, report: bool, history: History | None = None
 ) -> None:
     """The files of a results folder, which is made if it is missing; ``report`` adds the page.
-
-    Raises:
-        ReplayError: they cannot be written.
-    """
+    Raises `ReplayError`: they cannot be written."""
     try:
         _write(out, result, config, report, history or History())
     except OSError as error:
@@ -137,12 +134,9 @@ def grid_arrays(assessment: LandingAssessment) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True, repr=False)
 class Grid:
-    """The landing grid: grid points and what is known at each.
-
-    Attributes:
-        x, y: (nx,), (ny,) of the grid points, m, ascending, evenly spaced.
-        layers: (ny, nx) arrays by the names in ``grid.npz``.
-    """
+    """The landing grid: grid points and what is known at each. ``x``, ``y``: (nx,), (ny,) of the
+    grid points, m, ascending, evenly spaced. ``layers``: (ny, nx) arrays by the names in
+    ``grid.npz``."""
 
     x: Array
     y: Array
@@ -234,11 +228,8 @@ class Results:
 
 
 def load_results(folder: str | os.PathLike[str]) -> Results:
-    """The results of a replay, for instance of ``results/latest``.
-
-    Raises:
-        ResultsError: the folder has no ``summary.json`` or no ``grid.npz``.
-    """
+    """The results of a replay, for instance of ``results/latest``. Raises `ResultsError`: the
+    folder has no ``summary.json`` or no ``grid.npz``."""
     path = Path(folder)
     if not path.is_dir():
         msg = f"{path} is not a results folder"

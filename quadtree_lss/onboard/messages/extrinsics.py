@@ -20,10 +20,7 @@ SHOWN, LONGEST = 50, 1000
 
 class Extrinsics:
     """Knows the frames of body and scans, and with ``mount.tf`` the way from one to the other.
-
-    Args:
-        config: Of which ``mount`` and ``frames.body`` matter.
-    """
+    ``config``: of which ``mount`` and ``frames.body`` matter."""
 
     def __init__(self, config: Config) -> None:
         self.tf = config.mount.tf

@@ -135,8 +135,7 @@ def decode_cells(
 
     Args:
         records: (M,) of ``record_dtype(CELL_FIELDS)``, or without the bounds.
-        observed: (n, n) [iy, ix] of ``map/observed``.
-        xmin, ymin: Origin of ``map/observed``, m.
+        observed: (n, n) [iy, ix] of ``map/observed``, of origin ``xmin``, ``ymin``, m.
         stamp_ns: Stamp that both messages carry.
         lss: How landing will be judged on it; None if it will not.
         known: (n, n) where ``map/observed`` does not say that the ground is not yet mapped; None
@@ -221,11 +220,7 @@ def decode_cells(
 
 
 def _check(cells: CellMap) -> None:
-    """Refuse estimates that none can be.
-
-    Raises:
-        MessageError: reason ``values``.
-    """
+    """Refuse estimates that none can be. Raises `MessageError`: reason ``values``."""
     known = cells.estimated
     parts = cells.covariance_range, cells.covariance_pose
     sound = sound_planes(cells.z, cells.normal, parts, cells.feature)
@@ -288,12 +283,8 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
 
 
 def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]:
-    """The one record (1,) of ``record_dtype(STATUS_FIELDS)``.
-
-    Args:
-        assessment: The answer.
-        age: Of its map when it is sent, s; NaN if unknown.
-    """
+    """The one record (1,) of ``record_dtype(STATUS_FIELDS)``. ``assessment``: the answer. ``age``:
+    of its map when it is sent, s; NaN if unknown."""
     selected = assessment.selected
     out = np.zeros(1, dtype=record_dtype(STATUS_FIELDS))
     for axis, name in enumerate("xyz"):

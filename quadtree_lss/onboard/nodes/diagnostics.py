@@ -27,16 +27,8 @@ class Logger(Protocol):
 
 
 class Problems:
-    """Counts by reason; of each reason the first goes to the log, then one per interval.
-
-    Args:
-        logger: Where the lines go.
-        interval: Least time between two lines of one reason, s.
-
-    Attributes:
-        counts: Number by reason since the start.
-        latest: Text of the last one.
-    """
+    """Counts by reason; of each reason the first goes to the log, then one per ``interval`` s;
+    ``latest`` is the text of the last one."""
 
     def __init__(self, logger: Logger, interval: float = 5.0) -> None:
         self.counts: Counter[str] = Counter()
@@ -86,11 +78,8 @@ class Waiting:
 
 
 class Arrivals:
-    """Messages of one kind: how many, how often, and how long ago the last one came.
-
-    Attributes:
-        count: Number since the start.
-    """
+    """Messages of one kind: how many, how often, and how long ago the last one came. ``count``:
+    number since the start."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -130,11 +119,7 @@ class Span(NamedTuple):
 
 
 class Durations:
-    """Durations since they were last asked for.
-
-    Attributes:
-        last: The last one, ms.
-    """
+    """Durations since they were last asked for. ``last``: the last one, ms."""
 
     def __init__(self) -> None:
         self.last = 0.0
@@ -208,14 +193,8 @@ class Status:
 
 
 class Diagnostics:
-    """Publishes one status of a node at a set rate, on a steady clock.
-
-    Args:
-        node: Publishes; its full name is the status's.
-        rate: Hz.
-        problems: Its counters are appended; a new problem since the last status is a warning.
-        collect: Fills in a fresh status whenever one is due.
-    """
+    """Publishes one status of a node at a ``rate`` in Hz, on a steady clock: what ``collect`` fills
+    in, and the counters of ``problems``, of which a new one is a warning."""
 
     def __init__(
         self, node: Node, rate: float, problems: Problems, collect: Callable[[Status], None]

@@ -70,15 +70,10 @@ def descriptor(row: Parameter) -> ParameterDescriptor:
 
 
 def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Topics, each with ``publisher`` or ``subscription``, whose QoS is overridden.
-
-    Args:
-        values: Parameters by name: those that begin with ``qos_overrides.`` are looked at.
-
-    Raises:
-        ConfigError: not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an unknown policy
-            (names the nearest one) or an impossible value.
-    """
+    """Topics, each with ``publisher`` or ``subscription``, whose QoS is overridden. ``values``:
+    parameters by name: those that begin with ``qos_overrides.`` are looked at. Raises
+    `ConfigError`: not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an unknown policy
+    (names the nearest one) or an impossible value."""
     found = []
     for name, value in values.items():
         topic, _, ending = name.removeprefix(QOS).partition(".")
@@ -192,11 +187,8 @@ class _UnknownParameterError(ParameterNotDeclaredException):
 
 
 def _converted(changes: list[RosParameter]) -> list[RosParameter]:
-    """New values before rclpy looks at names and types: whole numbers serve as floats.
-
-    Raises:
-        _UnknownParameterError: a name is neither in the table nor ROS's own.
-    """
+    """New values before rclpy looks at names and types: whole numbers serve as floats. Raises
+    `_UnknownParameterError`: a name is neither in the table nor ROS's own."""
     types = {row.name: row.type for row in parameters()}
     result = []
     for item in changes:
@@ -209,11 +201,7 @@ def _converted(changes: list[RosParameter]) -> list[RosParameter]:
 
 
 def _checked(config: Config) -> Config:
-    """The same, if paths are those of files below ``files.root``.
-
-    Raises:
-        ConfigError: one is not.
-    """
+    """The same, if paths are those of files below ``files.root``; else raises `ConfigError`."""
     root = config.files.root
     if "\0" in root:
         msg = f"files.root = {root!r} is not the name of a folder"

@@ -22,12 +22,8 @@ if TYPE_CHECKING:
 
 class TargetOutput:
     """Publishes the target with every assessment, and between them while there is no new one.
-
-    Args:
-        node: Owner; a change of the target goes to its log.
-        age: Age of a map by its stamp, s; NaN if unknown.
-        release: Called when somebody asks for another target.
-    """
+    ``node``: owner; a change of the target goes to its log. ``age``: age of a map by its stamp, s;
+    NaN if unknown. ``release``: called when somebody asks for another target."""
 
     def __init__(
         self, node: Node, age: Callable[[int], float], release: Callable[[], None]

@@ -307,11 +307,7 @@ def ground_covariance(raster: TerrainRaster, x: float, y: float, radius: float) 
     are 0. Height and tilt are those of the least-squares plane over the leaves' planes in a disc
     (see `lattice.ground_planes`). Range noise is another one in each leaf; the error of the poses
     is common to all of the map nearby, and enters as that of one plane. Slopes are taken for small.
-
-    Args:
-        raster: The map.
-        x, y: The place, map frame, m.
-        radius: Of the disc, m.
+    ``raster``: the map. ``x``, ``y``: the place, map frame, m. ``radius``: of the disc, m.
     """
     cells, domain = raster.cells, raster.domain
     side, last = domain.finest_size, domain.finest_count - 1

@@ -371,16 +371,12 @@ def fit(
 
 @cython.boundscheck(False)
 def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
-    """What the parts of leaves that were never seen add to their covariance.
+    """What the parts of leaves (M,) that were never seen add to their covariance (M, 9) of (dphi,
+    dd).
 
     However often a part is seen, it says nothing of the rest, whose slope may differ by
     `UNSEEN_TILT`: a tilt about the middle of the finest cells in which a point fell, by as much of
     the leaf's width as these leave out.
-
-    Args:
-        table: The leaves.
-        rows: (M,) of them.
-        out: (M, 9) covariances of (dphi, dd), m and rad; written.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])

@@ -161,10 +161,8 @@ class CellMap:
         """Height, slope and deviation of the plane over each place; heights are within bounds.
 
         Rocks that stand out of a plane are not in its height (``feature``); a place on a border
-        belongs to the cell north and east of it, as measurements do.
-
-        Args:
-            x, y: Places in the map frame, m, of any shape; they broadcast.
+        belongs to the cell north and east of it, as measurements do. ``x``, ``y``: places in the
+        map frame, m, of any shape; they broadcast.
         """
         at_x, at_y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         place_x, place_y = at_x.ravel(), at_y.ravel()
@@ -193,15 +191,10 @@ class CellMap:
         return bounded(self.z[leaf] - along / normal[..., 2], self.low[leaf], self.high[leaf])
 
     def profile(self, start: ArrayLike, end: ArrayLike, step: float | None = None) -> Profile:
-        """The ground along the straight line between two places.
-
-        Args:
-            start, end: (2,) x and y, map frame, m.
-            step: Distance of the samples, m; by default half a finest cell. Both ends are samples.
-
-        Raises:
-            ValueError: the step is not positive, or a place is no pair of finite numbers.
-        """
+        """The ground along the straight line between two places. ``start``, ``end``: (2,) x and y,
+        map frame, m. ``step``: distance of the samples, m; by default half a finest cell. Both ends
+        are samples. Raises `ValueError`: the step is not positive, or a place is no pair of finite
+        numbers."""
         first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
         if first.shape != (2,) or last.shape != (2,) or not np.isfinite([first, last]).all():
             msg = "start and end of a profile are pairs (x, y) of finite numbers"

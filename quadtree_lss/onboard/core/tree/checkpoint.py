@@ -57,11 +57,7 @@ def to_bytes(state: State) -> bytes:
 
 
 def from_bytes(content: bytes) -> State:
-    """Arrays of an archive.
-
-    Raises:
-        CheckpointError: damaged, cut short or something else.
-    """
+    """Arrays of an archive. Raises `CheckpointError`: damaged, cut short or something else."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             _check_sizes(archive, len(content))
@@ -75,11 +71,8 @@ def from_bytes(content: bytes) -> State:
 
 
 def _check_sizes(archive: zipfile.ZipFile, size: int) -> None:
-    """See that an archive of ``size`` bytes unpacks to no more than these.
-
-    Raises:
-        CheckpointError: something in it is compressed, or it claims more than there is.
-    """
+    """See that an archive of ``size`` bytes unpacks to no more than these. Raises
+    `CheckpointError`: something in it is compressed, or it claims more than there is."""
     parts = archive.infolist()
     packed = any(part.compress_type != zipfile.ZIP_STORED for part in parts)
     if packed or sum(part.file_size for part in parts) > size:
@@ -93,17 +86,9 @@ def identified(state: State, domain: Domain) -> State:
 
 
 def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
-    """See that a mapper of this domain can go on from a state.
-
-    Args:
-        state: From outside.
-        like: `identified` state of such a mapper, for the names, types and shapes of its arrays.
-        domain: The mapper's.
-        max_cells: Leaves it may hold.
-
-    Raises:
-        CheckpointError: another format or domain, arrays missing or inconsistent.
-    """
+    """See that a mapper of this domain can go on from a state from outside. ``like`` is an
+    `identified` state of such a mapper, for the names, types and shapes of its arrays. Raises
+    `CheckpointError`: another format or domain, too many leaves, arrays missing or inconsistent."""
     wanted, found = like["domain"], state.get("domain", np.empty(0))
     alike = found.dtype == wanted.dtype and found.shape == wanted.shape
     if not alike or not np.array_equal(state.get("format", ""), FORMAT):
