@@ -26,7 +26,8 @@ onboard.core.mapping: onboard.core.tree
 onboard.core.landing: onboard.config onboard.core.geometry onboard.core.sensing
 onboard.core.landing: onboard.core.tree
 onboard.messages: onboard.config onboard.core
-onboard.nodes: build onboard.config onboard.core onboard.messages
+onboard.autopilot: onboard.config onboard.core.geometry
+onboard.nodes: build onboard.config onboard.core onboard.messages onboard.autopilot
 desk.report: onboard.config onboard.core
 desk.exchange: onboard.config onboard.core
 plot: onboard.core desk.report

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -55,6 +57,29 @@ class TargetOutput:
         self._chosen = self._chosen or not result.undecided
         self._again.reset()
         self._say()
+
+    @contextmanager
+    def held_up(self, longest: float) -> Iterator[None]:
+        """Within it a thread says the target again: a pass may take longer than the deadline.
+
+        Args:
+            longest: After so many seconds it ends: a pass that takes longer is stuck, s.
+        """
+        over = threading.Event()
+
+        def say() -> None:
+            for _ in range(int(longest / (0.4 * TARGET_S)) + 1):
+                if over.wait(0.4 * TARGET_S):
+                    return
+                self._say()
+
+        thread = threading.Thread(target=say, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
 
     def _say(self) -> None:
         result = self._result
