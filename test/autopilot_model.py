@@ -152,18 +152,19 @@ class Autopilot(threading.Thread):
     def _clock(self):
         return time.time() - self.boot
 
+    def _north_of_body(self):
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
     def _poses(self, at):
         half = 0.5 * self.yaw
         q = (np.cos(half), 0.0, 0.0, np.sin(half))
         place = self.position + self.shift
         if self.kind == PX4:
-            turn = np.array([[np.cos(self.yaw), np.sin(self.yaw), 0.0],
-                             [-np.sin(self.yaw), np.cos(self.yaw), 0.0], [0.0, 0.0, 1.0]])  # fmt: skip
-            body = turn @ self.velocity
+            body = self._north_of_body().T @ self.velocity
             upper = np.zeros(21)
             upper[[0, 6, 11, 15, 18, 20]] = 0.01, 0.02, 0.03, 1e-4, 2e-4, 3e-4
-            unknown = [float("nan")] * 21
-            values = (round(1e6 * at), 1, 12, *place, q, *body, 0.0, 0.0, 0.0, upper, unknown)
+            values = (round(1e6 * at), 1, 12, *place, q, *body, 0.0, 0.0, 0.0, upper, upper)
             return [("odometry", values)] if 331 in self._rates else []
         said = []
         if 32 in self._rates:
@@ -202,9 +203,7 @@ class Autopilot(threading.Thread):
         vector = np.array([message.x, message.y, message.z])
         self.targets.append((now, message.frame, vector))
         if self.kind == ARDUPILOT and message.frame == 12 and message.distance > 0.0:
-            turn = np.array([[np.cos(self.yaw), -np.sin(self.yaw), 0.0],
-                             [np.sin(self.yaw), np.cos(self.yaw), 0.0], [0.0, 0.0, 1.0]])  # fmt: skip
-            self.precland.take(now, self.position + turn @ vector)
+            self.precland.take(now, self.position + self._north_of_body() @ vector)
 
     def _switch(self, mode):
         if mode == FOLLOWS[PX4] and self.kind == PX4:

@@ -177,10 +177,12 @@ class AutopilotNode(Node):
     def _on_change(self, order: Order, nav: Nav) -> None:
         """A line for the log and the pilot; what lss_node is to know; motors off once down."""
         config = self._settings.config.autopilot
-        warn = order.state in LEVELS
-        log = self.get_logger()
-        (log.warning if warn else log.info)(f"{order.state}: {order.text}")
-        self._link.tell(f"lss {order.state}: {order.text}", warn=warn)
+        warn, text = order.state in LEVELS, f"{order.state}: {order.text}"
+        if warn:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().info(text)
+        self._link.tell(f"lss {text}", warn=warn)
         if order.state == TOUCHDOWN and config.may_command != "nothing":
             self._link.settle(disarm=config.may_command == "arming")
         if order.point is not None:
