@@ -14,7 +14,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -33,7 +32,7 @@ from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
-from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, subscribe
+from quadtree_lss.onboard.nodes.qos import advertise, latched, subscribe
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
 from quadtree_lss.onboard.nodes.ros_messages import GridMap, message_maker
 from quadtree_lss.onboard.nodes.target_output import TargetOutput
@@ -163,7 +162,7 @@ class LssNode(Node):
         self._assessed, self._withheld, self._asked = cells, withheld, False
         start = time.perf_counter()
         restrictions = {**self._inputs.wishes.arguments(), "withheld": withheld}
-        with self._target.held_up(self._longest(cells)):
+        with self._target.held_up():
             result = self._selector.assess(cells, **restrictions)
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
         self._target.send(result, self._map.frame)
@@ -179,11 +178,6 @@ class LssNode(Node):
         latency = self._diagnostics.latency_ms(result.stamp_ns)
         if new and latency is not None:
             self._latency_ms.add(latency)
-
-    def _longest(self, cells: CellMap) -> float:
-        """What a pass may take on a computer that is several times as slow as the budget's, s."""
-        d = cells.domain
-        return 4.0 * pass_seconds(d.size, 1 << d.max_level, self._settings.config.lss) + TARGET_S
 
     def _tell_first(self, result: LandingAssessment) -> None:
         """One line when there are sites for the first time."""

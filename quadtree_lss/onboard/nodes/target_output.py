@@ -14,6 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
+from quadtree_lss.onboard.config.limits import LONGEST
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
 from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
@@ -59,16 +60,15 @@ class TargetOutput:
         self._say()
 
     @contextmanager
-    def held_up(self, longest: float) -> Iterator[None]:
+    def held_up(self) -> Iterator[None]:
         """Within it a thread says the target again: a pass may take longer than the deadline.
 
-        Args:
-            longest: After so many seconds it ends: a pass that takes longer is stuck, s.
+        It ends after the longest that a pass may be configured to take: that one is stuck.
         """
         over = threading.Event()
 
         def say() -> None:
-            for _ in range(int(longest / (0.4 * TARGET_S)) + 1):
+            for _ in range(int(LONGEST / (0.4 * TARGET_S))):
                 if over.wait(0.4 * TARGET_S):
                     return
                 self._say()
