@@ -26,6 +26,7 @@ from quadtree_lss.desk.commands.explained import (
     lengths_text,
     parameter_as_dict,
 )
+from quadtree_lss.onboard.config.limits import slow
 from quadtree_lss.onboard.config.loading import (
     dump_config,
     load_config,
@@ -104,8 +105,12 @@ def _check(options: argparse.Namespace) -> int:
     else:
         for name, errors in found.items():
             show("\n".join(f"{name}: {line}" for line in errors or ["good"]))
-            if not errors and (said := doubt(load_config([name]))):
-                warn(f"{name}: {said}")
+            if not errors:
+                config = load_config([name])
+                finest = 1 << config.domain.max_level
+                for said in (doubt(config), slow(config.domain.size, finest, config.lss)):
+                    if said:
+                        warn(f"{name}: {said}")
     return ERROR if any(found.values()) else DONE
 
 

@@ -35,7 +35,7 @@ Written by `python -m quadtree_lss.desk.commands.explained > docs/parameters.md`
 in `onboard/config/sections.py`, which also declares and documents them; the
 module `settings` beside it checks them.
 
-Both nodes accept all of them, so one parameter file serves both, and `quadtree-lss replay` as
+All nodes accept all of them, so one parameter file serves them, and `quadtree-lss replay` as
 well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
 the start. Lengths are m, and a name that ends in `_deg` is in degrees.
 

@@ -70,6 +70,11 @@ def lss_node() -> int:
     return _run("lss_node")
 
 
+def autopilot_node() -> int:
+    """Console script ``autopilot_node``."""
+    return _run("autopilot_node")
+
+
 def _run(name: str) -> int:
     _early.append(StopOnSignal())
     try:

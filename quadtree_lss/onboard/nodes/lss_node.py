@@ -178,7 +178,9 @@ class LssNode(Node):
         restrictions = {**self._inputs.wishes.arguments(), "withheld": withheld}
         try:
             self._failed = ""
-            self._give(self._selector.assess(cells, **restrictions), new)
+            with self._target.held_up():
+                result = self._selector.assess(cells, **restrictions)
+            self._give(result, new)
         except Exception as error:
             self._failed = failure("the landing site pass", error, self.get_logger())
             self._problems.report("pass_failed", self._failed)
