@@ -18,7 +18,8 @@ from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import parameters
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("msg_docs/*.md")])
+FOLDERS = (".", "docs", "docs/tutorials", "docs/reference", "msg_docs")
+PAGES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.md"))
 MARKED = re.compile(r"<!-- test: (shell|python)([^>]*)-->\n```\w+\n(.*?)```", re.DOTALL)
 
 
