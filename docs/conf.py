@@ -22,6 +22,7 @@ myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 4
 myst_url_schemes = ["http", "https", "mailto"]
 autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
 rosdoc2_settings = {"override_theme": False}
 suppress_warnings = ["config.cache"]
@@ -30,6 +31,9 @@ suppress_warnings = ["config.cache"]
 # messages/, what concerns the project is in project/, and sources are named only.
 PLACES = {"msg_docs/": "messages/", "docs/": ""}
 PLACES |= {f"{n}.": f"project/{n}." for n in ("CONTRIBUTING", "QUALITY_DECLARATION", "CHANGELOG")}
+
+# What figures.py reads, for people to read as well.
+FIGURE = re.compile(r"<!-- figure: ([^\n]+)\n[^;]*;[^;=]*(?:= \w+)?; (build [^>]*|earlier) -->")
 
 
 def move_links(app, page, source):
@@ -45,6 +49,7 @@ def move_links(app, page, source):
                 return f"[{label}]({up}{path.replace(place, here, 1)})"
         return label
 
+    source[0] = FIGURE.sub(r"\n*Made by `\1`; \2*\n", source[0])
     if page == "messages/README":  # whose table names them all
         source[0] += "\n```{toctree}\n:hidden:\n:glob:\n[a-z]*\n```\n"
     source[0] = re.sub(r"(?<!!)\[([^][]*)\]\((?!\w+:|#)([^)\s]+)\)", moved, source[0])

@@ -31,7 +31,8 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -
     if os.environ.get("TABLES") == "markdown":
         lines = [header, ["---"] * len(header), *rows]
         print(f"\n{title}\n")
-        print("\n".join(f"| {' | '.join(map(str, line))} |" for line in lines) + "\n")
+        texts = ([str(cell).replace("|", "\\|") for cell in line] for line in lines)
+        print("\n".join(f"| {' | '.join(text)} |" for text in texts) + "\n")
         return
     cells = [list(map(str, header)), *[[str(cell) for cell in row] for row in rows]]
     width = [max(len(row[k]) for row in cells) for k in range(len(header))]
