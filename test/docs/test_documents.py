@@ -107,6 +107,13 @@ def test_parameters_that_are_named_exist(page):
             assert word in names, word
 
 
+def test_pages_that_code_and_configurations_name_exist():
+    folders = ("quadtree_lss", "config", "studies", "benchmark", "examples", "launch", "test")
+    files = [p for f in folders for kind in ("py", "yaml") for p in (ROOT / f).rglob(f"*.{kind}")]
+    named = {n for p in files for n in re.findall(r"\b(?:msg_)?docs/\w+\.md", p.read_text())}
+    assert len(named) > 5 and all((ROOT / name).exists() for name in named), named
+
+
 def test_every_equation_is_found_in_one_search():
     page = (ROOT / "docs" / "how_it_works.md").read_text()
     code = "".join(path.read_text() for path in (ROOT / "quadtree_lss").rglob("*.py"))

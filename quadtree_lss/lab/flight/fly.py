@@ -36,7 +36,7 @@ class Flown:
 
     Attributes:
         flight: Its state at the end, with its record.
-        figures: See ``docs/closed_loop.md``.
+        figures: See ``docs/topics_and_files.md``.
         last: What the nodes said last, None without them.
     """
 
