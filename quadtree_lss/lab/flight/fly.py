@@ -33,7 +33,7 @@ PAPER = {
 @dataclass(frozen=True)
 class Flown:
     """A flight that has ended. ``flight``: its state at the end, with its record. ``figures``: see
-    ``docs/closed_loop.md``. ``last``: what the nodes said last, None without them."""
+    ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them."""
 
     flight: Flight
     figures: dict[str, Any]
