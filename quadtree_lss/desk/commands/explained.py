@@ -45,9 +45,7 @@ explain vehicle` shows each value and rule. Old names (`lss.vehicle_diameter`, `
 """
 
 
-def check_files(
-    paths: Iterable[str | os.PathLike[str]], node: str = ""
-) -> dict[str, list[str]]:
+def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
     """Each file by itself over the defaults: all that is wrong with it, a line each.
 
     Args:
