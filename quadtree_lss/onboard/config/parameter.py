@@ -74,8 +74,11 @@ def checked_value(row: Parameter, value: object) -> Value:
     if not isinstance(value, kinds[row.type]) or (row.type is not bool and isinstance(value, bool)):
         msg = f"{row.name} must be {row.type.__name__}, got {value!r}"
         raise ConfigError(msg)
-    checked = row.type(value)
-    if row.type in (int, float) and not (math.isfinite(checked) and row.low <= checked <= row.high):
+    try:
+        checked = row.type(value)
+    except OverflowError:  # a whole number beyond all others
+        checked = math.inf
+    if row.type in (int, float) and not (row.low <= checked <= row.high and math.isfinite(checked)):
         unit = f" {row.unit}" if row.unit else ""
         msg = f"{row.name} = {checked} is outside [{row.low:g}, {row.high:g}]{unit}"
         raise ConfigError(msg)
