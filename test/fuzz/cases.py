@@ -14,7 +14,9 @@ from messages import samples
 
 WHOLE = [0, 1, 2, 3, 4, 7, 8, 12, 16, 255, 2**16, 2**22, 2**22 + 1, 2**31 - 1, 2**31, 2**32 - 1]
 NUMBERS = [0.0, -0.0, 1.0, -1.0, 2.0**0.5, math.inf, -math.inf, math.nan]
-NUMBERS += [sign * 10.0**n for n in (-320, -200, -160, -44, -9, 7, 9, 12, 38, 160) for sign in (1, -1)]
+NUMBERS += [
+    sign * 10.0**n for n in (-320, -200, -160, -44, -9, 7, 9, 12, 38, 160) for sign in (1, -1)
+]
 NUMBERS += [5e-324, 1.7e308, -1.7e308, 3.4e38]
 NAMES = ["x", "y", "z", "t", "time", "range", "azimuth", "elevation", "", "x\n\x1b[2J", "q" * 10**5]
 FRAMES = ["map", "/map", "", "odom\nERROR all is well", "\x1b]0;title\x07", "m" * 10**6, "\u202e"]

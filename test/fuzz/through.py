@@ -19,7 +19,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from core.builders import LOOKING_DOWN, assert_sound, configured, make_pose, scan, scattered
+from core.builders import assert_sound, configured, make_pose, scan, scattered
 from fuzz import cases
 from fuzz.cases import extreme, one_of
 from messages import samples
@@ -35,7 +35,6 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
-from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
@@ -131,7 +130,7 @@ class Flight:
     def send(self) -> str:
         self.sent += 1
         self.now += 10**8
-        refused, poses = self._refused(), self.intake.poses_taken
+        refused = self._refused()
         pose = self._pose()
         if self.kind in ("pose", "odometry"):
             pose = cases.random_pose(self.rng, pose)

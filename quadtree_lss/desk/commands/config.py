@@ -58,7 +58,12 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
     add_config_options(parser)
     add("--poses", type=named, metavar="FILE", help=POSES)
-    add("--node", default="", metavar="NAME", help="check: the files are for this node, /uav1/lss_node")
+    add(
+        "--node",
+        default="",
+        metavar="NAME",
+        help="check: are the files for this node?",
+    )
     add("--plain", action="store_true", help="print without the explanations")
     add_json(parser)
 

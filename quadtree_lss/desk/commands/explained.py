@@ -40,9 +40,7 @@ the start. Lengths are m, and a name that ends in `_deg` is in degrees.
 """
 
 
-def check_files(
-    paths: Iterable[str | os.PathLike[str]], node: str = ""
-) -> dict[str, list[str]]:
+def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
     """Each file by itself over the defaults: all that is wrong with it, a line each.
 
     Args:

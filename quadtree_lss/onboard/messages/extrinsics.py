@@ -87,7 +87,9 @@ class Extrinsics:
         for item in msg.transforms:
             try:
                 held = mount_from_message(item, "transform")
-                frames = [_usable(of, "frame") for of in (item.header.frame_id, item.child_frame_id)]
+                frames = [
+                    _usable(of, "frame") for of in (item.header.frame_id, item.child_frame_id)
+                ]
             except MessageError as error:
                 wrong = wrong or error
             else:

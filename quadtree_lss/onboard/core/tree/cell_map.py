@@ -17,7 +17,6 @@ from quadtree_lss.onboard.core.geometry.heights import height_by_error
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
 
-
 #: Heights and lengths of a map are less than this, m, and its other figures than this: squares
 #: are numbers then, in a message's single precision, too.
 MOST_HEIGHT, MOST = 1e7, 1e18
