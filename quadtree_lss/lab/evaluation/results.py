@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -207,26 +205,17 @@ class Truth:
 
 
 def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Any]:
-    if not path.is_file():
-        msg = f"{path} {'is a folder' if path.is_dir() else 'does not exist'}"
-        near = [p for p in (path / "truth.npz", path.parent / "truth.npz") if p.is_file()]
-        if near and path.name != "truth.npz":
-            msg += f"; did you mean {near[0]}?"
-        raise EvaluationError(msg)
     try:
-        opened = np.load(path, allow_pickle=False)
-        if isinstance(opened, np.ndarray):
-            msg = f"{path} is a single array, no .npz file"
-            raise EvaluationError(msg)
-        with opened as file:
-            missing = [name for name in names if name not in file]
-            if missing:
-                msg = f"{path} lacks {', '.join(missing)}"
-                raise EvaluationError(msg)
-            return {name: file[name] for name in (*names, *optional) if name in file}
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        msg = f"{path} is not a readable .npz file: {error}"
-        raise EvaluationError(msg) from error
+        found = saved.read_arrays(path)
+    except saved.ResultsError as error:
+        near = [p for p in (path / "truth.npz", path.parent / "truth.npz") if p.is_file()]
+        hint = f"; did you mean {near[0]}?" if near and path.name != "truth.npz" else ""
+        raise EvaluationError(f"{error}{hint}") from error
+    missing = [name for name in names if name not in found]
+    if missing:
+        msg = f"{path} lacks {', '.join(missing)}"
+        raise EvaluationError(msg)
+    return {name: found[name] for name in (*names, *optional) if name in found}
 
 
 def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: str) -> None:
