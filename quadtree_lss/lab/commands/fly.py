@@ -19,7 +19,7 @@ from quadtree_lss.desk.commands.common import (
     share,
     whole,
 )
-from quadtree_lss.desk.commands.console import ProgressBar, first_line
+from quadtree_lss.desk.commands.console import ProgressBar, first_line, warn
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.reference:
         done.figures.update(least_propellant(done.flight))
     write_flight(options.out, done, page=not options.no_page)
+    if done.figures["warnings"]:
+        warn(f"warning: {done.figures['warnings']}")
     if options.json:
         print_json(done.figures)
     else:

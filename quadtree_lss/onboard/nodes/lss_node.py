@@ -240,6 +240,8 @@ class LssNode(Node):
         )
         if withheld:
             return
+        for line in result.doubts:
+            status.note(WARN, line)
         if count:
             status.note(OK, f"{count} sites; {result.explanation}")
         else:

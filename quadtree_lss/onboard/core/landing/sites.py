@@ -21,6 +21,7 @@ from quadtree_lss.onboard.core.landing.assessment import (
     no_target,
     nothing_mapped,
 )
+from quadtree_lss.onboard.core.landing.doubt import Doubts
 from quadtree_lss.onboard.core.landing.grid import Aims, GridSampler, aim, best_points, users_grid
 from quadtree_lss.onboard.core.landing.lattice import disc, touching
 from quadtree_lss.onboard.core.landing.probability import (
@@ -79,10 +80,12 @@ class LandingSiteSelector:
         self._table: RiskTable | None
         self._check: TouchdownCheck | None
         self._table, self._check, within = None, None, None
+        self._doubts: Doubts | None = None
         if "probability" in (lss.assessment, lss.ranking):
             model = risk_model(lss.risk_model)
             self._table = RiskTable(model, lss, config.lidar.range_noise)
             within = limits(model, lss)
+            self._doubts = Doubts(config)
         if within is not None or lss.assessment != "paper":
             self._check = TouchdownCheck(lss, within)
 
@@ -144,6 +147,9 @@ class LandingSiteSelector:
     ) -> LandingAssessment:
         """The best aims, and the target."""
         lss, cells, at = self.config.lss, points.raster.cells, aims.at
+        doubts: tuple[str, ...] = ()
+        if self._doubts is not None:
+            doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
         safe, cost = aims.candidates.safe, aims.candidates.cost
         landable = bool(np.isfinite(cost).any())
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
@@ -188,6 +194,7 @@ class LandingSiteSelector:
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
             ground=(at, points),
+            doubts=doubts,
         )
 
     def _choose(
