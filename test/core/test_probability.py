@@ -209,10 +209,22 @@ def test_guidance_goes_before_the_configuration(beside_a_rock):
         theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.5, Dispersion(0.2, 0.1))
     )
     assert theirs.max() > own.max()
-    one = selector.assess(beside_a_rock, dispersion=[0.0, 0.0, np.radians(15.0)])
+
+
+@pytest.mark.parametrize("rule", ["probability", "touchdown"])
+def test_a_heading_counts_for_limits_and_not_for_the_risk_fitted_to_the_worst(beside_a_rock, rule):
+    ranking, heard = "probability" if rule == "probability" else "score", []
+    selector, worst = probable(assessment=rule, ranking=ranking), TouchdownCheck.worst
+
+    def hear(check, raster, candidates, heading=None):
+        heard.append(heading)
+        return worst(check, raster, candidates, heading)
+
+    with mock.patch.object(TouchdownCheck, "worst", hear):
+        one = selector.assess(beside_a_rock, dispersion=[0.0, 0.0, 0.3])
+    assert heard == [None if rule == "probability" else 0.3]
     every = selector.assess(beside_a_rock, dispersion=[0.0, 0.0])
-    assert (one.risk <= every.risk + 0.02).all()
-    assert (one.risk < every.risk - 0.1).any()
+    np.testing.assert_array_equal(one.risk, every.risk)
 
 
 @pytest.mark.parametrize("given", [[1.0], [1.0, -1.0], [np.nan, 1.0], [1e9, 1.0], [1, 1, 0, 0]])

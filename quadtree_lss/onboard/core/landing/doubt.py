@@ -16,8 +16,8 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.tree.domain import Domain
 
-#: Greatest share of the seen ground without a return: of whole flights that the fit was made of.
-MOST_BRIDGED = 0.2
+#: Greatest share of the judged ground without a return: flights that were fitted have up to 0.02.
+MOST_BRIDGED = 0.05
 #: Risks are looked at in hindsight between these.
 BINS = (0.0, 0.003, 0.03, 0.3)
 #: They may come true so many times, and by so many deviations more than that.
@@ -40,18 +40,18 @@ class Doubts:
             judged: (n + 1, n + 1) grid points where that is known.
         """
         self._hindsight.take(raster.domain, raster.cells.stamp_ns, risk, judged)
-        lines = (self._outside, coverage(raster), self._hindsight.words())
+        lines = (self._outside, coverage(raster, judged), self._hindsight.words())
         return tuple(line for line in lines if line)
 
 
-def coverage(raster: TerrainRaster) -> str:
-    """What the map shows of ground that is seen otherwise than that of the fit; or nothing."""
-    seen = np.count_nonzero(raster.seen)
-    share = np.count_nonzero(raster.seen & raster.bridged) / max(seen, 1)
+def coverage(raster: TerrainRaster, judged: Mask) -> str:
+    """Whether the ground that is judged is seen more thinly than that of the fit; or nothing."""
+    under = raster.bridged[judged[1:, 1:]]
+    share = np.count_nonzero(under) / max(len(under), 1)
     if share <= MOST_BRIDGED:
         return ""
     return (
-        f"{100.0 * share:.0f} % of the seen ground has no return and is bridged: the risk was"
+        f"{100.0 * share:.0f} % of the judged ground has no return and is bridged: the risk was"
         f" fitted where at most {100.0 * MOST_BRIDGED:.0f} % is"
     )
 

@@ -109,7 +109,8 @@ class LandingSiteSelector:
             cells: The map message's content; points are never needed.
             area, keep_out, target, withheld: As of `Restrictions`: where landing is wanted.
             dispersion: Deviations of the touchdown from its aim along x and y, m, and the lander's
-                heading, rad, NaN for any; None for ``lss.dispersion``, and any.
+                heading, rad, NaN for any; None for ``lss.dispersion``, and any. Limits alone are
+                looked at for one heading: a risk is that of the worst.
 
         Raises:
             ValueError: the dispersion is none.
@@ -126,7 +127,9 @@ class LandingSiteSelector:
         around = look_around(raster, lss)
         worst = None
         if self._check is not None:
-            worst = self._check.worst(raster, around.judged, spread.heading)
+            # The risk is fitted to the worst of all headings: no less is said of one of them.
+            heading = spread.heading if self._table is None else None
+            worst = self._check.worst(raster, around.judged, heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
         aims = aim(points, at, spread, wanted, lss)
         return self._choose_sites(points, aims, spread, wanted)
