@@ -20,7 +20,7 @@ from quadtree_lss.desk.commands.common import (
     share,
     whole,
 )
-from quadtree_lss.desk.commands.console import ProgressBar, first_line, say
+from quadtree_lss.desk.commands.console import ProgressBar, first_line, say, warn
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
@@ -89,6 +89,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.reference:
         done.figures.update(least_propellant(done.flight))
     write_flight(options.out, done, page=not options.no_page)
+    if done.figures["warnings"]:
+        warn(f"warning: {done.figures['warnings']}")
     if options.json:
         print_json(done.figures)
     else:
