@@ -76,7 +76,8 @@ def make(figure):
         text=True,
         check=True,
     )
-    body = figure.body if "--figure" in figure.command else done.stdout.strip() + "\n"
+    drawn = re.sub(r"\AEarlier build.*?\n\n", "", figure.body, flags=re.DOTALL)
+    body = drawn if "--figure" in figure.command else done.stdout.strip() + "\n"
     made = f"{build.name()[:8]}, {datetime.date.today()}"
     text, old = figure.page.read_text(encoding="utf-8"), f"<!-- figure: {figure.command}\n"
     start = text.index(old)
