@@ -152,7 +152,7 @@ def fly(flight: Recording, config: Config) -> Tally:
         ranked = found.sites.position
         if not len(ranked):
             continue
-        if first is not None and np.hypot(*(ranked[0] - first)[:2]) > config.lss.vehicle_diameter:
+        if first is not None and np.hypot(*(ranked[0] - first)[:2]) > config.lss.vehicle.diameter:
             tally.of["first of the list"].note(first, ranked[0], room)
         first = ranked[0]
         if held is not None:

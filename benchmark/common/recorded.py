@@ -125,7 +125,7 @@ def autzen(seeds: list[int] | None, quick: bool) -> None:
         row, column = np.nonzero(cells.observed)
         x, y = cells.domain.xmin + side * (column + 0.5), cells.domain.ymin + side * (row + 0.5)
         at = [("leaf planes", x, y, cells.at(x, y).height)]
-        raster = rasterise(cells, config.lss.max_gap).elevation[row, column]
+        raster = rasterise(cells, config.lss).elevation[row, column]
         at.append(("raster", x, y, raster))
         row, column = np.nonzero(np.isfinite(found.elevation))
         at.append(("grid elevation", found.x[column], found.y[row], found.elevation[row, column]))

@@ -109,14 +109,15 @@ def swept(mapped: Mapped, config: Config, rule: str, times: ArrayLike) -> Array:
     rise, slope = landings.worst.rise, landings.worst.slope
     for factor in np.asarray(times).tolist():
         if rule == "touchdown":
-            steep = np.tan(np.radians(factor * lss.touchdown_slope_deg))
-            fails = (rise > factor * lss.touchdown_roughness) | (slope > steep)
+            steep = np.tan(np.radians(factor * lss.vehicle.lengths.touchdown_slope_deg))
+            fails = (rise > factor * lss.vehicle.lengths.touchdown_roughness) | (slope > steep)
             side = mapped.cells.domain.finest_size
-            safe = ~grown(fails & landings.judged, lss.hazard_growth, side)
+            safe = ~grown(fails & landings.judged, lss.growth, side)
         else:
-            changes = {"max_slope_deg": factor * lss.max_slope_deg}
-            changes["max_roughness"] = factor * lss.max_roughness
-            selector = LandingSiteSelector(by_rule(config, rule, **changes))
+            changes = {"max_slope_deg": factor * lss.vehicle.max_slope_deg}
+            changes["clearance"] = factor * lss.vehicle.clearance
+            other = replace(config, vehicle=replace(config.vehicle, **changes))
+            selector = LandingSiteSelector(by_rule(other, rule))
             safe = selector.assess(mapped.cells).safe
         out.append(found_kept(safe[landings.counts], landings.failed))
     return np.array(out)
@@ -134,15 +135,17 @@ def drawn(mapped: Mapped, config: Config, draws: int, seed: int) -> Array:
     covariance, and each finest cell by the roughness of its leaf.
     """
     rng, cells, lss = np.random.default_rng(seed), mapped.cells, config.lss
-    raster = rasterise(cells, lss.max_gap)
+    raster = rasterise(cells, lss)
     landings = land(mapped, WIDE, config)
-    steep = float(np.tan(np.radians(lss.max_slope_deg)))
-    check_at = Limits((lss.max_roughness,) * 2, (steep,) * 2)
+    steep = float(np.tan(np.radians(lss.vehicle.max_slope_deg)))
+    check_at = Limits((lss.vehicle.clearance,) * 2, (steep,) * 2)
     failed = np.zeros(landings.judged.shape)
     for _ in range(draws):
         drawn_raster = _one_draw(rng, cells, raster)
         worst = TouchdownCheck(lss, check_at).worst(drawn_raster, landings.judged)
-        failed += (worst.rise > np.float32(lss.max_roughness)) | (worst.slope > np.float32(steep))
+        failed += (worst.rise > np.float32(lss.vehicle.clearance)) | (
+            worst.slope > np.float32(steep)
+        )
     return np.asarray((failed[landings.counts] + 0.5) / (draws + 1.0))
 
 

@@ -7,14 +7,18 @@ noise moves each along its ray. All lengths in m, all frames the map's unless a 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from unittest import mock
 
 import numpy as np
 
 from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 from quadtree_lss.onboard.core.geometry import rotations, sphere
+from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -137,6 +141,17 @@ def configured(**sections: dict[str, object]) -> Config:
     }
     values = {f"{s}.{key}": value for s, of in sections.items() for key, value in of.items()}
     return config_from_values({**base, **values})
+
+
+@contextlib.contextmanager
+def by(**values: float) -> Iterator[None]:
+    """Other constants of the kernels' rules, and lengths of any vehicle, while a mapper is made."""
+    follow = {name.lower(): value for name, value in values.items()}
+    follow = {name: follow.pop(name) for name in list(follow) if hasattr(Lengths, name)}
+    others = {name: value for name, value in values.items() if name.lower() not in follow}
+    lengths = mock.patch.object(VehicleConfig, "lengths", Lengths(**follow))
+    with mock.patch.dict(vars(measure), others), lengths:
+        yield
 
 
 def mapped(

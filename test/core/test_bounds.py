@@ -73,7 +73,7 @@ def try_values(seed: int) -> bool:
         return False
     domain = config.domain
     expected = pass_seconds(domain.size, 1 << domain.max_level, config.lss)
-    grid = domain.size / config.lss.grid_spacing
+    grid = domain.size / config.lss.spacing
     if expected > 1.0 or domain.max_level > 9 or grid > 1000.0:
         return False  # allowed, but too long for a test of many
     flown(config, rng)
@@ -92,8 +92,8 @@ def test_so_are_many_more():
 #: Each of these took minutes once.
 SLOW_ONCE = (
     {"lss.margin": 1000.0},
-    {"lss.vehicle_diameter": 1000.0},
-    {"lss.vehicle_diameter": 1000.0, "lss.assessment": "paper"},
+    {"vehicle.diameter": 1000.0},
+    {"vehicle.diameter": 1000.0, "lss.assessment": "paper"},
     {"lss.max_gap": 1000.0, "lss.hazard_growth": 100.0, "lss.margin": 59.0},
     {"lss.sites": 1000, "lss.min_separation": 0.0, "lss.margin": 40.0},
 )
@@ -114,7 +114,7 @@ def test_a_zone_wider_than_the_domain_costs_no_more_than_one_that_fills_it():
 
 @pytest.mark.parametrize(
     ("size", "finest", "word"),
-    [(12_000.0, 4096, "grid_spacing"), (1000.0, 4096, "GB"), (60.0, 2048, "vehicle_diameter")],
+    [(12_000.0, 4096, "grid_spacing"), (1000.0, 4096, "GB"), (60.0, 2048, "vehicle.diameter")],
 )
 def test_the_reason_names_what_is_too_much(size, finest, word):
     assert word in why_too_much(size, finest, Config().lss)

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 
 import pytest
 
+from quadtree_lss.onboard.config import settings
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import (
     REMOVED,
@@ -89,7 +91,7 @@ def test_whole_numbers_serve_where_a_float_is_wanted():
     ("key", "near"),
     [
         ("domain.min_levl", "domain.min_level"),
-        ("lss.vehicle_diametre", "lss.vehicle_diameter"),
+        ("vehicle.diametre", "vehicle.diameter"),
         ("lidar.range_nois", "lidar.range_noise"),
         ("mapping.divison", "mapping.division"),
         ("pose.maxwait", "pose.max_wait"),
@@ -138,7 +140,7 @@ def test_odd_keys_are_configuration_errors_too(key):
         ({"domain.size": 50_000.0, "lss.grid_spacing": 0.1}, "lss.grid_spacing"),
         ({"domain.max_level": 12}, "domain.max_level"),
         ({"domain.max_level": 11, "domain.size": 2000.0}, "GB for a landing site pass"),
-        ({"domain.max_level": 11, "lss.grid_spacing": 0.1}, "lss.vehicle_diameter"),
+        ({"domain.max_level": 11, "lss.grid_spacing": 0.1}, "vehicle.diameter"),
         ({"domain.max_level": 11, "domain.size": 900.0, "lss.sites": 1000}, "lss.sites"),
     ],
 )
@@ -160,7 +162,33 @@ def other_value(row: Parameter) -> object:
         return next((c for c in row.choices if c != row.default), "other")
     if row.type is int:
         return row.default + 1 if row.default < row.high else row.default - 1
-    return row.default * 1.01 if row.default else min(row.high, 0.5)
+    return row.default * 0.99 if row.default else min(row.high, 0.5)
+
+
+def test_old_names_are_read_with_a_line_each_that_is_said_once(caplog, tmp_path):
+    settings.present_name.cache_clear()
+    for name, key in (("old", "lss.vehicle_diameter"), ("new", "vehicle.diameter")):
+        (tmp_path / name).write_text(f"/**: {{ros__parameters: {{{key}: {len(key)}.0}}}}")
+    old, new = tmp_path / "old", tmp_path / "new"
+    assert load_config([old]).vehicle.diameter == 20.0
+    assert load_config([new, old]).lss.vehicle.diameter == 20.0  # the later wins
+    assert load_config([old, new]).vehicle.diameter == 16.0
+    assert caplog.messages == ["lss.vehicle_diameter is vehicle.diameter now"]
+
+
+def test_lengths_follow_from_the_vehicle_unless_they_are_set():
+    """A lander half as wide that clears a third, and one whose gap is set."""
+    usual, lander = Config(), {"vehicle.diameter": 1.85, "vehicle.clearance": 0.1}
+    half, own = config_from_values(lander), config_from_values({**lander, "lss.max_gap": 0.0})
+    assert (usual.lss.gap, usual.lss.spacing, usual.lss.separation) == (0.6, 0.5, 3.7)
+    assert (half.lss.gap, half.lss.spacing, half.lss.separation) == (0.3, 0.25, 1.85)
+    assert (own.lss.gap, own.lss.spacing) == (0.0, 0.25)
+    third = {"feature_height": 3.0, "rock_area": 9.0, "feature_volume": 27.0, "max_gap": 2.0}
+    for name, factor in third.items():
+        at_first = getattr(usual.vehicle.lengths, name)
+        assert getattr(half.vehicle.lengths, name) == pytest.approx(at_first / factor)
+    assert config_from_values({}, half).lss == half.lss
+    assert dataclasses.replace(half, vehicle=usual.vehicle) == usual
 
 
 @pytest.mark.parametrize("row", **named(list(ROWS)))

@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-from unittest import mock
-
 import numpy as np
 import pytest
-from core.builders import configured, lattice, look, make_pose, mapped, slope
+from core.builders import by, configured, lattice, look, make_pose, mapped, slope
 
 from quadtree_lss.onboard.core.geometry import feature as bump
-from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -148,8 +145,8 @@ def test_limits_are_obeyed(limit):
     ground = rocky(*hemispheres(4))
 
     def found(**limits: float) -> np.ndarray:
-        config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
-        with mock.patch.dict(vars(measure), limits):
+        with by(**limits):
+            config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
             state = by_place(mapped(config, ground, density=100.0).snapshot())
         return of(state[np.isfinite(state[:, K])])
 

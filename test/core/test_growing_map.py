@@ -23,7 +23,7 @@ def rocks(x, y):
 
 def test_what_did_not_change_need_not_be_checked_again():
     base = configured(domain={"size": 32.0, "min_level": 3, "max_level": 7})
-    config = config_from_values({"lss.grid_spacing": 0.25, "lss.vehicle_diameter": 3.0}, base)
+    config = config_from_values({"lss.grid_spacing": 0.25, "vehicle.diameter": 3.0}, base)
     mapper, rng = Mapper(config), np.random.default_rng(3)
     follower = LandingSiteSelector(config)
     strips = [(0.0, 0.0, 0.0), (16.0, 0.0, 0.0), (0.0, 16.0, 0.0), (8.0, 8.0, 0.0), (0.0, 0.0, 0.0)]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, mapped, slope, strip, upward_normals
 
+from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.feature import height
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
@@ -65,7 +66,7 @@ def test_elevation_deviation_is_the_greatest_over_the_footprint(cells, level):
 
 
 def test_bits_follow_the_tolerances(cells):
-    config = dataclasses.replace(configured().lss, max_slope_deg=5.0, max_roughness=0.15)
+    config = configured(vehicle={"max_slope_deg": 5.0, "clearance": 0.15}).lss
     with mock.patch.object(hazards, "MAX_EXCEPTION_FRACTION", 0.01):
         bits = hazards.avoided_features(cells, config)
     level = hazards.reference_level(cells, 4.0)
@@ -118,7 +119,7 @@ def test_inherited_leaves_have_no_bits(cells):
 
 
 def test_raster_is_the_leaf_planes_at_the_finest_centres(cells):
-    raster = rasterise(cells, 0.6)
+    raster = rasterise(cells, LssConfig())
     n, side = cells.domain.finest_count, cells.domain.finest_size
     leaf = cells.leaf_raster()
     np.testing.assert_array_equal(raster.leaf, leaf)
@@ -143,7 +144,7 @@ def test_subscale_is_the_mean_and_the_greatest_height_within_the_cell(place):
     k = int(np.flatnonzero((cells.x == 5.0) & (cells.y == 7.0))[0])
     cells.feature[:] = np.nan
     cells.feature[k] = (0.0, np.sqrt(0.3 * 2.0 * np.pi) * 0.15, *place, 0.15)
-    raster = rasterise(cells, 0.6)
+    raster = rasterise(cells, LssConfig())
     side = cells.domain.finest_size
     assert raster.subscale_peak.max() == pytest.approx(0.3, rel=1e-9)
     fine = (np.arange(25) + 0.5) / 25.0 * side
@@ -163,7 +164,7 @@ def test_subscale_is_the_mean_and_the_greatest_height_within_the_cell(place):
 @pytest.mark.parametrize(("columns", "unseen"), [(1, []), (4, []), (5, [32]), (7, [32, 33, 34])])
 def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
     """Centres lie 0.125, 0.375, 0.625 m ... from the nearest observed cell's edge; 0.6 m is set."""
-    raster = rasterise(strip(columns), 0.6)
+    raster = rasterise(strip(columns), LssConfig())
     assert np.flatnonzero(~raster.seen.all(axis=0)).tolist() == unseen
     assert np.isfinite(raster.elevation).all()
     # Gaps are bridged whole or not at all.
@@ -173,7 +174,7 @@ def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
 
 def test_gaps_are_bridged_level_from_the_nearest_measured_cell():
     cells = strip(4)
-    raster = rasterise(cells, 0.6)
+    raster = rasterise(cells, LssConfig())
     np.testing.assert_allclose(raster.elevation, 0.0, atol=0.2)
     assert not raster.slope_x[:, 30:34].any()
     nearest = raster.elevation[:, [29, 34]]
@@ -182,6 +183,6 @@ def test_gaps_are_bridged_level_from_the_nearest_measured_cell():
 
 def test_a_map_of_nothing_is_unseen():
     cells = mapped(configured(), flat(), density=0.0, scans=1).snapshot()
-    raster = rasterise(cells, 0.6)
+    raster = rasterise(cells, LssConfig())
     assert not raster.seen.any()
     assert np.isnan(raster.elevation).all()

@@ -8,6 +8,7 @@ import pytest
 from core.builders import configured, mapped, slope
 from scipy.ndimage import distance_transform_edt
 
+from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.grid import GridSampler
 from quadtree_lss.onboard.core.landing.lattice import (
     disc,
@@ -27,7 +28,7 @@ def test_beyond_the_edge_the_ground_goes_on():
     """Level, at the height of the edge: half of the disc of a point there has no slope."""
     config = configured(lidar={"range_noise": 0.01})
     cells = mapped(config, slope(0.2, 0.0), density=60.0).snapshot()
-    raster = rasterise(cells, 0.6)
+    raster = rasterise(cells, LssConfig())
     found = ground_planes(raster.elevation, raster.seen, cells.domain.finest_size, 1.5)
     middle = len(found.slope_x) // 2
     assert found.slope_x[middle, middle] == pytest.approx(0.2, abs=0.01)
@@ -36,8 +37,9 @@ def test_beyond_the_edge_the_ground_goes_on():
 
 
 def test_slope_is_that_of_three_quarters_of_the_landers_radius():
-    lander = {"vehicle_diameter": 1.9, "grid_spacing": 0.5}
-    config = configured(lidar={"range_noise": 0.03}, domain={"max_level": 5}, lss=lander)
+    lander, lss = {"diameter": 1.9}, {"grid_spacing": 0.5}
+    noise, finest = {"range_noise": 0.03}, {"max_level": 5}
+    config = configured(lidar=noise, domain=finest, vehicle=lander, lss=lss)
 
     def waves(x, y):
         return 0.3 * np.sin(1.5 * x) + 0.2 * np.sin(2.0 * y)
@@ -45,7 +47,7 @@ def test_slope_is_that_of_three_quarters_of_the_landers_radius():
     cells = mapped(config, waves, density=60.0).snapshot()
     found = LandingSiteSelector(config).assess(cells)
     side = cells.domain.finest_size
-    raster = rasterise(cells, config.lss.max_gap)
+    raster = rasterise(cells, config.lss)
     planes = ground_planes(raster.elevation, raster.seen, side, 0.75 * 0.5 * 1.9)
     slope = np.degrees(np.arctan(np.hypot(planes.slope_x, planes.slope_y)))
     np.testing.assert_allclose(found.slope_deg, slope, rtol=1e-12)

@@ -13,7 +13,7 @@ from core.builders import configured, mapped
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.config.risk import RiskModel, risk_model, risk_model_text
-from quadtree_lss.onboard.config.settings import ConfigError, LssConfig
+from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, VehicleConfig
 from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
@@ -141,7 +141,7 @@ def test_without_dispersion_the_aim_is_the_place():
 def test_the_worst_contact_does_not_depend_on_the_limits():
     config = configured(domain={"size": 32.0})
     cells = mapped(config, block, density=60.0).snapshot()
-    raster = rasterise(cells, config.lss.max_gap)
+    raster = rasterise(cells, config.lss)
     inside = np.zeros((65, 65), dtype=bool)
     inside[8:-8, 8:-8] = True
     wide = TouchdownCheck(config.lss, Limits((0.0, 9.0), (0.0, 9.0))).worst(raster, inside)
@@ -246,9 +246,9 @@ def test_words():
 
 
 def test_limits_cover_the_model_and_the_touchdown_limits():
-    found = limits(MODEL, LssConfig(touchdown_roughness=0.1, touchdown_slope_deg=20.0))
-    assert found.rise == (0.1, pytest.approx(0.5))
-    assert found.slope[1] == pytest.approx(np.tan(np.radians(20.0)))
+    found = limits(MODEL, LssConfig(vehicle=VehicleConfig(clearance=0.9, max_slope_deg=30.0)))
+    assert found.rise == (pytest.approx(0.75), pytest.approx(1.1))
+    assert found.slope[0] == pytest.approx(np.tan(np.radians(27.0)))
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import functools
-from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, four_leaves, mapped
+from core.builders import by, configured, four_leaves, mapped
 
 from quadtree_lss.onboard.core.geometry.feature import SHAPE, peak
-from quadtree_lss.onboard.core.mapping import division, measure
+from quadtree_lss.onboard.core.mapping import division
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
@@ -19,11 +18,6 @@ NOISE = 0.05
 LEAVES_4M = {"xmin": 0.0, "ymin": 0.0, "size": 16.0, "min_level": 2, "max_level": 6}
 ROWS = slice(0, 4)
 NEVER = np.inf
-
-
-def by(**constants: float):
-    """Other constants of the kernels' rules while a mapper is made."""
-    return mock.patch.dict(vars(measure), constants)
 
 
 def hides(

@@ -151,7 +151,7 @@ def test_no_height_is_beyond_what_was_measured(kind):
         config, scene = configured(rng), overgrown(rng)
         seen = views(rng, scene, kind)
         cells = mapped(config, seen)
-        raster = rasterise(cells, config.lss.max_gap)
+        raster = rasterise(cells, config.lss)
         row, column = np.nonzero(raster.seen & np.isfinite(raster.elevation))
         z = raster.elevation[row, column]
         side = cells.domain.finest_size

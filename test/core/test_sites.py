@@ -29,8 +29,10 @@ def with_lss(config: Config, **values: object) -> Config:
 
 def small(**lss: object) -> Config:
     """A lander of 1.9 m on a domain of 16 m with leaves down to 0.5 m."""
-    values = {"vehicle_diameter": 2.0 * RADIUS, "min_separation": 2.0, "grid_spacing": 0.5, **lss}
-    return configured(domain=SMALL, lidar={"range_noise": 0.02}, lss=values)
+    values = {"min_separation": 2.0, "grid_spacing": 0.5, "max_gap": 0.6, **lss}
+    names = {"diameter", "clearance", "max_slope_deg"} & values.keys()
+    lander = {"diameter": 2.0 * RADIUS, **{name: values.pop(name) for name in names}}
+    return configured(domain=SMALL, lidar={"range_noise": 0.02}, vehicle=lander, lss=values)
 
 
 def obstacles(x, y):
@@ -146,7 +148,7 @@ def test_the_margin_keeps_off_points_that_fail_the_touchdown_check(cells, margin
 def densities(cells: CellMap, config: Config) -> np.ndarray:
     """Eq. 58 without the distance term on the finest cells, by the paper's leaf slopes."""
     leaf, lss = cells.leaf_raster(), config.lss
-    subscale = rasterise(cells, lss.max_gap).subscale
+    subscale = rasterise(cells, lss).subscale
     return (
         score.WEIGHT_SLOPE * np.arccos(np.minimum(cells.normal[:, 2], 1.0))[leaf]
         + score.WEIGHT_ROUGHNESS * np.nan_to_num(cells.roughness / cells.size**2)[leaf]
@@ -185,8 +187,12 @@ def test_the_distance_to_the_nearest_hazard_counts_up_to_its_cap(cells):
     """d_H of a cell varies by less than half its diagonal within the cell, so that much error."""
     weight, cap = 0.5, 3.0
     config = small(assessment="paper")
+    mine = {
+        "WEIGHT_DISTANCE": weight * config.vehicle.size,
+        "DISTANCE_CAP": cap / config.vehicle.size,
+    }
     others = dict.fromkeys(("WEIGHT_SLOPE", "WEIGHT_ROUGHNESS", "WEIGHT_SUBSCALE"), 0.0)
-    with mock.patch.multiple(score, WEIGHT_DISTANCE=weight, DISTANCE_CAP=cap, **others):
+    with mock.patch.multiple(score, **mine, **others):
         found = assess(cells, config)
     bad = marked(hazards.avoided_features(cells, config.lss)[cells.leaf_raster()] > 0)
     for row, column in np.argwhere(found.safe)[::7]:
@@ -226,7 +232,7 @@ def test_sites_are_described_by_the_ground_in_their_zone(cells):
     found = assess(cells, config)
     leaf, sites = cells.leaf_raster(), found.sites
     bad = marked(hazards.avoided_features(cells, config.lss)[leaf] > 0)
-    subscale = rasterise(cells, config.lss.max_gap).subscale_peak
+    subscale = rasterise(cells, config.lss).subscale_peak
     rough = np.nan_to_num(cells.roughness / cells.size**2)[leaf]
     for k, (x, y, z) in enumerate(sites.position):
         over = zone_cells(x, y, RADIUS)
@@ -266,7 +272,7 @@ def test_elevation_is_the_maps_own_and_the_planes_is_another():
         return 0.5 * ((np.abs(x - 8.25) < 0.5) & (np.abs(y - 8.25) < 0.5)) + 0.04 * x
 
     for spacing in (0.5, 0.35):
-        config = small(vehicle_diameter=2.9, grid_spacing=spacing)
+        config = small(diameter=2.9, grid_spacing=spacing)
         cells = mapped(config, ground, density=200.0).snapshot()
         found = assess(cells, config)
         x, y = np.meshgrid(found.x[:-1], found.y[:-1])
@@ -290,7 +296,7 @@ def test_roughness_is_a_height_whatever_the_leafs_size():
         config = configured(
             domain={"min_level": level, "max_level": level},
             lidar={"range_noise": 0.02},
-            lss={"vehicle_diameter": 1.9, "touchdown_roughness": 5.0, "touchdown_slope_deg": 80.0},
+            vehicle={"diameter": 1.9, "clearance": 6.0, "max_slope_deg": 88.0},
         )
 
         def ground(x, y):
@@ -303,9 +309,9 @@ def test_roughness_is_a_height_whatever_the_leafs_size():
     assert 0.5 < little / large < 2.0
 
 
-@pytest.mark.parametrize(("assessment", "limit"), [("paper", 11), ("touchdown", 8)])
+@pytest.mark.parametrize(("assessment", "limit"), [("paper", 11), ("touchdown", 9.9)])
 def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessment, limit):
-    config = small(assessment=assessment, max_slope_deg=11.0, touchdown_slope_deg=8.0)
+    config = small(assessment=assessment, max_slope_deg=11.0)
     sites = assess(cells, config).sites
     assert len(sites.reasons) == len(sites.score) > 0
     for k, reason in enumerate(sites.reasons):
@@ -335,7 +341,7 @@ def test_level_ground_is_safe_wherever_the_zone_fits(level_ground, assessment):
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
     """A block of 1 m, 0.5 m high: its cells reach a finest cell beyond it at most."""
-    config = small(assessment=assessment, vehicle_diameter=2.9)
+    config = small(assessment=assessment, diameter=2.9)
 
     def ground(x, y):
         return 0.5 * ((np.abs(x - 8.25) < 0.5) & (np.abs(y - 8.25) < 0.5))
@@ -372,7 +378,8 @@ def test_unseen_ground_is_never_landable(assessment):
     """A strip of five cells of 0.25 m leaves its middle unseen, one of four is bridged."""
     config = configured(
         domain={"min_level": 6, "max_level": 6},
-        lss={"vehicle_diameter": 1.9, "assessment": assessment, "grid_spacing": 0.25},
+        vehicle={"diameter": 1.9},
+        lss={"assessment": assessment, "grid_spacing": 0.25, "max_gap": 0.6},
     )
     bridged, broken = (assess(strip(columns), config) for columns in (4, 5))
     assert not (bridged.hazard & hazards.UNSEEN).any()
@@ -448,12 +455,7 @@ def test_hysteresis_does_not_keep_a_site_that_became_unsafe(level_ground):
 
 @pytest.mark.parametrize(
     "limit",
-    [
-        {"touchdown_slope_deg": 0.5},
-        {"touchdown_roughness": 0.02},
-        {"max_slope_deg": 0.5},
-        {"max_roughness": 0.05},
-    ],
+    [{"max_slope_deg": 0.5}, {"clearance": 0.024}],
     ids=lambda limit: next(iter(limit)),
 )
 def test_other_limits_hold_from_the_next_map_on(cells, limit):
@@ -587,7 +589,7 @@ def test_planes_without_a_measurement_are_no_ground(level_ground, assessment, na
 def test_vehicles_larger_than_the_domain_or_smaller_than_a_cell(
     level_ground, assessment, diameter, fits
 ):
-    found = assess(level_ground, small(vehicle_diameter=diameter, assessment=assessment))
+    found = assess(level_ground, small(diameter=diameter, assessment=assessment))
     if fits:
         assert len(found.sites.score) > 0
     else:

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from unittest import mock
-
 import numpy as np
 import pytest
 from core.builders import (
     EXACT,
+    by,
     configured,
     flat,
     lattice,
@@ -21,7 +20,6 @@ from core.builders import (
     slope,
 )
 
-from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -83,7 +81,7 @@ def test_exceptions_are_the_share_of_points_beyond_the_tolerance(height, toleran
     def ground(x, y):
         return height * ((np.abs(x - 2.0) < 0.25) & (np.abs(y - 2.0) < 0.25))
 
-    with mock.patch.object(measure, "TOLERANCE", tolerance):
+    with by(tolerance=tolerance):
         cells = seen_on_lattice(fixed(2, 0.01), ground, 256)
     at = np.argmin(np.hypot(cells.x - 2.0, cells.y - 2.0))
     assert cells.exception_fraction[at] == pytest.approx(share / 64.0, rel=0.03, abs=1e-6)
@@ -109,7 +107,7 @@ def test_wild_points_count_at_most_the_clip():
     wild[0, 2] -= 1000.0
     roughness = {}
     for clip in (0.5, 1000.0):
-        with mock.patch.object(measure, "CLIP", clip):
+        with by(clip=clip):
             mapper = Mapper(fixed(1, 1e-3))
         for cloud in (points, wild):
             mapper.update(cloud, pose)

@@ -11,6 +11,7 @@ from core.builders import configured, flat, mapped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -122,10 +123,11 @@ def test_no_change_without_cause(merits):
 
 
 def small(**lss):
-    values = {"vehicle_diameter": 1.9, "min_separation": 2.0, "grid_spacing": 0.5, **lss}
+    values = {"min_separation": 2.0, "grid_spacing": 0.5, "max_gap": 0.6, **lss}
     return configured(
         domain={"size": 16.0, "min_level": 1, "max_level": 5},
         lidar={"range_noise": 0.02},
+        vehicle={"diameter": 1.9},
         lss=values,
     )
 
@@ -265,12 +267,12 @@ def test_covariance_is_that_of_drawn_maps():
         error = np.einsum("kij,kj->ki", root, rng.standard_normal((len(cells.z), 3)))
         normal = np.array([sphere.plus(n, e[:2]) for n, e in zip(cells.normal, error, strict=True)])
         moved = dataclasses.replace(cells, normal=normal, z=cells.z + error[:, 2] / normal[:, 2])
-        raster = rasterise(moved, 1.0)
+        raster = rasterise(moved, LssConfig(max_gap=1.0))
         planes = ground_planes(raster.elevation, raster.seen, 0.5, radius)
         at = int(y / 0.5), int(x / 0.5)
         drawn.append([planes.elevation[at], planes.slope_y[at], -planes.slope_x[at]])
     pose_free = dataclasses.replace(cells, covariance_pose=np.zeros_like(cells.covariance_pose))
-    claimed = ground_covariance(rasterise(pose_free, 1.0), x, y, radius)
+    claimed = ground_covariance(rasterise(pose_free, LssConfig(max_gap=1.0)), x, y, radius)
     scatter, claimed_part = np.cov(np.array(drawn).T), claimed[2:5, 2:5]
     np.testing.assert_allclose(scatter.diagonal(), claimed_part.diagonal(), rtol=0.15)
     correlations = [
@@ -290,7 +292,7 @@ def test_an_error_of_the_poses_moves_the_whole_ground():
     cells = dataclasses.replace(
         cells, covariance_pose=common, covariance_range=np.zeros_like(common)
     )
-    claimed = ground_covariance(rasterise(cells, 1.0), 7.0, 7.0, 1.5)
+    claimed = ground_covariance(rasterise(cells, LssConfig(max_gap=1.0)), 7.0, 7.0, 1.5)
     assert claimed[2, 2] == pytest.approx(0.2**2, rel=0.1)
     assert claimed[4, 4] == pytest.approx(0.01**2, rel=0.1)
     assert claimed[3, 3] < 1e-8

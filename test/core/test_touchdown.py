@@ -44,14 +44,14 @@ class SlowLander:
         k = self.leaf[row + int(np.floor(y / self.side)), column + int(np.floor(x / self.side))]
         tilt = np.hypot(self.slope_x[k], self.slope_y[k])
         at_x, at_y = d.xmin + column * self.side + x, d.ymin + row * self.side + y
-        return self.ground(k, at_x, at_y) + self.config.pad_radius * tilt
+        return self.ground(k, at_x, at_y) + self.config.vehicle.pad_radius * tilt
 
     def tops(self, row: int, column: int) -> list[tuple[float, float, float]]:
         """Offset and highest ground of each finest cell whose centre is in the lander's circle."""
         d, out = self.cells.domain, []
         for r, c in itertools.product(range(self.n), repeat=2):
             x, y = (c + 0.5 - column) * self.side, (r + 0.5 - row) * self.side
-            if np.hypot(x, y) > 0.5 * self.config.vehicle_diameter:
+            if np.hypot(x, y) > 0.5 * self.config.vehicle.diameter:
                 continue
             k = self.leaf[r, c]
             cx, cy = d.xmin + (c + 0.5) * self.side, d.ymin + (r + 0.5) * self.side
@@ -68,7 +68,7 @@ class SlowLander:
     def worst(self, row: int, column: int) -> tuple[float, float]:
         """Greatest tangent of slope and greatest height over a resting plane, over all headings."""
         config = self.config
-        radius, tops = 0.5 * config.vehicle_diameter, np.array(self.tops(row, column))
+        radius, tops = 0.5 * config.vehicle.diameter, np.array(self.tops(row, column))
         steepest, highest = 0.0, -np.inf
         for k in range(touchdown.YAWS):
             yaw = k * 0.5 * np.pi / touchdown.YAWS
@@ -102,7 +102,7 @@ def touchdown_bits(cells: CellMap, config) -> np.ndarray:
 def landable(cells: CellMap, config) -> list[tuple[int, int]]:
     """Grid points whose lander circle lies inside the domain."""
     n, side = cells.domain.finest_count, cells.domain.finest_size
-    reach = 0.5 * config.lss.vehicle_diameter
+    reach = 0.5 * config.vehicle.diameter
     inside = [k for k in range(n + 1) if min(k, n - k) * side >= reach]
     return list(itertools.product(inside, inside))
 
@@ -111,14 +111,16 @@ def assert_agrees(cells: CellMap, config) -> None:
     """Point by point with the slow check, of which some must pass and some fail."""
     assert cells.measured.all()
     found, slow = touchdown_bits(cells, config), SlowLander(cells, config.lss)
-    limit = np.tan(np.radians(config.lss.touchdown_slope_deg))
+    limit = np.tan(np.radians(config.vehicle.lengths.touchdown_slope_deg))
     outcome = set()
     for row, column in landable(cells, config):
         steepest, highest = slow.worst(row, column)
-        margin = min(abs(steepest - limit), abs(highest - config.lss.touchdown_roughness))
+        margin = min(
+            abs(steepest - limit), abs(highest - config.vehicle.lengths.touchdown_roughness)
+        )
         if margin < 1e-5:
             continue  # too near to call in single precision
-        fails = steepest > limit or highest > config.lss.touchdown_roughness
+        fails = steepest > limit or highest > config.vehicle.lengths.touchdown_roughness
         assert found[row, column] == fails, (row, column, steepest, highest)
         outcome.add(fails)
     assert outcome == {True, False}
@@ -142,10 +144,10 @@ def uneven(rng: np.random.Generator, size: float, mounds: int):
 def landing_at(monkeypatch):
     """Configurations of a lander of 2.9 m that is set down at so many headings."""
 
-    def configuration(domain: dict[str, object], yaws: int, **lss: object) -> Config:
+    def configuration(domain: dict[str, object], yaws: int, diameter: float = 2.9) -> Config:
         monkeypatch.setattr(touchdown, "YAWS", yaws)
-        values = {"vehicle_diameter": 2.9, "hazard_growth": 0.0, **lss}
-        return configured(domain=domain, lidar={"range_noise": 0.02}, lss=values)
+        lander, lss = {"diameter": diameter}, {"hazard_growth": 0.0, "max_gap": 0.6}
+        return configured(domain=domain, lidar={"range_noise": 0.02}, vehicle=lander, lss=lss)
 
     return configuration
 
@@ -175,8 +177,8 @@ def test_subscale_features_stand_out_of_the_ground(landing_at):
 )
 def test_unsafe_ground_grows_by_the_set_length_rounded_outwards(growth, reach):
     """Points lie half a metre apart: the next one at the least is unsafe, if it grows at all."""
-    lss = {"vehicle_diameter": 2.9, "hazard_growth": 0.0}
-    config = configured(domain=SMALL, lidar={"range_noise": 0.02}, lss=lss)
+    lss, lander = {"hazard_growth": 0.0}, {"diameter": 2.9}
+    config = configured(domain=SMALL, lidar={"range_noise": 0.02}, vehicle=lander, lss=lss)
 
     def ground(x, y):
         return 0.5 * ((np.abs(x - 3.3) < 0.5) & (np.abs(y - 4.8) < 0.5))
@@ -230,11 +232,9 @@ def placed(raster: TerrainRaster, rows: int, columns: int) -> TerrainRaster:
 @pytest.mark.parametrize("shift", [(0, 3), (5, 1), (2, 6)])
 def test_how_grid_points_fall_into_blocks_changes_nothing(landing_at, yaws, diameter, shift):
     """Other blocks are other planes to compare with and other bounds."""
-    config = landing_at(
-        {"size": 16.0, "min_level": 1, "max_level": 6}, yaws, vehicle_diameter=diameter
-    )
+    config = landing_at({"size": 16.0, "min_level": 1, "max_level": 6}, yaws, diameter)
     ground = uneven(np.random.default_rng(9), 16.0, 40)
-    raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
+    raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), LssConfig())
     candidates = np.zeros((65, 65), dtype=np.bool_)
     candidates[8:-8, 8:-8] = True  # 2 m from the edge
     moved = np.zeros((129, 129), dtype=np.bool_)
@@ -249,7 +249,7 @@ def test_how_grid_points_fall_into_blocks_changes_nothing(landing_at, yaws, diam
 def test_far_from_sea_level_the_verdict_is_the_same(landing_at):
     config = landing_at({"size": 16.0, "min_level": 1, "max_level": 6}, 5)
     ground = uneven(np.random.default_rng(9), 16.0, 40)
-    raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), 0.6)
+    raster = rasterise(mapped(config, ground, density=150.0, scans=1).snapshot(), LssConfig())
     high = dataclasses.replace(raster, elevation=raster.elevation + 3000.0)
     everywhere = np.ones((65, 65), dtype=np.bool_)
     low, found = (unsafe(config, ground, everywhere) for ground in (raster, high))
@@ -262,7 +262,7 @@ def test_a_cell_that_changes_is_judged_again(landing_at, layer):
     does, to the bit."""
     config = landing_at({"size": 16.0, "min_level": 1, "max_level": 6}, 3)
     ground = uneven(np.random.default_rng(9), 16.0, 40)
-    raster = rasterise(mapped(config, ground, density=60.0, scans=1).snapshot(), 0.6)
+    raster = rasterise(mapped(config, ground, density=60.0, scans=1).snapshot(), LssConfig())
     candidates = np.zeros((65, 65), dtype=np.bool_)
     candidates[6:-6, 6:-6] = True
     wide = Limits((0.0, 9.0), (0.0, 9.0))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, mapped, slope, strip
 
+from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.bounds import bounded, within
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.grid import users_grid
@@ -21,7 +22,7 @@ CELLS = [(20, 33), (41, 41), (41, 42)]
 
 
 def limits(assessment="probability", **changes):
-    lss = {"assessment": assessment, "grid_spacing": SIDE, "vehicle_diameter": 3.7, **changes}
+    lss = {"assessment": assessment, "grid_spacing": SIDE, **changes}
     return configured(lss={**lss, "hazard_growth": 0.0, "dispersion": 0.0})
 
 
@@ -92,7 +93,7 @@ def test_gaps_are_bridged_from_known_ground_alone():
     """Of four columns without a return, those beside ground not yet mapped are not firm."""
     cells = strip(4)
     cells = replace(cells, normal=np.where(np.isfinite(cells.normal), (-0.6, 0.0, 0.8), np.nan))
-    raster = rasterise(replace(cells, known=cells.known & (np.arange(64) < 34)), 0.6)
+    raster = rasterise(replace(cells, known=cells.known & (np.arange(64) < 34)), LssConfig())
     known = np.arange(64) < 30
     np.testing.assert_array_equal(raster.unmapped.all(axis=0), np.arange(64) >= 34)
     np.testing.assert_array_equal(raster.seen.all(axis=0), np.arange(64) < 32)
@@ -111,7 +112,9 @@ def test_heights_are_lent_by_known_cells_alone(level_ground):
     measured, z = cells.measured.copy(), cells.z.copy()
     measured[row[1]] = False  # between what is not mapped and a plane no point of which is known
     z[row[[0, 2]]] += 9.0
-    raster = rasterise(replace(cells, measured=measured, z=z, observed=observed, known=known), 0.6)
+    raster = rasterise(
+        replace(cells, measured=measured, z=z, observed=observed, known=known), LssConfig()
+    )
     beside = raster.elevation[[29, 31], 31]
     assert raster.elevation[30, 31] in beside and abs(raster.elevation[30, 31]) < 0.1
 
@@ -147,7 +150,7 @@ def test_what_is_left_of_the_risk_names_it(level_ground):
     """Sites close to ground not yet mapped, with a wide dispersion."""
     cells = without(level_ground, np.argwhere(np.indices((64, 64))[1] >= 40))
     lss = {"assessment": "probability", "ranking": "probability", "dispersion": 1.2}
-    config = configured(lss={**lss, "grid_spacing": SIDE, "vehicle_diameter": 3.7})
+    config = configured(lss={**lss, "grid_spacing": SIDE})
     area = [(6.0, 3.0), (11.0, 3.0), (11.0, 13.0), (6.0, 13.0)]
     found = LandingSiteSelector(config).assess(cells, area=area)
     assert any("ground not yet mapped" in reason for reason in found.sites.reasons)
@@ -169,7 +172,7 @@ def test_heights_keep_to_what_was_measured_there(level_ground):
     assert (expected != free.height).mean() > 0.2
     np.testing.assert_array_equal(found.height, expected)
     np.testing.assert_array_equal(found.slope_deg, free.slope_deg)
-    raster, plane = rasterise(kept, 0.6), rasterise(cells, 0.6)
+    raster, plane = rasterise(kept, LssConfig()), rasterise(cells, LssConfig())
     assert kept.measured.all()
     rows = cells.leaf_raster()
     cut = np.fmin(np.fmax(plane.elevation, low[rows]), high[rows])

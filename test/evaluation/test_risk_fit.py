@@ -177,9 +177,9 @@ def test_the_shipped_model_says_what_it_was_fitted_to():
     ("changes", "said"),
     [
         ({}, ""),
-        ({"lss.vehicle_diameter": 4.5}, ""),
-        ({"lss.vehicle_diameter": 5.0}, "fitted for a lander of 3.7 m, not 5"),
-        ({"lss.max_roughness": 0.2}, "a clearance of 0.3 m, not 0.2"),
+        ({"vehicle.diameter": 4.5}, ""),
+        ({"vehicle.diameter": 5.0}, "fitted for a lander of 3.7 m, not 5"),
+        ({"vehicle.clearance": 0.2}, "a clearance of 0.3 m, not 0.2"),
         ({"domain.max_level": 7}, "cells of 0.25 m, not 0.5"),
         ({"lidar.range_noise": 0.1}, ""),
         ({"lidar.range_noise": 0.2}, "a range noise of 0.06 to 0.08 m, not 0.2"),

@@ -184,7 +184,7 @@ def test_impossible_values_are_refused(cells, name, value):
 
 
 def test_landing_assessment_survives_the_message(cells):
-    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, lss={"vehicle_diameter": 2.0})
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, vehicle={"diameter": 2.0})
     once = maps.round_trip(cells)
     a, b = (LandingSiteSelector(config).assess(m) for m in (once, maps.round_trip(once)))
     np.testing.assert_array_equal(a.score, b.score)
@@ -192,7 +192,7 @@ def test_landing_assessment_survives_the_message(cells):
 
 
 def test_site_table_and_grids(cells):
-    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, lss={"vehicle_diameter": 2.0})
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, vehicle={"diameter": 2.0})
     assessment = LandingSiteSelector(config).assess(cells)
     assert len(assessment.sites.score) > 0
     table = maps.encode_sites(assessment)
@@ -247,7 +247,7 @@ def test_bounds_that_none_can_be_are_refused(cells, low, high):
 
 def test_unseen_ground_may_be_hazardous_too(cells):
     """What is both is a hazard; unseen alone, or not yet mapped, is unknown."""
-    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, lss={"vehicle_diameter": 2.0})
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, vehicle={"diameter": 2.0})
     assessment = LandingSiteSelector(config).assess(cells)
     bits = np.array([[0, 1, 128, 129, 192, 193]], dtype=np.uint8)
     values = maps.encode_hazards(dataclasses.replace(assessment, hazard=bits))

@@ -135,7 +135,7 @@ def test_grid_holds_the_contract(result):
     for name in ("elevation", "slope_deg", "hazard", "safe", "score"):
         assert grid[name].shape == shape
     assert grid["hazard"].dtype == np.uint8 and grid["safe"].dtype == np.bool_
-    np.testing.assert_allclose(np.diff(grid["x"]), CONFIG.lss.grid_spacing)
+    np.testing.assert_allclose(np.diff(grid["x"]), CONFIG.lss.spacing)
     assert grid["x"][0] == grid["y"][0] == -16.0
     assert not grid["safe"][(grid["hazard"] & 128) > 0].any()
     assert np.isnan(grid["score"][~grid["safe"]]).all()

@@ -56,7 +56,7 @@ def test_everything_comes_back(written):
     for name, layer in results.grid.layers.items():
         told = known_probability(found) if name == "probability" else getattr(found, name)
         np.testing.assert_array_equal(layer, told, name)
-    assert results.grid.spacing == CONFIG.lss.grid_spacing
+    assert results.grid.spacing == CONFIG.lss.spacing
     np.testing.assert_array_equal(results.positions, found.sites.position)
     assert results.sites["rank"].dtype == np.int64
     assert results.timing["stamp_ns"].tolist() == [row.stamp_ns for row in written.timings]

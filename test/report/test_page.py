@@ -122,7 +122,7 @@ def test_large_maps_stay_small_pages(content, monkeypatch):
     data, get = unpacked(content)
     grid = data["grid"]
     assert grid["nx"] * grid["ny"] <= 600 and grid["stride"] > 1
-    assert grid["spacing"] == pytest.approx(grid["stride"] * CONFIG.lss.grid_spacing)
+    assert grid["spacing"] == pytest.approx(grid["stride"] * CONFIG.lss.spacing)
     expected = content.grid["hazard"][:: grid["stride"], :: grid["stride"]]
     np.testing.assert_array_equal(get(grid["hazard"]), expected.ravel())
     assert "deviation" not in data["leaves"] and "level" in data["leaves"]
@@ -209,13 +209,12 @@ def test_figures_lie_beside_it(result):
     }
 
 
-@pytest.mark.parametrize(("assessment", "limit"), [("touchdown", 8.0), ("probability", 12.0)])
+@pytest.mark.parametrize(("assessment", "limit"), [("touchdown", 10.8), ("probability", 12.0)])
 def test_the_slope_is_marked_where_the_reasons_say_it_ends(content, assessment, limit):
-    lss = {"assessment": assessment, "touchdown_slope_deg": 8.0, "max_slope_deg": 12.0}
-    config = {**content.summary["config"]}
-    config.update({f"lss.{name}": value for name, value in lss.items()})
+    limits = {"lss.assessment": assessment, "vehicle.max_slope_deg": 12.0}
+    config = {**content.summary["config"], **limits}
     found = dataclasses.replace(content, summary={**content.summary, "config": config})
-    assert unpacked(found)[0]["grid"]["slope"]["mark"] == limit
+    assert unpacked(found)[0]["grid"]["slope"]["mark"] == pytest.approx(limit)
 
 
 @pytest.mark.parametrize("value", ["1 of 5000", "2.97 m", "-0.5", "98.74 %", "12,838 of 3,124,574"])

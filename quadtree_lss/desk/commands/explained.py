@@ -11,7 +11,12 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 from types import SimpleNamespace
 
-from quadtree_lss.onboard.config.loading import find_config, read_values, scalar_text
+from quadtree_lss.onboard.config.loading import (
+    check_reaches,
+    find_config,
+    read_values,
+    scalar_text,
+)
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -21,6 +26,7 @@ from quadtree_lss.onboard.config.settings import (
     parameters,
     unknown_parameter,
 )
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig, rule
 
 INTRODUCTION = """\
 # Parameters
@@ -29,21 +35,32 @@ Written by `python -m quadtree_lss.desk.commands.explained > docs/parameters.md`
 in `onboard/config/sections.py`, which also declares and documents them; the
 module `settings` beside it checks them.
 
-Both nodes accept all of them, so one parameter file serves both, and `quadtree-lss replay` as
+All nodes accept all of them, so one parameter file serves them, and `quadtree-lss replay` as
 well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
 the start. Lengths are m, and a name that ends in `_deg` is in degrees.
+
+[What follows from `vehicle`](#what-follows-from-the-vehicle) is no parameter: `quadtree-lss config
+explain vehicle` shows each value and rule. Old names (`lss.vehicle_diameter`, `lss.max_roughness`,
+`lss.max_slope_deg`, `lss.pad_radius`) are still read, with a line.
 """
 
 
-def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, list[str]]:
-    """Each file by itself over the defaults: all that is wrong with it, a line each."""
-    return {str(path): _errors_of(path) for path in paths}
+def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
+    """Each file by itself over the defaults: all that is wrong with it, a line each.
+
+    Args:
+        paths: The files.
+        node: Full name of a node that is to get something of each.
+    """
+    return {str(path): _errors_of(path, node) for path in paths}
 
 
-def _errors_of(path: str | os.PathLike[str]) -> list[str]:
+def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
     errors: list[str] = []
     try:
         found = find_config(path)
+        if node:
+            check_reaches(found, node)
         values = read_values(found, errors)
     except ConfigError as error:
         return [str(error).removeprefix(f"{path}: ")]
@@ -56,11 +73,8 @@ def _errors_of(path: str | os.PathLike[str]) -> list[str]:
 
 
 def explain(name: str) -> list[Parameter]:
-    """The parameter of that name, or all of the section of that name.
-
-    Raises:
-        ConfigError: there is none; names the nearest.
-    """
+    """The parameter of that name, or all of the section of that name. Raises `ConfigError`: there
+    is none; names the nearest."""
     table = parameters()
     rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
     if not rows:
@@ -80,6 +94,17 @@ def explain_text(row: Parameter) -> str:
     elif row.type in (int, float):
         lines.append(f"  range    {row.low:g} .. {row.high:g}{unit}")
     lines.append(f"  running  {'may be set on a running node' if row.live else 'read at start'}")
+    return "\n".join(lines)
+
+
+def lengths_text(vehicle: VehicleConfig) -> str:
+    """What follows from a vehicle, value and rule of each, a line each."""
+    lines = [f"what follows from a vehicle of {vehicle.diameter:g} m that clears"]
+    lines[0] += f" {vehicle.clearance:g} m:"
+    for item in dataclasses.fields(Lengths):
+        value = f"{getattr(vehicle.lengths, item.name):.4g} {item.metadata['unit']}"
+        text = f"{rule(item.name)}: {item.metadata['doc']}"
+        lines.append(f"  {item.name:<20} {value:<12} = {text}")
     return "\n".join(lines)
 
 
@@ -103,7 +128,13 @@ def parameter_table() -> str:
     parts = [INTRODUCTION]
     for section, rows in groupby(parameters(), key=lambda row: row.name.partition(".")[0]):
         parts.append("\n".join([f"\n## {section}\n", *_table(rows)]) + "\n")
-    return "".join(parts)
+    rows = (
+        f"| {item.name} | {rule(item.name).replace(' x ', ' · ')} | {item.default:g}"
+        f" {item.metadata['unit']} | {item.metadata['doc']} |"
+        for item in dataclasses.fields(Lengths)
+    )
+    heads = ["\n## What follows from the vehicle\n", "| Length | Rule | By default | Meaning |"]
+    return "".join(parts) + "\n".join([*heads, "| --- | --- | --- | --- |", *rows]) + "\n"
 
 
 def _table(rows: Iterator[Parameter]) -> Iterator[str]:

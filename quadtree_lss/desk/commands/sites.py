@@ -22,7 +22,7 @@ from quadtree_lss.desk.commands.console import print_result, warn
 TEXT = "Rank landing sites straight on an elevation model: GeoTIFF, or .npz with x, y, elevation."
 EXAMPLES = """examples:
   quadtree-lss sites dem.tif                                    (results in results/<time>, latest)
-  quadtree-lss sites apollo15.npz --set lss.vehicle_diameter=9 --out apollo
+  quadtree-lss sites apollo15.npz --set vehicle.diameter=9 --out apollo
   quadtree-lss sites dem.tif --area='0,0 400,0 400,400 0,400'   (cuts the model to the area)
 
 Results are those of replay; coordinates are the model's, which must be in metres with north up.

@@ -26,14 +26,9 @@ MAX_ANSWERS = 60
 
 @dataclass(frozen=True)
 class Layer:
-    """One more layer of the grid points, such as the truth.
-
-    Attributes:
-        name, title, unit: Of the layer.
-        values: (ny, nx) numbers with ``kind`` of ``palette.MAPS`` and ``limits``, or numbers of
-            ``classes``: pairs of name and colour.
-        note: What must be known to read it.
-    """
+    """One more layer of the grid points, such as the truth: ``values`` (ny, nx) are numbers with
+    ``kind`` of ``palette.MAPS`` and ``limits``, or numbers of ``classes``, pairs of name and
+    colour. ``note`` is what must be known to read it."""
 
     name: str
     title: str
@@ -58,7 +53,7 @@ def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "sites": _sites(content),
         "zone": content.zone,
         "noise": config.lidar.range_noise,
-        "lander": {"radius": 0.5 * config.lss.vehicle_diameter, "pad": config.lss.pad_radius},
+        "lander": {"radius": 0.5 * config.vehicle.diameter, "pad": config.vehicle.pad_radius},
         "circle": circle and asdict(circle),
         "miss": miss and asdict(miss),
         "landing": content.summary.get("landing") or {},

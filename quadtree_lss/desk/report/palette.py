@@ -44,7 +44,8 @@ def excluding(assessment: str) -> int:
 
 def slope_limit(lss: LssConfig) -> float:
     """The slope that a reader is told to compare with, deg."""
-    return lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
+    vehicle, touchdown = lss.vehicle, lss.assessment == "touchdown"
+    return vehicle.lengths.touchdown_slope_deg if touchdown else vehicle.max_slope_deg
 
 
 def colour_table(name: str) -> Bytes:

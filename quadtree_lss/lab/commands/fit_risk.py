@@ -19,7 +19,7 @@ from quadtree_lss.desk.commands.console import ProgressBar, show
 
 TEXT = "Fit how a map tells of a safe touchdown, for another lander or lidar (lss.risk_model)."
 EXAMPLES = """examples:
-  quadtree-lss fit-risk --out mine.yaml --config morpheus --set lss.vehicle_diameter=5.0
+  quadtree-lss fit-risk --out mine.yaml --config morpheus --set vehicle.diameter=5.0
   quadtree-lss fit-risk --out mine.yaml --set lidar.range_noise=0.1 --seeds 1-70
   quadtree-lss fit-risk --out mine.yaml --cases default,rocky --seeds 1-10
   quadtree-lss replay BAG --set lss.risk_model=mine.yaml

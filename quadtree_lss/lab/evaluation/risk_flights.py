@@ -177,7 +177,7 @@ class Landings:
 def land(mapped: Mapped, model: RiskModel, config: Config) -> Landings:
     """Sets the lander down on a map at every grid point, with the limits of a model."""
     lss = config.lss
-    raster = rasterise(mapped.cells, lss.max_gap)
+    raster = rasterise(mapped.cells, lss)
     around = look_around(raster, lss)
     worst = TouchdownCheck(lss, limits(model, lss)).worst(raster, around.judged)
     counts, noise = around.judged & mapped.known, config.lidar.range_noise

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from quadtree_lss.lab.simulation.hazard_field import HazardField, hazard_field, strewn
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
+from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.terrain import (
     Parabola,
     SimulationError,
@@ -47,6 +48,7 @@ class FlightPlan:
     scan_times: Array
     pose_times: Array
     box: tuple[float, float, float, float]
+    spacing: float = GRID_SPACING
 
 
 LIMITS = {
@@ -117,7 +119,8 @@ class Conditions:
                 field = replace(field, rock_abundance=rocks)
             if slope_deg is not None:
                 field = replace(field, slope_rms_deg=slope_deg)
-            return hazard_field(generator, field)
+            made, scale = hazard_field(generator, field), SCENARIOS[scenario].scale
+            return Terrain(scale * made.x, scale * made.y, scale * made.elevation)
         if terrain is None and (rocks is not None or slope_deg is not None):
             msg = f"{scenario} has no rocks and no field: give a terrain"
             raise SimulationError(msg)
@@ -231,19 +234,38 @@ def _descent(
     given: Conditions, terrain: Terrain | None, duration: float, flight: int
 ) -> FlightPlan:
     """From 200 m to 50 m above any terrain, looking down with 20°, 5 Hz; faster if shorter."""
+    return _looking_down(
+        given, terrain, duration, 30.0, 5.0, (200.0, 50.0), given.lidar(20.0, 0.06)
+    )
+
+
+def _drone(given: Conditions, terrain: Terrain | None, duration: float, flight: int) -> FlightPlan:
+    """From 25 m to 15 m above any terrain, looking down with 60°, 10 Hz; faster if shorter."""
+    lidar = given.lidar(60.0, 0.02)
+    plan = _looking_down(given, terrain, duration, 8.0, 10.0, (25.0, 15.0), lidar)
+    return replace(plan, spacing=0.25 * GRID_SPACING)
+
+
+def _looking_down(
+    given: Conditions,
+    terrain: Terrain | None,
+    duration: float,
+    half: float,
+    rate: float,
+    heights: tuple[float, float],
+    lidar: FlashLidar,
+) -> FlightPlan:
+    """A descent between two heights over a box."""
     assert terrain is not None
-    box = _box(terrain, 30.0)
-    lead = 0.1
-    scans = (
-        np.arange(max(int(np.floor(duration * 5.0 + 1e-9)), 1), dtype=np.float64) + 0.137
-    ) / 5.0
+    box, lead = _box(terrain, half), 0.1
+    count = max(int(np.floor(duration * rate + 1e-9)), 1)
     return FlightPlan(
         surface=terrain,
         truth=terrain,
-        lidar=given.lidar(20.0, 0.06),
-        trajectory=descent_trajectory(_centre(terrain, box), duration),
+        lidar=lidar,
+        trajectory=descent_trajectory(_centre(terrain, box), duration, *heights),
         navigation=given.drifting(0.02, 0.005),
-        scan_times=scans,
+        scan_times=(np.arange(count, dtype=np.float64) + 0.137) / rate,
         pose_times=_times(duration + 2.0 * lead, 50.0, -lead),
         box=box,
     )
@@ -251,17 +273,23 @@ def _descent(
 
 @dataclass(frozen=True)
 class Scenario:
-    """A named flight: how to plan it, how long it lasts (s) and what it needs."""
+    """A named flight: how to plan it, how long it lasts (s), what it needs, its field's scale.
+
+    The truth is that of ``lander`` unless another is given.
+    """
 
     plan: Callable[[Conditions, Terrain | None, float, int], FlightPlan]
     duration: float
     default_field: bool
+    scale: float = 1.0
+    lander: LandingGear = LandingGear()
 
 
 SCENARIOS: dict[str, Scenario] = {
     "morpheus": Scenario(_morpheus, 20.0, True),
     "parabola": Scenario(_parabola, 60.0, False),
     "descent": Scenario(_descent, 30.0, True),
+    "drone": Scenario(_drone, 10.0, True, 0.35, LandingGear(0.6, 0.02, 10.0, 0.08)),
 }
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messages
 from quadtree_lss.lab.simulation.safety import LandingGear, safety_map
 from quadtree_lss.lab.simulation.scenarios import (
-    GRID_SPACING,
+    SCENARIOS,
     Conditions,
     FlightPlan,
     plans,
@@ -61,20 +61,11 @@ class Leg:
 
 
 class Simulation:
-    """A scenario as a stream of messages; the same arguments give the same messages.
+    """A scenario as a stream of messages; the same arguments (as of `simulate`) give the same
+    messages.
 
-    Args:
-        scenario: ``morpheus``, ``parabola`` or ``descent``.
-        seed: Of terrain, navigation and noise.
-        flights: How many, over the same ground with other navigation errors.
-        conditions: As of `scenarios.Conditions`.
-
-    Attributes:
-        legs: The flights, and what has been flown.
-        stopped: Whether `messages` was stopped.
-
-    Raises:
-        SimulationError: options that make no sense.
+    ``legs`` are the flights, and what has been flown; ``stopped`` tells whether `messages` was
+    stopped. Raises `SimulationError`: options that make no sense.
     """
 
     def __init__(self, scenario: str, seed: int, *, flights: int = 1, **conditions: Any) -> None:
@@ -142,11 +133,12 @@ class Simulation:
 
     def truth(self, bag_name: str, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
         """Content of ``truth.npz`` for what has been flown."""
-        lander = lander or LandingGear()
+        lander = lander or SCENARIOS[self.scenario].lander
         flown = [leg for leg in self.legs if leg.scans]
         xmin, xmax, ymin, ymax = self.box
-        safe_x = xmin + GRID_SPACING * np.arange(round((xmax - xmin) / GRID_SPACING) + 1)
-        safe_y = ymin + GRID_SPACING * np.arange(round((ymax - ymin) / GRID_SPACING) + 1)
+        step = self.legs[0].plan.spacing
+        safe_x = xmin + step * np.arange(round((xmax - xmin) / step) + 1)
+        safe_y = ymin + step * np.arange(round((ymax - ymin) / step) + 1)
         dem = self.legs[0].plan.truth
         return {
             "x": dem.x,

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from quadtree_lss.onboard.config.sections import LssConfig
 
+DEADLINE = 1.0
+"""``landing/selected`` is said again within this, s: what is said is as old as the last pass."""
 LONGEST = 60.0
 """A landing site pass may take this at the worst, s."""
 MOST_MEMORY = 2.0e9
@@ -20,6 +22,8 @@ MOST_LEVELS = 11
 """Level of the finest cells that a map may have."""
 MOST_LEAVES = 1_000_000
 """That a map may have; each takes up to 1.5 kB while it is updated, copied and sent."""
+LEAST_SIDE = 1e-3
+"""Of the finest cells, m: no lidar knows less, and a lander would be on millions of them."""
 MOST_GRID_POINTS = 4096
 """Along a side of the domain."""
 YAWS = 12
@@ -35,10 +39,12 @@ def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
         finest: Finest cells along it.
         lss: How landing is judged.
     """
-    points = size / lss.grid_spacing
+    if size / finest < LEAST_SIDE:
+        return f"the finest cells are {size / finest:.3g} m wide; {LEAST_SIDE:g} is the least"
+    points = size / lss.spacing
     if points > MOST_GRID_POINTS:
         return (
-            f"lss.grid_spacing = {lss.grid_spacing:g} m makes {points:.0f} grid points a side over"
+            f"lss.grid_spacing = {lss.spacing:g} m makes {points:.0f} grid points a side over"
             f" {size:g} m; {MOST_GRID_POINTS} is the most"
         )
     memory = 300.0 * finest**2 + 60.0 * points**2
@@ -50,11 +56,26 @@ def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
     seconds = pass_seconds(size, finest, lss)
     if seconds > LONGEST:
         return (
-            f"lss.vehicle_diameter = {lss.vehicle_diameter:g} m, lss.margin = {lss.margin:g} m and"
+            f"vehicle.diameter = {lss.vehicle.diameter:g} m, lss.margin = {lss.margin:g} m and"
             f" lss.sites = {lss.sites} on {finest} finest cells of {size / finest:.3g} m a side may"
             f" take {seconds:.0f} s for a landing site pass; {LONGEST:g} is the most"
         )
     return None
+
+
+def slow(size: float, finest: int, lss: LssConfig) -> str:
+    """That what ``landing/selected`` says may be older than its deadline; empty if it is not.
+
+    Args as for `why_too_much`.
+    """
+    seconds = pass_seconds(size, finest, lss)
+    if seconds <= DEADLINE:
+        return ""
+    return (
+        f"a landing site pass may take {seconds:.1f} s: landing/selected is said again within"
+        f" {DEADLINE:g} s, but a new hazard or keep-out moves it only after the pass; coarser cells"
+        " (domain.max_level), a smaller domain.size or fewer lss.sites make it shorter"
+    )
 
 
 def pass_seconds(size: float, finest: int, lss: LssConfig) -> float:
@@ -63,11 +84,11 @@ def pass_seconds(size: float, finest: int, lss: LssConfig) -> float:
     A zone that is larger than the domain costs as much as one that just fills it, and a lander that
     does not fit into it is not set down.
     """
-    side, radius = size / finest, 0.5 * lss.vehicle_diameter
+    side, radius = size / finest, 0.5 * lss.vehicle.diameter
     lander = min(radius / side, 0.5 * finest)
     zone = min((radius + lss.margin) / side, 0.5 * finest)
     each = 600.0 + 6.0 * lander + 3.0 * zone + 10.0 * lss.sites
-    if lss.assessment != "paper" and lss.vehicle_diameter <= size:
+    if lss.assessment != "paper" and lss.vehicle.diameter <= size:
         each += YAWS * (25.0 + 5.0 * lander**2)
-    ranking = 5.0 * lss.sites * (size / lss.grid_spacing) ** 2
+    ranking = 5.0 * lss.sites * (size / lss.spacing) ** 2
     return 1e-9 * (each * finest**2 + ranking)

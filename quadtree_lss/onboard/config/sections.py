@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS
 from quadtree_lss.onboard.config.parameter import declared as _p
 from quadtree_lss.onboard.config.parameter import live as _live
+from quadtree_lss.onboard.config.vehicle import VehicleConfig
 
 
 @dataclass(frozen=True)
@@ -198,39 +199,22 @@ class LssConfig:
         "file of the fit that turns the worst rest on the map into a probability (fit-risk writes"
         " one); empty for the one that comes with the package",
     )
-    grid_spacing: float = _p(0.5, "spacing of candidate sites", (0.01, 1000.0), "m")
-    vehicle_diameter: float = _p(3.7, "diameter of the pads' circle", (0.1, 1000.0), "m")
+    grid_spacing: float = _p(
+        0.0, "spacing of candidate sites; 0 follows from the vehicle", (0.0, 1000.0), "m"
+    )
     margin: float = _live(0.0, "guidance error added to the vehicle's radius", (0.0, 1000.0), "m")
-    max_slope_deg: float = _live(
-        10.0,
-        "steepest ground that the lander stands on; with assessment paper the slope tolerance of"
-        " leaves, only shown with touchdown",
-        (0.1, 89.0),
-        "deg",
-    )
-    max_roughness: float = _live(
-        0.3,
-        "highest ground over its pads' plane that the lander clears; with assessment paper the"
-        " elevation tolerance of leaves, only shown with touchdown",
-        (0.01, 100.0),
-        "m",
-    )
-    touchdown_slope_deg: float = _live(
-        9.0, "slope limit of the touchdown check on the map", (0.1, 89.0), "deg"
-    )
-    touchdown_roughness: float = _live(
-        0.25, "roughness limit of the touchdown check on the map", (0.01, 100.0), "m"
-    )
-    pad_radius: float = _p(0.15, "radius of a landing pad", (0.0, 10.0), "m")
     hazard_growth: float = _live(
-        0.25,
+        -1.0,
         "unsafe ground is taken to reach this much farther: what the map's place is wrong by; "
-        "rounded up to whole finest cells",
-        (0.0, 100.0),
+        "rounded up to whole finest cells; below 0 it follows from the vehicle",
+        (-1.0, 100.0),
         "m",
     )
     max_gap: float = _live(
-        0.6, "ground farther from any that is mapped is unseen", (0.0, 1000.0), "m"
+        -1.0,
+        "ground farther from any that is mapped is unseen; below 0 it follows from the vehicle",
+        (-1.0, 1000.0),
+        "m",
     )
     weight_target: float = _live(
         0.02, "added score per metre from the target, when one is given", (0.0, 1e6)
@@ -243,7 +227,12 @@ class LssConfig:
         "1/m",
     )
     sites: int = _live(5, "sites to rank", (1, 1000))
-    min_separation: float = _live(3.7, "least distance between ranked sites", (0.0, 1e5), "m")
+    min_separation: float = _live(
+        -1.0,
+        "least distance between ranked sites; below 0 it follows from the vehicle",
+        (-1.0, 1e5),
+        "m",
+    )
     required_input: str = _p(
         "none",
         "lss_node gives out no site before it has heard these topics of landing/: for a vehicle "
@@ -269,6 +258,60 @@ class LssConfig:
         "follows from the map alone",
         (0.0, 1e6),
     )
+    #: No parameter: what lands, of the section ``vehicle``.
+    vehicle: VehicleConfig = VehicleConfig()
+
+    @property
+    def vehicle_diameter(self) -> float:
+        """Of the pads' circle, m."""
+        return self.vehicle.diameter
+
+    @property
+    def max_slope_deg(self) -> float:
+        """Steepest ground that the lander stands on."""
+        return self.vehicle.max_slope_deg
+
+    @property
+    def max_roughness(self) -> float:
+        """The vehicle's clearance, m."""
+        return self.vehicle.clearance
+
+    @property
+    def pad_radius(self) -> float:
+        """Of a landing pad, m."""
+        return self.vehicle.pad_radius
+
+    @property
+    def touchdown_slope_deg(self) -> float:
+        """Limit of the touchdown check on the map."""
+        return self.vehicle.lengths.touchdown_slope_deg
+
+    @property
+    def touchdown_roughness(self) -> float:
+        """Limit of the touchdown check on the map, m."""
+        return self.vehicle.lengths.touchdown_roughness
+
+    @property
+    def spacing(self) -> float:
+        """Of candidate sites, m."""
+        return self.grid_spacing or self.vehicle.lengths.grid_spacing
+
+    @property
+    def growth(self) -> float:
+        """By how much farther unsafe ground is taken to reach, m."""
+        set_to = self.hazard_growth
+        return self.vehicle.lengths.hazard_growth if set_to < 0.0 else set_to
+
+    @property
+    def gap(self) -> float:
+        """Ground farther from any that is mapped is unseen, m."""
+        return self.vehicle.lengths.max_gap if self.max_gap < 0.0 else self.max_gap
+
+    @property
+    def separation(self) -> float:
+        """Least distance of ranked sites, m."""
+        set_to = self.min_separation
+        return self.vehicle.lengths.min_separation if set_to < 0.0 else set_to
 
 
 @dataclass(frozen=True)
@@ -339,3 +382,72 @@ class CheckpointConfig:
 
     path: str = _p("", "file of the checkpoints; empty = none are written or taken up")
     interval: float = _live(2.0, "least time between two checkpoints", (0.05, 86400.0), "s")
+
+
+@dataclass(frozen=True)
+class AutopilotConfig:
+    """How autopilot_node lands by a MAVLink autopilot."""
+
+    connection: str = _p(
+        "udpin:0.0.0.0:14550",
+        "the autopilot's MAVLink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, tcp:ADDRESS:PORT, or a"
+        " serial device",
+    )
+    baud: int = _p(921600, "of a serial device", (1200, 10_000_000), "Bd")
+    may_command: str = _p(
+        "nothing",
+        "beside set-points: nothing; modes: guided or offboard on ~/land, land mode once on the "
+        "ground (ArduPilot); arming: these, and disarming once on the ground",
+        choices=("nothing", "modes", "arming"),
+    )
+    odometry: bool = _p(
+        True,
+        "send the autopilot's pose on nav/odometry; false where that has another publisher, whose"
+        " map must be the autopilot's local frame in east, north, up",
+    )
+    gate_height: float = _live(
+        8.0, "of the gate over the target, to which a wave-off climbs", (0.5, 1e3), "m"
+    )
+    commit_height: float = _live(
+        2.0, "below it the vehicle comes down for good, at touchdown_speed", (0.1, 1e3), "m"
+    )
+    transit_speed: float = _live(3.0, "to the gate, and up", (0.1, 50.0), "m/s")
+    descent_speed: float = _live(1.0, "from the gate to the commit height", (0.05, 20.0), "m/s")
+    touchdown_speed: float = _live(0.4, "from there to the ground", (0.05, 5.0), "m/s")
+    max_offset: float = _live(
+        0.5,
+        "farther beside the target the vehicle does not descend, and farther than that a target is"
+        " another one; it commits within half of this",
+        (0.02, 100.0),
+        "m",
+    )
+    reach: float = _live(
+        50.0,
+        "targets farther from where the pilot handed over are not flown to; sent as landing/area"
+        " where nobody else sends one",
+        (1.0, 1e5),
+        "m",
+    )
+    control_sigma: float = _live(
+        0.1,
+        "what the autopilot's control adds to navigation's deviation in landing/dispersion",
+        (0.0, 100.0),
+        "m",
+    )
+    max_heartbeat_age: float = _live(
+        2.5, "older heartbeats say nothing of the mode: silence, then hold", (0.1, 60.0), "s"
+    )
+    max_pose_age: float = _live(
+        0.5, "by its stamp, by a pose that is older nothing but holding", (0.02, 60.0), "s"
+    )
+    max_target_age: float = _live(
+        1.0, "a target that was not said for longer is none", (0.1, 60.0), "s"
+    )
+    max_map_age: float = _live(
+        3.0, "a target on a map that is older is none, until the vehicle commits", (0.1, 1e3), "s"
+    )
+    max_jump: float = _live(
+        0.5, "by which navigation may depart from its own velocity", (0.01, 1e3), "m"
+    )
+    max_wave_offs: int = _live(3, "after more the pilot is asked to take over", (0, 1000))
+    patience: float = _live(60.0, "so long it waits for a target before that", (1.0, 1e5), "s")

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
+import logging
+import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -19,6 +22,15 @@ from quadtree_lss.onboard.config.sections import DomainConfig as DomainConfig
 from quadtree_lss.onboard.config.sections import LidarConfig as LidarConfig
 from quadtree_lss.onboard.config.sections import LssConfig as LssConfig
 from quadtree_lss.onboard.config.sections import MountConfig as MountConfig
+from quadtree_lss.onboard.config.vehicle import VehicleConfig as VehicleConfig
+
+#: What parameters were called once.
+RENAMED = {
+    "lss.vehicle_diameter": "vehicle.diameter",
+    "lss.max_roughness": "vehicle.clearance",
+    "lss.max_slope_deg": "vehicle.max_slope_deg",
+    "lss.pad_radius": "vehicle.pad_radius",
+}
 
 #: What were parameters once, and what holds now.
 REMOVED = {
@@ -26,27 +38,29 @@ REMOVED = {
     "pose.queue": "20 scans may wait for each second of pose.max_wait, and at least 20",
     "mapping.division_confidence": "it is fixed at 0.5 standard deviations",
     "mapping.divide_exceptions": "it is fixed at 1.5 measurements",
-    "mapping.divide_area": "it is fixed at 0.04 m^2",
+    "mapping.divide_area": "it follows from vehicle.clearance",
     "mapping.division_min_residuals": "it is fixed at 8",
     "mapping.min_points": "it is fixed at 3: a plane has as many unknowns",
     "mapping.slope_prior_points": "it is fixed at 5 points",
-    "mapping.residual_clip": "it is fixed at 1 m",
-    "mapping.roughness_tolerance": "it is fixed at 0.3 m",
+    "mapping.residual_clip": "it follows from vehicle.clearance",
+    "mapping.roughness_tolerance": "it is vehicle.clearance",
     "mapping.noise_check": "the check costs nothing and is always on",
-    "features.min_height": "it is fixed at 0.1 m",
-    "features.divide_height": "it is fixed at 0.15 m, or three lidar.range_noise if that is more",
-    "features.divide_sigma": "it is fixed at 0.5 m",
-    "features.min_volume": "it is fixed at 0.002 m^3",
+    "features.min_height": "it is a third of vehicle.clearance",
+    "features.divide_height": "it is half vehicle.clearance, or three lidar.range_noise if more",
+    "features.divide_sigma": "it follows from vehicle.clearance",
+    "features.min_volume": "it follows from vehicle.clearance",
     "features.max_sigma_fraction": "it is fixed at 0.3",
     "features.min_points": "it is fixed at 12",
     "lss.max_exception_fraction": "it is fixed at 0.05",
-    "lss.elevation_reference_size": "it is fixed at 4 m",
+    "lss.elevation_reference_size": "it follows from vehicle.diameter",
+    "lss.touchdown_slope_deg": "it is nine tenths of vehicle.max_slope_deg",
+    "lss.touchdown_roughness": "it is five sixths of vehicle.clearance",
     "lss.touchdown_yaws": "it is fixed at 12 headings",
-    "lss.hazard_distance_cap": "it is fixed at 10 m",
+    "lss.hazard_distance_cap": "it follows from vehicle.diameter",
     "lss.weight_slope": "it is fixed at 1 per radian (Eq. 58)",
-    "lss.weight_roughness": "it is fixed at 2 per metre (Eq. 58)",
-    "lss.weight_hazard_distance": "it is fixed at 0.02 per metre (Eq. 58)",
-    "lss.weight_subscale": "it is fixed at 1 per metre (Eq. 58)",
+    "lss.weight_roughness": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
+    "lss.weight_hazard_distance": "it is fixed, in proportion to vehicle.diameter (Eq. 58)",
+    "lss.weight_subscale": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
     "qos.scan_depth": "it is 50; qos_overrides.TOPIC.subscription.depth sets another",
     "qos.pose_depth": "it is 200; qos_overrides.TOPIC.subscription.depth sets another",
     "publish.marker_rate": "it is fixed at 1 Hz",
@@ -58,6 +72,7 @@ REMOVED = {
 class Config:
     """Everything that can be set; defaults are those of ``config/default.yaml``."""
 
+    vehicle: VehicleConfig = field(default_factory=VehicleConfig)
     domain: DomainConfig = field(default_factory=DomainConfig)
     lidar: LidarConfig = field(default_factory=LidarConfig)
     frames: sections.FramesConfig = field(default_factory=sections.FramesConfig)
@@ -72,8 +87,10 @@ class Config:
     files: sections.FilesConfig = field(default_factory=sections.FilesConfig)
     map_file: sections.MapFileConfig = field(default_factory=sections.MapFileConfig)
     checkpoint: sections.CheckpointConfig = field(default_factory=sections.CheckpointConfig)
+    autopilot: sections.AutopilotConfig = field(default_factory=sections.AutopilotConfig)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "lss", dataclasses.replace(self.lss, vehicle=self.vehicle))
         found = "; ".join(contradictions(self))
         if found:
             raise ConfigError(found)
@@ -93,11 +110,14 @@ def parameters() -> tuple[Parameter, ...]:
         )
         for section in dataclasses.fields(Config)
         for item in dataclasses.fields(section.default_factory)  # type: ignore[arg-type]
+        if item.metadata
     )
 
 
 def unknown_parameter(key: str) -> str:
     """What to say of a name that no parameter has: what replaced it, or the nearest one."""
+    if key in RENAMED:
+        return f"{key} is {RENAMED[key]} now"
     if key in REMOVED:
         return f"{key} is no parameter any more: {REMOVED[key]}"
     names = [row.name for row in parameters()]
@@ -110,11 +130,19 @@ def still_parameters(values: Mapping[str, object]) -> dict[str, object]:
     return {key: value for key, value in values.items() if key not in REMOVED}
 
 
+@functools.lru_cache
+def present_name(key: str) -> str:
+    """What a parameter is called now; one line of the log, once, if that is not this."""
+    if key in RENAMED:
+        logging.getLogger(__name__).warning(unknown_parameter(key))
+    return RENAMED.get(key, key)
+
+
 def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]:
-    """Nested or dotted keys to dotted ones."""
+    """Nested or dotted keys to dotted ones, by the names that are theirs now."""
     flat: dict[str, object] = {}
     for key, value in values.items():
-        name = f"{prefix}{key}"
+        name = present_name(f"{prefix}{key}")
         if isinstance(value, Mapping):
             flat.update(flatten(value, f"{name}."))
         else:
@@ -166,7 +194,7 @@ def config_from_values(values: Mapping[str, object], base: Config | None = None)
 
 def values_from_config(config: Config) -> dict[str, Value]:
     """Flat dotted values of a configuration."""
-    return flatten(dataclasses.asdict(config))  # type: ignore[return-value]
+    return {row.name: operator.attrgetter(row.name)(config) for row in parameters()}
 
 
 def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
@@ -192,6 +220,10 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     if (mount.gimbal or mount.tf) and mount != elsewhere:
         name, topic = ("gimbal", "lidar/gimbal") if mount.gimbal else ("tf", "/tf_static")
         yield f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
-    reason = why_too_much(domain.size, 1 << domain.max_level, config.lss)
+    gate, commit = config.autopilot.gate_height, config.autopilot.commit_height
+    if commit >= gate:
+        yield f"autopilot.commit_height = {commit:g} m is not below gate_height = {gate:g} m"
+    lss = dataclasses.replace(config.lss, vehicle=config.vehicle)
+    reason = why_too_much(domain.size, 1 << domain.max_level, lss)
     if reason is not None:
         yield f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"

@@ -35,8 +35,6 @@ else:
     )
     from quadtree_lss.onboard.core.geometry.sphere import basis_at, minus_at, plus_at
 
-#: Side of the cells of the fused plane that leaves are compared with, m: about the lander's width.
-REFERENCE_SIZE = 4.0
 #: A leaf with a larger share of exceptions is a hazard. Since rocks divide leaves, few are left:
 #: finest ones, and all where the map is full.
 MAX_EXCEPTION_FRACTION = 0.05
@@ -61,11 +59,11 @@ def reference_level(cells: CellMap, reference_size: float) -> int:
 
 def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
     """Bits (M,) of the avoided features each leaf contains; unmeasured leaves have none."""
-    level = reference_level(cells, REFERENCE_SIZE)
+    level = reference_level(cells, config.vehicle.lengths.reference_size)
     with np.errstate(invalid="ignore"):
         east, north, up = cells.normal.T
-        steep = east * east + north * north > (tan(radians(config.max_slope_deg)) * up) ** 2
-        raised = elevation_deviation(cells, level) > config.max_roughness
+        steep = east * east + north * north > (tan(radians(config.vehicle.max_slope_deg)) * up) ** 2
+        raised = elevation_deviation(cells, level) > config.vehicle.clearance
         excepted = cells.exception_fraction > MAX_EXCEPTION_FRACTION
     bits = SLOPE * steep + ELEVATION * raised + EXCEPTION * excepted
     return np.where(cells.measured, bits, 0).astype(np.uint8)

@@ -10,12 +10,11 @@ import numpy as np
 from cython.cimports.libc.math import erf, exp, fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array, Index, Ints, Mask
+from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.lattice import grown, nearest_marked
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
-#: Lower tails of a feature are no feature, m.
-NEGLIGIBLE = cython.declare(cython.double, 0.005)
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
 
 
@@ -55,14 +54,15 @@ class TerrainRaster:
     cells: CellMap
 
 
-def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
+def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     """Lay out the map.
 
     Args:
         cells: The map.
-        max_gap: Ground farther than this from any finest cell that is known (distance of the
-            centres less half a cell) is unseen, m.
+        lss: Ground farther than its ``gap`` from any finest cell that is known (distance of the
+            centres less half a cell) is unseen.
     """
+    max_gap, negligible = lss.gap, lss.vehicle.lengths.negligible
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
     leaf = np.empty((n, n), dtype=np.int32)
@@ -71,7 +71,7 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
     down = domain.max_level - cells.level.astype(np.intp)
     place = np.stack([cells.iy, cells.ix, np.ones_like(cells.ix)], axis=1).astype(np.intp)
     planes = np.column_stack([cells.z, cells.normal, cells.low, cells.high])
-    lay_out(place << down[:, None], planes, cells.feature, side, leaf, layers)
+    lay_out(place << down[:, None], planes, cells.feature, side, negligible, leaf, layers)
     known = cells.observed & cells.known & ~np.isnan(elevation)
     bridged = ~known
     unmapped = cells.observed & ~known
@@ -91,7 +91,13 @@ def rasterise(cells: CellMap, max_gap: float) -> TerrainRaster:
 @cython.locals(feature=cython.double[:, ::1], leaf=cython.int[:, ::1])
 @cython.locals(layers=cython.double[:, :, ::1])
 def lay_out(
-    place: Index, planes: Array, feature: Array, side: float, leaf: Ints, layers: Array
+    place: Index,
+    planes: Array,
+    feature: Array,
+    side: float,
+    negligible: float,
+    leaf: Ints,
+    layers: Array,
 ) -> None:
     """Fill the finest cells under leaves (M).
 
@@ -101,6 +107,7 @@ def lay_out(
             that heights keep to, m, NaN for no bound.
         feature: (M, 5).
         side: Of the finest cells, m.
+        negligible: Lower tails of a feature are no feature, m.
         leaf: (n, n), set to the row of the leaf.
         layers: (5, n, n), set to elevation, slopes in x and y; where there is a feature, the last
             two to its mean and its greatest height.
@@ -147,7 +154,7 @@ def lay_out(
                 for j in range(width):
                     layers[3, row + i, column + j] = share * shares[j]
                     raised = top * exp(-0.5 * (squares[j] + square) / (sigma * sigma))
-                    if raised >= NEGLIGIBLE:
+                    if raised >= negligible:
                         layers[4, row + i, column + j] = raised
 
 

@@ -28,10 +28,13 @@ from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstCon
 
 #: Weights of Eq. 58, of which the paper prints none: alpha_theta, per radian; alpha_R, per metre of
 #: roughness over the leaf's area, so that a centimetre counts like a degree of slope; alpha_H, per
-#: metre of distance to a hazard; alpha_s, per metre of subscale height.
+#: metre of distance to a hazard; alpha_s, per metre of subscale height. A metre is one of the
+#: vehicle of the defaults: of others it is in proportion.
 WEIGHT_SLOPE, WEIGHT_ROUGHNESS, WEIGHT_DISTANCE, WEIGHT_SUBSCALE = 1.0, 2.0, 0.02, 1.0
-#: Farther hazards do not improve a score, m.
+#: Farther hazards do not improve a score, m of that vehicle.
 DISTANCE_CAP = 10.0
+#: A share of a length that rounding may take.
+SLACK = 1e-9
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,12 @@ class Surroundings:
 
 def ground_radius(lss: LssConfig) -> float:
     """Radius of the ground at the lander's scale, m."""
-    return 0.75 * 0.5 * lss.vehicle_diameter
+    return 0.75 * 0.5 * lss.vehicle.diameter
 
 
 def zone_radius(lss: LssConfig) -> float:
     """Radius of the landing zone, m."""
-    return 0.5 * lss.vehicle_diameter + lss.margin
+    return 0.5 * lss.vehicle.diameter + lss.margin
 
 
 def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
@@ -69,25 +72,24 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     n, side = domain.finest_count, domain.finest_size
     radius = min(ground_radius(lss), 0.5 * domain.size)
     planes = ground_planes(raster.elevation, raster.seen, side, radius)
-    limit = max(zone_radius(lss), DISTANCE_CAP)
+    limit = max(zone_radius(lss), DISTANCE_CAP * lss.vehicle.size)
     room = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
     unmapped = touching(raster.unmapped.view(np.uint8)) > 0
-    to_unmapped = distance_from(unmapped, side, limit + lss.pad_radius)
-    np.minimum(room, to_unmapped - lss.pad_radius, out=room)
+    to_unmapped = distance_from(unmapped, side, limit + lss.vehicle.pad_radius)
+    np.minimum(room, to_unmapped - lss.vehicle.pad_radius, out=room)
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
     np.minimum(room, border, out=room)
     np.minimum(room, border[:, None], out=room)
-    return Surroundings(planes, room, to_unmapped, room >= 0.5 * lss.vehicle_diameter - 1e-9)
+    judged = room >= (0.5 - SLACK) * lss.vehicle.diameter
+    return Surroundings(planes, room, to_unmapped, judged)
 
 
 @dataclass(frozen=True)
 class PointAssessment:
-    """What the assessment finds at the grid points of the finest lattice, (n + 1, n + 1).
+    """What the assessment finds at the grid points of the finest lattice, (n + 1, n + 1): ``risk``
+    is P(unsafe) of landing there, NaN if nobody asked, ``worst`` contacts None likewise.
 
     Attributes:
-        raster, around: The map, and what lies about each.
-        worst: The lander's worst contacts; None if nobody asked for them.
-        risk: P(unsafe) of landing there; NaN if nobody asked for it.
         hazard: Bits of ``hazards``.
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
@@ -117,17 +119,12 @@ def assess_points(
     table: RiskTable | None,
     lss: LssConfig,
 ) -> PointAssessment:
-    """Risk, safety and score on the finest lattice.
-
-    Args:
-        raster, around: The map, and what lies about the grid points.
-        worst: The lander's worst contacts; the paper's rules need none.
-        check: Whose limits decide if ``lss.assessment`` is ``touchdown``.
-        table: Fit of the risk; None if nobody asks for it.
-        lss: Limits and weights.
-    """
+    """Risk, safety and score on the finest lattice. The paper's rules need no contacts; the limits
+    of ``check`` decide if ``lss.assessment`` is ``touchdown``; without ``table`` nobody asks for
+    the risk."""
     cells, n, side = raster.cells, raster.domain.finest_count, raster.domain.finest_size
-    radius, zone = 0.5 * lss.vehicle_diameter, zone_radius(lss)
+    vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, zone_radius(lss)
+    cap = DISTANCE_CAP * vehicle.size
     bits = hazards.avoided_features(cells, lss).take(raster.leaf)
     bits *= raster.seen.view(np.uint8)
     bits |= unknown_bits(raster)
@@ -139,40 +136,40 @@ def assess_points(
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0
         safe = ~grown(near_feature, zone, side)
-        near, reach = distance_from(near_feature, side, DISTANCE_CAP), zone
+        near, reach = distance_from(near_feature, side, cap), zone
         of_slope, of_leaves = 0.0, np.nan_to_num(WEIGHT_SLOPE * hazards.slope(cells.normal))
     else:
         excepted = grown(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
             spoiled = around.judged & (check.over(worst) | excepted)
             # Rounded outwards: a map that may be off at all is off by a grid point.
-            steps = np.ceil(lss.hazard_growth / side - 1e-9)
+            steps = np.ceil(lss.growth / side - SLACK)
             spoiled |= around.judged & grown(spoiled, steps * side, side)
         else:
             fails = around.judged & (risk > lss.max_risk)
             spoiled = fails | (around.judged & excepted)
-            stands = worst.rise <= lss.max_roughness
-            stands &= worst.slope <= tan(radians(lss.max_slope_deg))
+            stands = worst.rise <= vehicle.clearance
+            stands &= worst.slope <= tan(radians(vehicle.max_slope_deg))
             hazard |= (fails & stands) * np.uint8(hazards.UNCERTAIN)
         hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
         safe = ~grown(spoiled, lss.margin, side)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.
-        near, reach = distance_from(spoiled, side, DISTANCE_CAP), lss.margin
+        near, reach = distance_from(spoiled, side, cap), lss.margin
         near += radius
         of_slope, of_leaves = WEIGHT_SLOPE, np.zeros(len(cells.level))
-    safe &= around.room >= zone - 1e-9
+    safe &= around.room >= (1.0 - SLACK) * zone
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
     # Eq. 58, of the four grid points of each finest cell and of its leaf.
     free = np.minimum(near, around.room, out=near)
-    np.minimum(free, DISTANCE_CAP, out=free)
-    free *= WEIGHT_DISTANCE
+    np.minimum(free, cap, out=free)
+    free *= WEIGHT_DISTANCE / vehicle.size
     line = of_slope * around.planes.slope - free
     line = line[:n] + line[1:]
     density = 0.25 * (line[:, :n] + line[:, 1:])
-    density += (of_leaves + WEIGHT_ROUGHNESS * rough).take(raster.leaf)
-    density += WEIGHT_SUBSCALE * raster.subscale
+    density += (of_leaves + WEIGHT_ROUGHNESS / vehicle.height * rough).take(raster.leaf)
+    density += WEIGHT_SUBSCALE / vehicle.height * raster.subscale
     # Eq. 56's integral as Eq. 59's mean over the disc of each point. No zone fits a domain smaller
     # than itself: none needs sums over more than that.
     over = disc(min(zone, 0.5 * cells.domain.size), side)
@@ -190,18 +187,12 @@ def unknown_bits(raster: TerrainRaster) -> Bytes:
 def zones_about(
     points: PointAssessment, centre: tuple[Index, Index], place: Array, lss: LssConfig
 ) -> tuple[Array, Array, Array]:
-    """What is in the landing zones about some places, and how far these may move.
+    """What is in the landing zones about places (K, 2), nearest to rows and columns of the lattice
+    ``centre`` (K,), m, and how far these may move.
 
-    Args:
-        points: The map.
-        centre: Rows and columns (K,) of the lattice.
-        place: (K, 2) x and y that they are nearest to, m.
-        lss: The lander.
-
-    Returns:
-        (K,) each, m: greatest roughness; greatest height of a subscale feature; how far the zone
-        may move in any direction until it touches a hazard (or, with the touchdown check, until
-        the lander fails within the margin), unseen ground or the domain's border, 0 where it does.
+    Returns (K,) each, m: greatest roughness; greatest height of a subscale feature; how far the
+    zone may move in any direction until it touches a hazard (or, with the touchdown check, until
+    the lander fails within the margin), unseen ground or the domain's border, 0 where it does.
     """
     raster, domain, zone = points.raster, points.raster.domain, zone_radius(lss)
     side, last = domain.finest_size, domain.finest_count - 1
@@ -212,7 +203,7 @@ def zones_about(
     rough, raised = points.roughness[raster.leaf[row, column]], raster.subscale_peak[row, column]
     x, y = place[:, 0] - domain.xmin, place[:, 1] - domain.ymin
     room = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
-    unmapped = (raster.unmapped, zone + lss.pad_radius)
+    unmapped = (raster.unmapped, zone + lss.vehicle.pad_radius)
     for marked, reach in ((points.spoiled, points.reach), (~raster.firm, zone), unmapped):
         # Cells have an extent, points of the lattice have none.
         half = 0.5 * (domain.finest_count + 1 - len(marked))
@@ -226,25 +217,19 @@ def zones_about(
 def lower_room(
     marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, room: Array
 ) -> None:
-    """How far a zone at each of some places may move until it comes too near to what is marked.
-
-    Args:
-        marked: (ny, nx) cells, or points of the lattice.
-        half: Half the side of those, in steps: 0.5 for cells and 0 for points.
-        x, y: (K,) of the places, from the lattice's first point, m.
-        side: Of the lattice, m.
-        reach: How near the zone's centre may come, m.
-        room: (K,) m, lowered.
-    """
+    """How far a zone at each of some places may move until it comes nearer than ``reach`` m to what
+    is marked (ny, nx): cells (``half`` = 0.5) or points of a lattice of ``side`` m (0). ``x``,
+    ``y`` (K,) are m from its first point; ``room`` (K,), m, is lowered."""
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    farthest: cython.Py_ssize_t = max(marked.shape[0], marked.shape[1])
     with cython.nogil:
         for k in range(x.shape[0]):
             u, v = x[k] / side, y[k] / side
             column, row = cython.cast(cython.Py_ssize_t, u), cython.cast(cython.Py_ssize_t, v)
             ring = 0
             # What lies beyond a ring of places is at least as many steps away.
-            while (ring - 1) * side - reach < room[k]:
+            while (ring - 1) * side - reach < room[k] and ring <= farthest:
                 for i in range(row - ring, row + ring + 1):
                     if not 0 <= i < marked.shape[0]:
                         continue

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.geometry.heights import height_by_error
@@ -31,6 +31,7 @@ from quadtree_lss.onboard.core.landing.probability import (
 )
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.score import (
+    SLACK,
     PointAssessment,
     assess_points,
     ground_radius,
@@ -111,14 +112,15 @@ class LandingSiteSelector:
             ValueError: the dispersion is none.
         """
         lss = self.config.lss
-        at = users_grid(cells.domain, lss.grid_spacing)
+        at = users_grid(cells.domain, lss.spacing)
         wanted = Restrictions(area, keep_out, target, withheld)
         self._number += 1
         spread = Dispersion.of(dispersion, lss)
         self._target.heed(wanted, self._reach(), lss)
-        raster = rasterise(cells, lss.max_gap)
+        raster = rasterise(cells, lss)
         if not raster.seen.any():
-            return self._nothing_mapped(raster, at, withheld)
+            reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
+            return self._nothing(cells, at, reason, unknown_bits(raster))
         around = look_around(raster, lss)
         worst = None
         if self._check is not None:
@@ -127,16 +129,23 @@ class LandingSiteSelector:
         aims = aim(points, at, spread, wanted, lss)
         return self._choose_sites(points, aims, spread, wanted)
 
-    def _nothing_mapped(
-        self, raster: TerrainRaster, at: GridSampler, withheld: str
+    def withhold(self, cells: CellMap, why: str) -> LandingAssessment:
+        """Neither site nor target, because a map could not be assessed."""
+        self._number += 1
+        self.configure(self.config)  # what was found by half is forgotten
+        at = users_grid(cells.domain, self.config.lss.spacing)
+        unseen = np.full((cells.domain.finest_count,) * 2, hazards.UNSEEN, dtype=np.uint8)
+        nothing = self._nothing(cells, at, Reason.WITHHELD, unseen)
+        return replace(nothing, explanation=f"no site is given out: {why}")
+
+    def _nothing(
+        self, cells: CellMap, at: GridSampler, reason: Reason, bits: Bytes
     ) -> LandingAssessment:
-        reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
         nowhere = np.full((len(at.y), len(at.x)), np.nan)
         self._choose(
             Candidates(at.x, at.y, np.isfinite(nowhere), nowhere), lambda *_: reason, reason
         )
-        bits = at.any(touching(unknown_bits(raster)))
-        return nothing_mapped(raster.cells, self._number, reason, at.x, at.y, bits)
+        return nothing_mapped(cells, self._number, reason, at.x, at.y, at.any(touching(bits)))
 
     def _choose_sites(
         self, points: PointAssessment, aims: Aims, spread: Dispersion, wanted: Restrictions
@@ -159,10 +168,10 @@ class LandingSiteSelector:
             if safe[row, column]:
                 held = wanted.area_holds(at.x[column], at.y[row], lss)
                 return Reason.KEEP_OUT if held else Reason.OUTSIDE_AREA
-            if at.nearest(points.around.room)[row, column] >= zone_radius(lss) - 1e-9:
+            if at.nearest(points.around.room)[row, column] >= (1.0 - SLACK) * zone_radius(lss):
                 return Reason.HAZARD
             away = at.nearest(points.around.to_unmapped)[row, column]
-            reach = zone_radius(lss) + lss.pad_radius - 1e-9
+            reach = (1.0 - SLACK) * (zone_radius(lss) + lss.vehicle.pad_radius)
             return Reason.UNMAPPED if away < reach else Reason.UNSEEN
 
         none = Reason.WITHHELD if aims.withheld else Reason.NO_SITE
@@ -200,7 +209,7 @@ class LandingSiteSelector:
     def _reach(self) -> float:
         """How far from each other sites are the same, m: no two of a ranking are."""
         lss = self.config.lss
-        return 0.49 * min(lss.vehicle_diameter, lss.min_separation)
+        return 0.49 * min(lss.vehicle.diameter, lss.separation)
 
     def _selected(self, choice: Choice, found: Sites, raster: TerrainRaster) -> Selected:
         """The target, described in the last row of ``found``."""
@@ -218,7 +227,7 @@ class LandingSiteSelector:
         if lss.hysteresis > 0.0:
             last = [grid_point(x, y, *place) for place in self._last_ranked]
         kept = [place for place in last if place is not None and np.isfinite(cost[place])]
-        best = best_points(cost, x, y, lss.sites, lss.min_separation, kept, lss.hysteresis)
+        best = best_points(cost, x, y, lss.sites, lss.separation, kept, lss.hysteresis)
         ranked = [(int(row), int(column)) for row, column in zip(*best, strict=True)]
         self._last_ranked = [(float(x[column]), float(y[row])) for row, column in ranked]
         return ranked
@@ -232,6 +241,7 @@ class LandingSiteSelector:
     ) -> Sites:
         """What is known of landing at grid points, given by row and column."""
         lss, around, at = self.config.lss, points.around, aims.at
+        vehicle = lss.vehicle
         where = tuple(np.array(places, dtype=np.intp).reshape(-1, 2).T)
         place = np.column_stack([at.x[where[1]], at.y[where[0]]])
         centre = at.lattice(*where)
@@ -241,17 +251,24 @@ class LandingSiteSelector:
         slope_deg = np.degrees(around.planes.slope[centre])
         risks = [""] * len(places)
         if points.worst is not None and self._table is not None:
-            unmapped = around.to_unmapped < 0.5 * lss.vehicle_diameter + lss.pad_radius - 1e-9
+            reach = 0.5 * vehicle.diameter + vehicle.pad_radius
+            unmapped = around.to_unmapped < (1.0 - SLACK) * reach
             judged = around.judged, unmapped, points.worst, self._table
             side = points.raster.domain.finest_size
             risks = [
                 f"{of}; " for of in remaining_risks(centre, points.risk, *judged, side, spread)
             ]
-        limit = lss.touchdown_slope_deg if lss.assessment == "touchdown" else lss.max_slope_deg
+        limit = vehicle.max_slope_deg
+        if lss.assessment == "touchdown":
+            limit = vehicle.lengths.touchdown_slope_deg
         reasons = (
             f"{risk}slope {slope:.1f} deg of {limit:g}, {clear:.1f} m clear of hazards and unseen "
             f"ground, roughness {roughness:.3f} m, "
-            + (f"features up to {feature:.2f} m" if feature >= 0.005 else "no subscale feature")
+            + (
+                f"features up to {feature:.2f} m"
+                if feature >= vehicle.lengths.negligible
+                else "no subscale feature"
+            )
             for risk, slope, clear, roughness, feature in zip(
                 risks, slope_deg, room, rough, raised, strict=True
             )
@@ -290,11 +307,7 @@ def ground_covariance(raster: TerrainRaster, x: float, y: float, radius: float) 
     are 0. Height and tilt are those of the least-squares plane over the leaves' planes in a disc
     (see `lattice.ground_planes`). Range noise is another one in each leaf; the error of the poses
     is common to all of the map nearby, and enters as that of one plane. Slopes are taken for small.
-
-    Args:
-        raster: The map.
-        x, y: The place, map frame, m.
-        radius: Of the disc, m.
+    ``raster``: the map. ``x``, ``y``: the place, map frame, m. ``radius``: of the disc, m.
     """
     cells, domain = raster.cells, raster.domain
     side, last = domain.finest_size, domain.finest_count - 1

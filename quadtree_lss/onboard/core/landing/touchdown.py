@@ -45,10 +45,8 @@ else:  # otherwise from the .pxd
         """Python sees to signals by itself."""
 
 
-#: Step of height in the order of the cells, m.
-STEP = cython.declare(cython.double, 0.02)
-#: Bounds find_planes nothing by less than single precision can err, m.
-ROUNDING = cython.declare(cython.double, 1e-4)
+#: Bounds find nothing by less than single precision can err, rise over run.
+SLOPE_ROUNDING = cython.declare(cython.double, 1e-4)
 #: Where a resting plane may sink below the lowest pad, as a share of the pads' spread.
 SAG = cython.declare(cython.double, 0.5 * (2.0**0.5 - 1.0))
 SHAPE = cython.declare(cython.double, feature.SHAPE)
@@ -58,11 +56,8 @@ NAN = cython.declare(cython.double, float("nan"))
 @dataclass(frozen=True)
 class Limits:
     """Between which worst contacts of a lander are found: beyond, less or more is the same.
-
-    Attributes:
-        rise: Least and greatest rise of ground over a resting plane, m.
-        slope: Least and greatest slope of a resting plane, rise over run.
-    """
+    ``rise``: least and greatest rise of ground over a resting plane, m. ``slope``: least and
+    greatest slope of a resting plane, rise over run."""
 
     rise: tuple[float, float]
     slope: tuple[float, float]
@@ -70,13 +65,9 @@ class Limits:
 
 @dataclass(frozen=True)
 class WorstContact:
-    """How badly the lander stands at its worst heading, (n + 1, n + 1), within `Limits`.
-
-    Attributes:
-        rise: Greatest rise of ground under the lander over a resting plane, m; NaN where nobody
-            asked.
-        slope: Of the steepest resting plane, rise over run; NaN where nobody asked.
-    """
+    """How badly the lander stands at its worst heading, (n + 1, n + 1), within `Limits`. ``rise``:
+    greatest rise of ground under the lander over a resting plane, m; NaN where nobody asked.
+    ``slope``: of the steepest resting plane, rise over run; NaN where nobody asked."""
 
     rise: Single
     slope: Single
@@ -86,17 +77,14 @@ class TouchdownCheck:
     """Sets the lander down on maps of a growing terrain.
 
     How it stands in a block of grid points depends on the cells that its landers can meet alone, so
-    blocks where none of them changed are as before, bit for bit.
-
-    Args:
-        config: The lander.
-        limits: Between which contacts are found; by default the touchdown limits alone.
+    blocks where none of them changed are as before, bit for bit. ``config``: the lander.
+    ``limits``: between which contacts are found; by default the touchdown limits alone.
     """
 
     def __init__(self, config: LssConfig, limits: Limits | None = None) -> None:
         self.config = config
-        self.steepest = tan(radians(config.touchdown_slope_deg))
-        within = (config.touchdown_roughness,) * 2, (self.steepest,) * 2
+        self.steepest = tan(radians(config.vehicle.lengths.touchdown_slope_deg))
+        within = (config.vehicle.lengths.touchdown_roughness,) * 2, (self.steepest,) * 2
         self.limits = limits or Limits(*within)
         self._set_for: tuple[object, ...] = ()
 
@@ -126,7 +114,7 @@ class TouchdownCheck:
 
     def over(self, worst: WorstContact) -> Mask:
         """Where a contact is over the touchdown limits."""
-        high = worst.rise > np.float32(self.config.touchdown_roughness)
+        high = worst.rise > np.float32(self.config.vehicle.lengths.touchdown_roughness)
         return np.asarray(high | (worst.slope > np.float32(self.steepest)))
 
 
@@ -154,6 +142,8 @@ class Blocks:
         stand: (4 yaws, BLOCK^2) heights of the pads at each grid point, over the plane, m.
         floor: (BLOCK^2,) below every resting plane of a grid point, over the plane, m.
         spread: (BLOCK^2,) of the pads' heights, m.
+        step: Of height in the order of the cells, m.
+        rounding: Bounds find nothing by less than single precision can err, m.
         roof: (BLOCK^2,) highest ground under the lander, over the plane, m.
         high, height: Row and column in the window of the cells, ``highs`` of them, that may be in
             the way of some grid point, and their highest ground over the plane, m.
@@ -168,6 +158,7 @@ class Blocks:
         base_x, base_y: Slopes of the block's plane.
     """
 
+    cython.declare(step=cython.double, rounding=cython.double)
     cython.declare(side=cython.double, radius=cython.double, pad_radius=cython.double)
     cython.declare(low_rise=cython.double, high_rise=cython.double, worst_rise=cython.double)
     cython.declare(low_slope=cython.double, high_slope=cython.double, worst_slope=cython.double)
@@ -192,9 +183,10 @@ class Blocks:
         self, config: LssConfig, limits: Limits, domain: Domain, heading: float | None
     ) -> None:
         side = domain.finest_size
-        under = disc(0.5 * config.vehicle_diameter, side)
-        self.side, self.radius = side, 0.5 * config.vehicle_diameter
-        self.pad_radius = config.pad_radius
+        under = disc(0.5 * config.vehicle.diameter, side)
+        self.side, self.radius = side, 0.5 * config.vehicle.diameter
+        self.pad_radius = config.vehicle.pad_radius
+        self.step, self.rounding = 0.02 * config.vehicle.height, 1e-4 * config.vehicle.size
         self.low_rise, self.high_rise = limits.rise
         self.low_slope, self.high_slope = limits.slope
         self.yaws = YAWS if heading is None else 1
@@ -382,7 +374,7 @@ class Blocks:
                 self.spread[i] = z if z > self.spread[i] else self.spread[i]
         for i in range(BLOCK * BLOCK):
             self.spread[i] -= self.floor[i]
-            self.floor[i] -= SAG * self.spread[i] + ROUNDING if self.bounded else FAR
+            self.floor[i] -= SAG * self.spread[i] + self.rounding if self.bounded else FAR
 
     @cython.cfunc
     @cython.nogil
@@ -421,13 +413,13 @@ class Blocks:
     def list_highs(self, above: cython.double) -> cython.void:
         """List the cells of the window that are higher than ``above``, the higher ones first.
 
-        They are in order of height to a ``STEP``: more would not pay.
+        They are in order of height to a ``step``: more would not pay.
         """
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
         self.begin[:] = 0
         for i in range(self.width * self.width):
             if self.top[i] > above:
-                self.begin[bin_of(self.top[i] - above) + 1] += 1
+                self.begin[bin_of((self.top[i] - above) / self.step) + 1] += 1
         for i in range(BINS):
             self.begin[i + 1] += self.begin[i]
         self.highs, self.spoiler = self.begin[BINS], 0
@@ -435,8 +427,8 @@ class Blocks:
             for j in range(self.width):
                 z = self.top[i * self.width + j]
                 if z > above:
-                    k = self.begin[bin_of(z - above)]
-                    self.begin[bin_of(z - above)] += 1
+                    k = self.begin[bin_of((z - above) / self.step)]
+                    self.begin[bin_of((z - above) / self.step)] += 1
                     self.high[0, k], self.high[1, k], self.height[k] = i, j, z
         highest: cython.float = -FAR
         for k in range(self.highs - 1, -1, -1):
@@ -453,7 +445,7 @@ class Blocks:
         bound = sqrt(self.base_x**2 + self.base_y**2) + self.spread[place] / self.radius
         self.worst_rise, self.worst_slope = self.low_rise, self.low_slope
         under: cython.bint = self.roof[place] > lowest
-        if bound <= self.low_slope - ROUNDING and not under:
+        if bound <= self.low_slope - SLOPE_ROUNDING and not under:
             return
         self.find_planes(place)
         if self.worst_slope > self.high_slope or not under:
@@ -555,7 +547,7 @@ class Blocks:
         # No plane stands lower there than the least of all their heights and slopes would.
         lowest = self.least_z + (self.least_x if east > 0.0 else self.most_x) * east
         lowest += (self.least_y if north > 0.0 else self.most_y) * north
-        if height - lowest <= worst - ROUNDING:
+        if height - lowest <= worst - self.rounding:
             return False
         for i in range(2 * n):
             self.above[i] = (
@@ -572,7 +564,7 @@ class Blocks:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def bin_of(height: cython.double) -> cython.Py_ssize_t:
-    """Number of the bin for a height over the least, the highest ones first."""
-    number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, min(height / STEP, BINS - 1.0))
+def bin_of(steps: cython.double) -> cython.Py_ssize_t:
+    """Number of the bin for a height over the least, in steps, the highest ones first."""
+    number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, min(steps, BINS - 1.0))
     return BINS - 1 - number

@@ -55,24 +55,11 @@ LEAST_RESIDUALS = 8.0
 #: Exceptions, in measurements, that show a rock and divide a leaf: more than one stray return. They
 #: find what has no raised points: a pit 0.6 m wide and deep.
 ROCK_EXCEPTIONS = 1.5
-#: Points raised by `ROCK_HEIGHT` over this area show a rock, m^2: one of 0.2 m by 0.2 m. Of the
-#: hazards of Morpheus seeds 401-440 it finds 99.65 % at worst, 99.09 % without.
-ROCK_AREA = 0.04
-#: What stands out so high is a rock, m, and so do three range noises: half of what a lander clears.
-ROCK_HEIGHT = 0.15
-#: Features with a greater sigma are no rocks, m.
-ROCK_SIGMA = 0.5
 #: Points of one scan that make a first fit: a plane has as many unknowns.
 FIT_POINTS = 3.0
 #: Weight of the parent's slope in a first height fit, in points: with it the slopes of small cells
 #: had half the 99th percentile error.
 SLOPE_POINTS = 5.0
-#: Residuals count at most this much in running statistics, m: a stray return is no ground.
-CLIP = 1.0
-#: A measurement farther from its plane is an exception, m (Eq. 48).
-TOLERANCE = 0.3
-#: Lower features, m, and those of less volume k^2, m^3, are noise.
-FEATURE_HEIGHT, FEATURE_VOLUME = 0.1, 0.002
 #: A wider feature (sigma), in widths of the cell, is the form of the ground.
 FEATURE_WIDTH = 0.3
 #: Points of one scan that a feature takes, for its five numbers.
@@ -103,7 +90,7 @@ class Rules:
     """The numbers of a configuration that the kernels of mapping go by."""
 
     def __init__(self, config: Config) -> None:
-        lidar, mapping = config.lidar, config.mapping
+        lidar, mapping, lengths = config.lidar, config.mapping, config.vehicle.lengths
         self.range_noise = lidar.range_noise
         self.noise_per_metre = lidar.range_noise_per_metre
         self.divergence = lidar.beam_divergence
@@ -114,19 +101,19 @@ class Rules:
         self.division_confidence = CONFIDENCE
         self.min_residuals = LEAST_RESIDUALS
         self.divide_exceptions = ROCK_EXCEPTIONS
-        self.divide_area = ROCK_AREA
+        self.divide_area = lengths.rock_area
         self.min_points = FIT_POINTS
         self.slope_points = SLOPE_POINTS
         self.correlation_time = config.pose.correlation_time
-        self.clip = CLIP
-        self.tolerance = TOLERANCE
+        self.clip = lengths.clip
+        self.tolerance = lengths.tolerance
         self.features = config.features.enabled
-        self.feature_height = FEATURE_HEIGHT
-        self.feature_volume = FEATURE_VOLUME
+        self.feature_height = lengths.feature_height
+        self.feature_volume = lengths.feature_volume
         self.feature_width = FEATURE_WIDTH
         self.feature_points = FEATURE_POINTS
-        self.rock_height = max(ROCK_HEIGHT, 3.0 * lidar.range_noise)
-        self.rock_sigma = ROCK_SIGMA
+        self.rock_height = max(lengths.rock_height, 3.0 * lidar.range_noise)
+        self.rock_sigma = lengths.rock_sigma
 
 
 def record(runs: NDArray[np.void], at: cython.Py_ssize_t) -> Record:
@@ -211,7 +198,8 @@ def _bias(
     least = 0.01 * deviation * deviation
     flat = ray_x * ray_x + ray_y * ray_y
     along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
-    thin = deviation * flat / sqrt(12.0 * along + least * flat)
+    # Of a vertical ray, or nearly, it is 0.
+    thin = deviation * flat / sqrt(max(12.0 * along + least * flat, 1e-300))
     run.bias[0] = run.bias[2] = 0.0
     run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
     if sloped:
@@ -383,16 +371,12 @@ def fit(
 
 @cython.boundscheck(False)
 def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
-    """What the parts of leaves that were never seen add to their covariance.
+    """What the parts of leaves (M,) that were never seen add to their covariance (M, 9) of (dphi,
+    dd).
 
     However often a part is seen, it says nothing of the rest, whose slope may differ by
     `UNSEEN_TILT`: a tilt about the middle of the finest cells in which a point fell, by as much of
     the leaf's width as these leave out.
-
-    Args:
-        table: The leaves.
-        rows: (M,) of them.
-        out: (M, 9) covariances of (dphi, dd), m and rad; written.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The vehicle, and the lengths that follow from it."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from quadtree_lss.onboard.config.parameter import declared, live
+
+
+@dataclass(frozen=True)
+class VehicleConfig:
+    """What lands; the lengths that mapping and landing go by follow from it."""
+
+    diameter: float = declared(3.7, "diameter of the pads' circle", (0.05, 1000.0), "m")
+    clearance: float = declared(
+        0.3, "highest ground over its pads' plane that the lander clears", (0.001, 100.0), "m"
+    )
+    max_slope_deg: float = live(
+        10.0, "steepest ground that the lander stands on", (0.1, 89.0), "deg"
+    )
+    pad_radius: float = declared(0.15, "radius of a landing pad", (0.0, 10.0), "m")
+
+    @property
+    def size(self) -> float:
+        """Its diameter over that of the vehicle that all was tried with."""
+        return self._ratio("diameter")
+
+    @property
+    def height(self) -> float:
+        """Its clearance over that vehicle's."""
+        return self._ratio("clearance")
+
+    @property
+    def lengths(self) -> Lengths:
+        """What follows from it."""
+        return _lengths(self)
+
+    def _ratio(self, name: str) -> float:
+        """Over the vehicle that all was tried with: the defaults, for which this is exactly 1."""
+        return float(getattr(self, name) / getattr(type(self), name))
+
+
+def _follows(default: float, doc: str, of: str, unit: str = "m", power: int = 1) -> Any:
+    return dataclasses.field(
+        default=default, metadata={"doc": doc, "of": of, "unit": unit, "power": power}
+    )
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """Each as it is for the vehicle of the defaults, and in proportion to a measure of another.
+
+    Horizontal ones go with the diameter and heights with the clearance.
+    """
+
+    grid_spacing: float = _follows(0.5, "lss.grid_spacing where it is 0", "diameter")
+    min_separation: float = _follows(3.7, "lss.min_separation where it is below 0", "diameter")
+    max_gap: float = _follows(0.6, "lss.max_gap where it is below 0", "diameter")
+    hazard_growth: float = _follows(0.25, "lss.hazard_growth where it is below 0", "diameter")
+    touchdown_slope_deg: float = _follows(
+        9.0, "slope limit of the touchdown check on the map", "max_slope_deg", "deg"
+    )
+    touchdown_roughness: float = _follows(
+        0.25, "greatest rise of ground that the touchdown check allows on the map", "clearance"
+    )
+    reference_size: float = _follows(
+        4.0, "about the side of the cells that leaves' elevation is compared with", "diameter"
+    )
+    negligible: float = _follows(0.005, "lower tails of a feature are no feature", "clearance")
+    rock_height: float = _follows(
+        0.15, "what stands out so high, and by three range noises, is a rock", "clearance"
+    )
+    rock_sigma: float = _follows(0.5, "a feature of greater sigma divides no leaf", "clearance")
+    rock_area: float = _follows(
+        0.04, "points raised by rock_height over this area divide a leaf", "clearance", "m^2", 2
+    )
+    tolerance: float = _follows(
+        0.3, "a measurement farther from its plane is an exception (Eq. 48)", "clearance"
+    )
+    clip: float = _follows(1.0, "residuals count at most this much", "clearance")
+    feature_height: float = _follows(0.1, "lower features are noise", "clearance")
+    feature_volume: float = _follows(
+        0.002, "features of less volume k^2 are noise", "clearance", "m^3", 3
+    )
+
+
+@lru_cache(maxsize=8)
+def _lengths(vehicle: VehicleConfig) -> Lengths:
+    values = {}
+    for item in dataclasses.fields(Lengths):
+        share = vehicle._ratio(item.metadata["of"])
+        values[item.name] = item.default * share ** item.metadata["power"]
+    return Lengths(**values)
+
+
+def rule(name: str) -> str:
+    """How a length follows: ``0.833 x vehicle.clearance``."""
+    item = Lengths.__dataclass_fields__[name]
+    of, power = item.metadata["of"], item.metadata["power"]
+    share = item.default / getattr(VehicleConfig, of) ** power
+    return f"{share:.3g} x vehicle.{of}" + (f"^{power}" if power > 1 else "")
