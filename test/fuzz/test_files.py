@@ -25,9 +25,9 @@ from quadtree_lss.lab.campaign.study import read_study
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-#: Of each kind of file; make test-all sends 20 times as many, other ones with another FUZZ_SEED.
-COUNTS = {"dem_npz": 1000, "dem_tiff": 1000, "study": 800, "record": 500}
-COUNTS |= {"cloud": 100, "poses": 100, "bag": 40}
+#: Of each kind of file; make test-all sends 20,000 in all, other ones with another FUZZ_SEED.
+COUNTS = {"dem_npz": 300, "dem_tiff": 300, "study": 300, "record": 100}
+COUNTS |= {"cloud": 40, "poses": 40, "bag": 15}
 SEED, MANY = int(os.environ.get("FUZZ_SEED", "7110")), 20
 NUMBERS = [0.0, -0.0, 1.0, -1.0, 5e-324, 1e-320, 1e-160, 1e-9, 1e6, 1e9, 1e160, 1.7e308]
 NUMBERS += [float("nan"), float("inf"), float("-inf"), 2.0**31, 2.0**63]
