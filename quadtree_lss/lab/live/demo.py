@@ -38,7 +38,6 @@ from quadtree_lss.lab.live.processes import (
     strangers,
 )
 from quadtree_lss.onboard.config.loading import find_config
-from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS
@@ -157,36 +156,19 @@ def cell_differences(one: Path, other: Path) -> dict[str, float]:
 
 def site_difference(live: LiveResult, offline: Sequence[dict[str, str]]) -> float:
     """Largest relative difference between live sites and rows of ``sites.csv``."""
-    rows = _live_rows(live)
-    if len(rows) != len(offline):
+    if len(live.table) != len(offline):
         return float("inf")
-    names = ("x", "y", "z", "score", "roughness", "hazard_distance", "subscale_height", "slope_deg")
-    pairs = [
-        (float(one[name]), float(other[name]))
-        for one, other in zip(rows, offline, strict=True)
-        for name in names
-    ]
-    return max((abs(a - b) / max(1.0, abs(b)) for a, b in pairs), default=0.0)
+    names = ("score", "roughness", "hazard_distance", "subscale_height", "x", "y", "z", "slope_deg")
+    own = [live.table[name] for name in names[:4]]
+    one = np.array([*own, *live.position.T, np.degrees(live.table["slope"])], np.float64)
+    other = np.array([[float(row[name]) for row in offline] for name in names])
+    return float(np.max(np.abs(one - other) / np.maximum(1.0, np.abs(other)), initial=0.0))
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
     """Rows of a CSV file by column name."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
-
-
-def print_sites(rows: Sequence[dict[str, str]]) -> None:
-    """The ranked sites as a table."""
-    print("\n rank       x       y       z    safe   slope  roughness  hazard  subscale")
-    print("            m       m       m               deg          m       m         m")
-    for row in rows:
-        v = {name: float(value) for name, value in row.items()}
-        print(
-            f" {v['rank']:4.0f} {v['x']:7.2f} {v['y']:7.2f} {v['z']:7.2f}"
-            f" {shown(v['probability']):>7} {v['slope_deg']:7.2f} {v['roughness']:10.3f}"
-            f" {v['hazard_distance']:7.2f} {v['subscale_height']:9.2f}"
-        )
-    print()
 
 
 def _program(name: str, *args: str) -> None:
@@ -219,11 +201,12 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
         f" {time.monotonic() - started:.1f} s with start-up"
     )
     rows = read_csv(offline / "sites.csv")
-    if len(result.table):
-        print("4. Landing sites as lss_node ranks them", flush=True)
-    else:
-        print("4. lss_node finds no safe site", flush=True)
-    print_sites(_live_rows(result))
+    best = (
+        ", the best at x {:.2f}, y {:.2f} m".format(*result.position[0])
+        if len(result.position)
+        else ""
+    )
+    print(f"4. lss_node ranks {len(result.table)} landing sites{best}", flush=True)
     cells = cell_differences(offline / "cells.npz", live / "cells.npz")
     sites = site_difference(result, rows)
     name = max(cells, key=lambda key: cells[key])
@@ -256,18 +239,6 @@ def _fly(folder: Path, seed: int) -> Flown:
     flown = fly_live(seed, settings, folder / "nodes", domain=domain).flown
     write_flight(folder, flown)
     return flown
-
-
-def _live_rows(result: LiveResult) -> list[dict[str, str]]:
-    rows = []
-    for rank, (position, record) in enumerate(
-        zip(result.position, result.table, strict=True), start=1
-    ):
-        row = {name: str(record[name]) for name, _ in SITE_FIELDS}
-        row |= {axis: str(value) for axis, value in zip("xyz", position, strict=True)}
-        row |= {"rank": str(rank), "slope_deg": str(np.degrees(record["slope"]))}
-        rows.append(row)
-    return rows
 
 
 def main(args: Sequence[str] | None = None) -> int:
