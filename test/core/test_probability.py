@@ -23,6 +23,7 @@ from quadtree_lss.onboard.core.landing.probability import (
     aimed,
     heading_word,
     limits,
+    normal_weights,
     shown,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -330,3 +331,9 @@ def test_where_the_probability_is_the_same_the_score_decides():
     assert best.sum() > 100
     row, column = divmod(int(np.argmin(np.where(best, found.score, np.inf))), len(found.x))
     np.testing.assert_allclose(first, (found.x[column], found.y[row]))
+
+
+@pytest.mark.parametrize("sigma", [1e-160, 1e-200, 1e-320, 1e-3])
+def test_a_dispersion_of_next_to_nothing_is_none(sigma):
+    weights = normal_weights(sigma, 0.25)
+    assert weights.sum() == weights[len(weights) // 2] == 1.0

@@ -205,3 +205,20 @@ def spoil_values(values: np.ndarray, rng: np.random.Generator) -> None:
             )
         else:
             values[where] = np.array(one_of(rng, WHOLE)).astype(values.dtype)
+
+
+def damaged(content: bytes, rng: np.random.Generator) -> bytes:
+    """Bytes changed, cut out, cut off, or doubled."""
+    whole = np.frombuffer(content, dtype=np.uint8).copy()
+    place = int(rng.integers(len(whole)))
+    end = min(place + int(2 ** rng.uniform(0, 12)), len(whole))
+    kind = rng.integers(4)
+    if kind == 0:
+        whole[place:end] ^= rng.integers(1, 256, end - place, dtype=np.uint8)
+    elif kind == 1:
+        whole = np.delete(whole, slice(place, end))
+    elif kind == 2:
+        whole = whole[:place]
+    else:
+        whole = np.insert(whole, place, whole[place:end])
+    return whole.tobytes()

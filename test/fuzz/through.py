@@ -24,6 +24,7 @@ from fuzz import cases
 from fuzz.cases import extreme, one_of
 from messages import samples
 
+from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -307,6 +308,9 @@ class Settings:
             assert str(error).isprintable()
             return "refused"
         mapper, d = Mapper(config), config.domain
+        points = d.size / config.lss.grid_spacing
+        if max(points, pass_seconds(d.size, 1 << d.max_level, config.lss) * 1e3) > 1e3:
+            return "too slow for thousands"
         middle = np.array([d.xmin + 0.5 * d.size, d.ymin + 0.5 * d.size, HEIGHT])
         for k in range(2):
             pose = make_pose(tuple(middle), 1e-6 * np.eye(6), 10**9 + 10**8 * k)
@@ -351,6 +355,10 @@ class Checkpoints:
         self.selector = LandingSiteSelector(self.config)
         self.good = mapped_scene(self.config)
         self.state = self.good.export_state()
+        self.content, self.empty = (
+            to_bytes(self.state),
+            to_bytes(Mapper(self.config).export_state()),
+        )
         self.sent = 0
 
     def send(self) -> str:
@@ -367,9 +375,15 @@ class Checkpoints:
                 state[name] = values.reshape(state[name].shape)
         mapper = Mapper(self.config)
         try:
-            mapper.import_state(from_bytes(to_bytes(state)))
+            if self.sent % 4 == 0:
+                mapper.import_state(from_bytes(cases.damaged(self.content, self.rng)))
+                assert to_bytes(mapper.export_state()) == self.content, "of the same meaning"
+                touched = set()
+            else:
+                mapper.import_state(from_bytes(to_bytes(state)))
         except CheckpointError as error:
             assert str(error).isprintable()
+            assert to_bytes(mapper.export_state()) == self.empty
             return str(error).partition(":")[0]
         before = mapper.snapshot()
         assert_sound(before)
@@ -405,7 +419,7 @@ INPUTS: dict[str, Callable[[np.random.Generator, str], Any]] = {
 }
 STRETCH = 200
 """Cases after which everything begins anew."""
-LONGEST_S = 90.0
+LONGEST_S = 600.0
 """For a stretch; a compiled loop that does not end can only be killed."""
 MOST_BYTES = 3_000_000_000
 

@@ -195,29 +195,6 @@ def test_angles_in_degrees_are_noticed():
     assert reason_of(cloud(measured, names=("range", "azimuth", "elevation"))) == "units"
 
 
-@settings(max_examples=150, deadline=None)
-@given(
-    content=st.binary(max_size=200),
-    numbers=st.tuples(*[st.integers(0, 2**32 - 1) | st.integers(0, 40)] * 4),
-    offsets=st.tuples(*[st.integers(0, 2**32 - 1) | st.integers(0, 24)] * 3),
-    datatypes=st.tuples(*[st.integers(0, 9)] * 3),
-    big=st.booleans(),
-)
-def test_no_message_of_any_content_raises_anything_else(content, numbers, offsets, datatypes, big):
-    msg = cloud(np.ones((1, 3)))
-    msg.height, msg.width, msg.point_step, msg.row_step = numbers
-    msg.data, msg.is_bigendian = content, big
-    for field, offset, datatype in zip(msg.fields, offsets, datatypes, strict=True):
-        field.offset, field.datatype = offset, datatype
-    try:
-        points = points_from_cloud(msg)
-    except MessageError as error:
-        assert error.reason
-    else:
-        assert points.shape[-1] == 3
-        assert not np.isinf(points).any()
-
-
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(0, 10**9 - 1))
 def test_stamps_are_exact(seconds, nanoseconds):
     head = header()

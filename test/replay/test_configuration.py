@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadtree_lss.desk.commands.explained import check_files
 from quadtree_lss.onboard.config.loading import dump_config, find_config, load_config, read_values
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters
 
@@ -87,6 +88,27 @@ def test_files_may_contradict_until_all_are_read(write):
 def test_sections_of_either_node_apply(write, node):
     path = write(section("domain.size: 10.0", node=node))
     assert load_config([path]).domain.size == 10.0
+
+
+@pytest.mark.parametrize(
+    ("name", "reaches"),
+    [
+        *[
+            (name, True)
+            for name in ("/**", "/*/lss_node", "/**/lss_node", "uav1/lss_node", "/uav1/*")
+        ],
+        *[
+            (name, False)
+            for name in ("/*", "lss_node", "/uav1/mapping_node", "(", "/uav12/lss_node")
+        ],
+    ],
+)
+def test_a_file_reaches_a_node_as_ros_has_it(write, name, reaches):
+    """As the wheels' rclpy gave overrides to a node of this name."""
+    path = write(section("domain.size: 10.0", node=name))
+    errors = check_files([path], "/uav1/lss_node")[str(path)]
+    assert any("no section is for '/uav1/lss_node'" in line for line in errors) != reaches
+    assert reaches or f"it has '/{name.lstrip('/')}'" in errors[0]
 
 
 def test_namespaces_may_be_nested(write):

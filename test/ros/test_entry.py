@@ -61,6 +61,17 @@ def test_a_hangup_that_is_ignored_stays_ignored():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
+def test_no_signal_kills_python_on_its_way_out():
+    """Python gives signals back before it is gone, but not those that are ignored."""
+    program = (
+        "import signal, sys; sys.argv = ['lss_node', '--help']\n"
+        "from quadtree_lss.onboard.nodes import entry\n"
+        "assert entry.lss_node() == 0\n"
+        "assert all(signal.getsignal(n) is signal.SIG_IGN for n in entry.SIGNALS)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
+
+
 def test_maps_that_differ_have_different_stamps_one_after_the_other():
     stamps = MapStamps()
 

@@ -17,7 +17,7 @@ from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes import losses
 from quadtree_lss.onboard.nodes.diagnostics import Problems
-from quadtree_lss.onboard.nodes.losses import CALM_S, LEAST_S, SHARE, Overload, allowance
+from quadtree_lss.onboard.nodes.losses import CALM_S, LEAST_S, SHARE, Overload, ScanGaps, allowance
 from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
@@ -45,6 +45,15 @@ sys.exit(main())
 class Log:
     def warning(self, message):
         """Nobody reads it."""
+
+
+@pytest.mark.parametrize(("numbers", "lost"), [((1, 2, 5), 2), ((None, None, 7), 0)])
+def test_gaps_are_found_where_the_middleware_numbers_messages(numbers, lost):
+    problems = Problems(SimpleNamespace(warning=print))
+    gaps = ScanGaps("scans", problems)
+    for number in numbers:
+        gaps.on_scan(number)
+    assert problems.counts["scan_lost"] == lost
 
 
 def test_the_allowance_leaves_time_to_map_and_publish():

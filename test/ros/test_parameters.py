@@ -62,6 +62,15 @@ def test_overrides_reach_the_configuration_and_integers_serve_as_floats(context)
     assert node.get_parameter("use_sim_time").value is True
 
 
+@pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
+def test_a_file_for_other_nodes_alone_ends_a_node(ros, name):
+    ros.params.write_text(f"{name}:\n  ros__parameters:\n    lss.margin: 1.0\n")
+    node = ros.start(name, "-r", "__ns:=/uav1")
+    assert node.process.wait(60.0) == 78
+    (line,) = node.output().splitlines()
+    assert f"no section is for '/uav1/{name}'" in line and f"it has '/{name}'" in line
+
+
 def test_qos_overrides_of_topics_that_the_node_lacks_are_told(ros):
     """No error: both nodes may share a file."""
     wrong = "qos_overrides./nav/poses.subscription.depth:=4"

@@ -49,8 +49,9 @@ class ScanGaps:
         self._publishers.changed(number)
         self._last = 0
 
-    def on_scan(self, number: int) -> None:
-        """A scan arrived with this number."""
+    def on_scan(self, number: int | None) -> None:
+        """A scan arrived with this number; None of a middleware that gives none (Cyclone DDS)."""
+        number = number or 0
         last, self._last = self._last, number
         missing = number - last - 1
         if last > 0 and missing > 0 and self._publishers.number <= 1:

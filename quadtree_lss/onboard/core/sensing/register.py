@@ -16,9 +16,12 @@ from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolat
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.onboard.core.sensing.points import arrange, find_runs, turn
 from quadtree_lss.onboard.core.sensing.sweep import Sweep, still
+from quadtree_lss.onboard.core.tree.cell_map import MOST_HEIGHT
 
 #: Of larger scans no memory is kept.
 KEPT_POINTS = 1 << 20
+#: What a lidar higher or lower than this sees is beyond the heights of maps, m: rays end at 1e6.
+HIGHEST = MOST_HEIGHT - 2e6
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ def register(
     turned = work.points[: len(flat)]
     counts = np.zeros(3, np.int64)
     moved = still(pose.rotation_map_lidar) if sweep is None else sweep
-    x, y, _ = pose.position.tolist()
+    x, y, z = pose.position.tolist()
     n = 1 << domain.max_level
     nowhere = n * n
     turn(
@@ -101,6 +104,8 @@ def register(
     if isolated:
         work.codes[np.isnan(work.ranges)] = nowhere
         inside = int(np.count_nonzero(work.codes != nowhere))
+    if not abs(z) < HIGHEST:
+        work.codes[:], inside = nowhere, 0
     sound = len(flat) - missing - beyond - isolated
     run_count = find_runs(work.codes, work.runs, work.begins)
     runs, spare = work.runs[:run_count], work.spare[:run_count]
