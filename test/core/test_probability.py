@@ -8,12 +8,18 @@ from unittest import mock
 
 import numpy as np
 import pytest
-import yaml
 from core.builders import configured, mapped
 from numpy.typing import NDArray
 
-from quadtree_lss.onboard.config.risk import RiskModel, risk_model, risk_model_text
-from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, VehicleConfig
+from quadtree_lss.lab.evaluation.risk_fit import ASKED, risks
+from quadtree_lss.onboard.config.risk import (
+    LOCAL,
+    Cause,
+    Curve,
+    RiskModel,
+    risk_model,
+    risk_model_text,
+)
 from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.grid import TIE, probable_first
 from quadtree_lss.onboard.core.landing.probability import (
@@ -27,30 +33,42 @@ from quadtree_lss.onboard.core.landing.probability import (
     shown,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.score import look_around
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.touchdown import Limits, TouchdownCheck, WorstContact
+from quadtree_lss.onboard.core.landing.touchdown import Limits, TouchdownCheck
 
 Array = NDArray[np.float64]
 
 MODEL = RiskModel(
-    rise=(-0.1, 0.0, 0.2),
-    rise_odds=(-8.0, -1.0, 5.0),
-    slope=(-0.05, 0.0, 0.05),
-    slope_odds=(-7.0, 0.0, 4.0),
-    own=(-10.0, 0.0, 6.0),
-    about=(0.0, 2.0, 6.0),
-    rocks=(-4.0, 1.0),
-    odds=(
-        ((-10.0, -9.5, -8.0), (-1.0, -0.5, -0.2), (5.0, 6.0, 6.0)),
-        ((-10.0, -9.0, -4.0), (0.0, 0.5, 1.0), (6.0, 6.0, 6.0)),
-    ),
-    undulation=(0.02, 0.05, 0.06),
-    undulating=(
-        ((0.5, 0.2, 0.0), (-0.4, 0.3, 0.0), (0.0, 0.0, 0.3)),
-        ((-0.5, 0.2, 1.0), (0.8, 0.0, 0.6), (0.0, 0.5, 0.0)),
-    ),
-    noise=(0.05, 0.08),
-    noisy=((0.0, 0.5, 1.0), (0.4, 0.0, -0.6), (-0.5, 0.0, 0.5)),
+    seen=(0.0, 2.0),
+    causes={
+        "obstacle": Cause(
+            -7.0,
+            (
+                Curve("rise", (0.5, 1.0, 1.4), ((0.0, 2.0, 6.0), (0.0, 1.0, 8.0))),
+                Curve("rise_beside", (0.5, 1.5), ((0.0, 3.0), (0.0, 4.0))),
+                Curve("rocks", (0.0, 0.2, 0.7), ((0.0, 0.5, 1.0),)),
+                Curve("cell", (-0.1, 0.4), ((0.0, 1.5),)),
+            ),
+        ),
+        "slope": Cause(
+            -6.0,
+            (
+                Curve("tilt", (0.6, 1.3), ((0.0, 5.0),)),
+                Curve("tilt_beside", (0.6, 1.3), ((0.0, 4.0),)),
+                Curve("slopes", (0.1, 0.9), ((0.0, 1.0),)),
+            ),
+        ),
+        "hidden": Cause(
+            -3.0,
+            (
+                Curve("seen", (-1.0, 1.0, 2.5), ((0.0, -2.0, -5.0),)),
+                Curve("roughness", (0.0, 0.5), ((0.0, 2.0),)),
+                Curve("noise", (-1.0, -0.5), ((0.0, 1.0),)),
+                Curve("clearance", (-1.2, -0.8), ((0.0, -1.0),)),
+            ),
+        ),
+    },
 )
 
 
@@ -59,67 +77,190 @@ def block(x: Array, y: Array) -> Array:
     return 0.6 * ((np.abs(x - 16.0) < 0.7) & (np.abs(y - 16.0) < 0.7))
 
 
-def log_odds(p: float) -> float:
-    return float(np.log(p / (1.0 - p)))
-
-
-def by_hand(
-    rise: Array,
-    slope: Array,
-    judged: NDArray[np.bool_],
-    ground: Array,
-    lss: LssConfig,
-    noise: float,
-) -> Array:
-    """The equations of ``RiskModel``, point by point."""
-    out = np.ones(rise.shape)
-    own = np.full(rise.shape, MODEL.own[0])
-    steep = np.tan(np.radians(lss.max_slope_deg))
-    for place in zip(*np.nonzero(judged), strict=True):
-        a = np.interp(rise[place] - lss.max_roughness, MODEL.rise, MODEL.rise_odds)
-        b = np.interp(slope[place] - steep, MODEL.slope, MODEL.slope_odds)
-        p = 1.0 - 1.0 / ((1.0 + np.exp(a)) * (1.0 + np.exp(b)))
-        own[place] = np.clip(log_odds(p), MODEL.own[0], MODEL.own[-1])
-    padded = np.pad(own, 1, constant_values=-np.inf)
-    level = rise[judged & (slope <= steep)]
-    much, some = ((level > lss.max_roughness - less).mean() for less in (0.0, 0.12))
-    rocks = np.log(much * (much / some) ** 3 + 3e-5)
-    share = np.clip((rocks - MODEL.rocks[0]) / (MODEL.rocks[1] - MODEL.rocks[0]), 0.0, 1.0)
-    few, many = np.array(MODEL.odds)
-    more = min(max((noise - 0.05) / 0.03, 0.0), 1.0)
-    table = (1.0 - share) * few + share * many + more * np.array(MODEL.noisy)
-    steepness = ground[judged & (slope <= steep)].mean()
-    between = [np.zeros((3, 3)), *np.array(MODEL.undulating)]
-    knot = max(int(np.searchsorted(MODEL.undulation, steepness)), 1)
-    low, high = (MODEL.undulation + (np.inf,))[knot - 1 : knot + 1]
-    part = max(steepness - low, 0.0) / (high - low)
-    table += (1.0 - part) * between[knot - 1] + (part * between[knot] if part else 0.0)
-    for i, j in zip(*np.nonzero(judged), strict=True):
-        four = padded[i, j + 1], padded[i + 2, j + 1], padded[i + 1, j], padded[i + 1, j + 2]
-        d = max(max(four) - own[i, j], 0.0)
-        rows = [np.interp(d, MODEL.about, row) for row in table]
-        out[i, j] = 1.0 / (1.0 + np.exp(-np.interp(own[i, j], MODEL.own, rows)))
+def square_means(values: Array, low: int, high: int, size: int) -> Array:
+    """Of those of the lattice within squares [i - low, i + high) about each place."""
+    out = np.empty((size, size))
+    for i, j in np.ndindex(out.shape):
+        out[i, j] = values[max(i - low, 0) : i + high, max(j - low, 0) : j + high].mean()
     return out
 
 
-@pytest.mark.parametrize(
-    ("most", "noise", "steepest"),
-    [(0.302, 0.03, 0.03), (0.45, 0.06, 0.08), (0.6, 0.2, 0.108), (0.45, 0.06, 0.3)],
-)
-def test_the_fit_is_looked_up_as_its_equations_say(most, noise, steepest):
-    """On ground that is rocky or undulates, and less so, by lidars that are noisy and less so."""
-    lss = LssConfig()
-    rng = np.random.default_rng(3)
-    shape = (40, 40)
-    rise = rng.uniform(0.1, most, shape).astype(np.float32)
-    slope = rng.uniform(0.05, 0.3, shape).astype(np.float32)
-    judged = rng.random(shape) < 0.8
-    ground = np.where(judged, rng.uniform(0.0, steepest, shape), np.nan)
-    found = RiskTable(MODEL, lss, noise).risk(WorstContact(rise, slope), judged, ground)
-    expected = by_hand(rise.astype(float), slope.astype(float), judged, ground, lss, noise)
-    odds, wanted = (np.log(p[judged] / (1.0 - p[judged])) for p in (found, expected))
-    np.testing.assert_allclose(odds, wanted, atol=0.1)
+@pytest.fixture(scope="module")
+def rough_ground():
+    """A map of rocks on an incline of which a part was seen a little and a part not at all."""
+    config = configured(domain={"size": 32.0, "max_level": 6}, lss={"risk_model": ""})
+    rng = np.random.default_rng(7)
+    places = rng.uniform(0.0, 32.0, (40, 2))
+
+    def rocks(x: Array, y: Array) -> Array:
+        z = 0.1 * x
+        for east, north in places:
+            z = z + 0.4 * (np.hypot(x - east, y - north) < 0.4)
+        return z
+
+    cells = mapped(config, rocks, density=40.0).snapshot()
+    observed = cells.observed & (rng.random(cells.observed.shape) < 0.97)
+    observed[:, :12] = False
+    return config, replace(cells, observed=observed, known=cells.known & observed)
+
+
+def landed(config, cells):
+    lss = config.lss
+    raster = rasterise(cells, lss)
+    around = look_around(raster, lss)
+    worst = TouchdownCheck(lss, limits(MODEL, lss)).worst(raster, around.met)
+    return raster, around.judged, around.planes.slope, worst
+
+
+def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
+    config, cells = rough_ground
+    raster, judged, slope, worst = given = landed(config, cells)
+    table = RiskTable(MODEL, config.lss, 0.06)
+    found = dict(zip(LOCAL, table.features(*given), strict=True))
+    side, c, steep = raster.domain.finest_size, 0.3, np.tan(np.radians(10.0))
+    size, seen = len(judged), ~raster.bridged
+    for name, contact, limit, least in (
+        ("rise", worst.rise, c, 0.5),
+        ("tilt", worst.slope, steep, 0.6),
+    ):
+        own = np.fmax(contact / limit, least)
+        np.testing.assert_allclose(found[name], own, rtol=1e-5)
+        padded = np.pad(own, 1, constant_values=-np.inf)
+        four = padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
+        np.testing.assert_allclose(
+            found[f"{name}_beside"], np.maximum.reduce([own, *four]), rtol=1e-5
+        )
+    count = np.bincount(raster.leaf[seen], minlength=len(cells.level))
+    density = (cells.count / np.maximum(count, 1))[raster.leaf] / side**2
+    known = np.log10(np.where(seen, density * c * c, 0.0) + 1e-3)
+    under, about = round(0.45 * 3.7 / side), round(2.0 * 3.7 / side)
+    expected = square_means(known, under, under, size)
+    expected -= 3.0 * np.log10(side / c / 0.85)  # noise is 0.2 clearances
+    np.testing.assert_allclose(found["seen"], expected, atol=1e-4)
+    rough = np.nan_to_num(cells.roughness / cells.size**2)[raster.leaf] / c * seen
+    np.testing.assert_allclose(
+        found["roughness"], np.sqrt(square_means(rough, under, under, size)), atol=1e-4
+    )
+    places = square_means(judged, about, about + 1, size)
+    rocks = judged & (found["rise"] > 1.0) & (found["tilt"] <= 1.0)
+    assert 0.02 < rocks.mean() < 0.9
+    for name, values in (("rocks", rocks), ("slopes", judged * np.tan(slope) / steep)):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            means = square_means(values, about, about + 1, size) / places
+        means = np.sqrt(means) if name == "rocks" else means
+        np.testing.assert_allclose(found[name][judged], means[judged], atol=1e-4)
+
+
+@pytest.mark.parametrize("noise", [0.06, 0.03])
+def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
+    config, cells = rough_ground
+    raster, judged, slope, worst = given = landed(config, cells)
+    table = RiskTable(MODEL, config.lss, noise)
+    found, cause = table.risk(*given)
+    of = dict(zip(LOCAL, table.features(*given)[:, judged].astype(float), strict=True))
+    of |= {"noise": np.log10(noise / 0.3), "cell": np.log10(raster.domain.finest_size / 0.3)}
+    of["clearance"] = np.log10(0.3 / 3.7)
+    odds = []
+    for one in MODEL.causes.values():
+        z = np.full(int(judged.sum()), one.constant)
+        for curve in one.curves:
+            rows = [np.interp(of[curve.of], curve.knots, row) for row in curve.odds]
+            share = np.interp(of["seen"], MODEL.seen, (0.0, 1.0)) if len(rows) > 1 else 0.0
+            z += (1.0 - share) * rows[0] + share * rows[-1]
+        odds.append(z)
+    expected = 1.0 - np.prod([1.0 / (1.0 + np.exp(z)) for z in odds], axis=0)
+    logit = [np.log(p / (1.0 - p)) for p in (found[judged], expected)]
+    np.testing.assert_allclose(*logit, atol=0.2)
+    assert np.abs(logit[0] - logit[1]).mean() < 0.05
     assert (found[~judged] == 1.0).all()
+    first, second = np.sort(odds, axis=0)[[-1, -2]]
+    clear = first > second + 0.4
+    assert (cause[judged][clear] == np.argmax(odds, axis=0)[clear]).all()
+
+
+def test_more_that_speaks_against_a_place_never_lowers_its_risk():
+    """Of the shipped model: returns alone lower it."""
+    rng, model = np.random.default_rng(8), risk_model("")
+    low, high = np.transpose([model.span(name) for name in ASKED])
+    places = rng.uniform(low, high, (4000, len(ASKED)))
+    risk = risks(model, places)
+    for k, name in enumerate(LOCAL):
+        if name == "seen":
+            continue
+        more = places.copy()
+        more[:, k] += rng.uniform(0.0, 1.0, len(more)) * (high[k] - low[k])
+        assert (risks(model, more) >= risk - 1e-12).all(), name
+        assert (risks(model, more) > risk + 1e-6).any(), name
+    hidden = replace(
+        model,
+        causes={
+            name: cause if name == "hidden" else Cause(-40.0, ())
+            for name, cause in model.causes.items()
+        },
+    )
+    more = places.copy()
+    more[:, LOCAL.index("seen")] += 0.5
+    assert (risks(hidden, more) <= risks(hidden, places) + 1e-12).all()
+
+
+@pytest.mark.parametrize("scale", [0.1, 0.3, 3.0])
+def test_world_vehicle_noise_and_cells_of_another_size_have_the_same_risk(rough_ground, scale):
+    config, cells = rough_ground
+    expected, _ = RiskTable(MODEL, config.lss, 0.06).risk(*landed(config, cells))
+    domain, vehicle = cells.domain, config.vehicle
+    lengths = {
+        name: scale * getattr(vehicle, name) for name in ("diameter", "clearance", "pad_radius")
+    }
+    of = {name: scale * getattr(cells, name) for name in ("z", "low", "high")}
+    feature = cells.feature * np.array([1.0, scale**1.5, scale, scale, scale])
+    small = replace(
+        cells,
+        domain=replace(domain, **{n: scale * getattr(domain, n) for n in ("xmin", "ymin", "size")}),
+        roughness=scale**3 * cells.roughness,
+        feature=feature,
+        **of,
+    )
+    other = replace(config, vehicle=replace(vehicle, **lengths))
+    found, _ = RiskTable(MODEL, other.lss, 0.06 * scale).risk(*landed(other, small))
+    np.testing.assert_allclose(found, expected, atol=0.02)
+    assert np.abs(found - expected).mean() < 1e-3
+
+
+def test_ground_that_no_return_is_from_raises_the_risk(rough_ground):
+    """Level ground of which ever more cells are bridged."""
+    config, cells = rough_ground
+    leaves, none = np.ones(len(cells.level)), np.full(len(cells.level), np.nan)
+    flat = replace(cells, z=leaves, normal=np.outer(leaves, [0.0, 0.0, 1.0]), low=none, high=none)
+    flat = replace(flat, roughness=0.0 * leaves, feature=np.full_like(cells.feature, np.nan))
+    table, drawn = RiskTable(risk_model(""), config.lss, 0.06), np.random.default_rng(9)
+    order, inner = drawn.random(cells.known.shape), np.s_[24:-12, 40:-12]
+    before = np.bincount(cells.leaf_raster()[cells.known], minlength=len(leaves))
+    told = []
+    for share in (0.0, 0.1, 0.3):
+        known = flat.known & (order >= share)
+        left = np.bincount(cells.leaf_raster()[known], minlength=len(leaves))
+        count = (cells.count * left / np.maximum(before, 1)).astype(np.uint32)
+        thin = replace(flat, known=known, observed=known, count=count)
+        raster, judged, slope, worst = landed(config, thin)
+        told.append(table.risk(raster, judged, slope, worst)[0][inner])
+    for fewer, more in zip(told, told[1:], strict=False):
+        assert (more >= fewer - 1e-6).mean() > 0.98
+        assert (more > fewer).mean() > 0.5
+
+
+def test_what_lies_beyond_the_window_does_not_matter(rough_ground):
+    """Rocks in the eastern half: two and a half diameters to the west all is as it was."""
+    config, cells = rough_ground
+    bare = replace(cells, known=cells.observed.copy())
+    table = RiskTable(MODEL, config.lss, 0.06)
+    east = cells.x > 22.0
+    raised = replace(bare, z=np.where(east & (cells.size < 0.6), bare.z + 0.5, bare.z))
+    one, other = (table.risk(*landed(config, of))[0] for of in (bare, raised))
+    x = np.arange(one.shape[1]) * cells.domain.finest_size
+    assert (one != other)[:, x > 22.0].any()
+    far = x < 22.0 - (2.0 + 0.5) * 3.7 - 2.0 * cells.domain.finest_size
+    np.testing.assert_array_equal(one[:, far], other[:, far])
+    assert (one[:, far] < 1.0).any()
 
 
 def test_aims_are_means_over_the_touchdowns_drawn_from_the_dispersion():
@@ -157,14 +298,14 @@ def test_the_worst_contact_does_not_depend_on_the_limits():
 
 
 def probable(**lss: object) -> LandingSiteSelector:
-    given = {"assessment": "probability", "ranking": "probability", **lss}
-    return LandingSiteSelector(configured(domain={"size": 32.0}, lss=given))
+    given = {"assessment": "probability", "ranking": "probability", "grid_spacing": 0.25, **lss}
+    return LandingSiteSelector(configured(domain={"size": 32.0, "max_level": 7}, lss=given))
 
 
 @pytest.fixture(scope="module")
 def beside_a_rock():
-    config = configured(domain={"size": 32.0})
-    return mapped(config, block, density=60.0).snapshot()
+    config = configured(domain={"size": 32.0, "max_level": 7})
+    return mapped(config, block, density=600.0).snapshot()
 
 
 def test_a_rock_is_bad_ground_and_what_is_far_from_it_is_safe(beside_a_rock):
@@ -188,14 +329,14 @@ def test_sites_are_ranked_by_the_probability_of_the_aim(beside_a_rock):
     found = probable(dispersion=1.0).assess(beside_a_rock)
     ranked = found.sites.probability
     assert len(ranked) == 5
-    assert (np.diff(ranked) <= 0.0).all()
-    assert ranked[0] == found.probability[found.safe].max()
+    assert (np.diff(ranked) <= 1e-5).all()  # less does not matter: there the score decides
+    assert ranked[0] == pytest.approx(found.probability[found.safe].max(), abs=1e-5)
     assert (np.hypot(*(found.sites.position[:1, :2] - 16.0).T) > 5.0).all()
 
 
 def test_beyond_the_edge_and_unseen_nothing_is_safe(beside_a_rock):
     observed = beside_a_rock.observed.copy()
-    observed[:, :16] = False
+    observed[:, :32] = False
     found = probable(dispersion=0.5).assess(replace(beside_a_rock, observed=observed))
     assert (found.risk[:, found.x < 8.0] == 1.0).all()
     assert (found.probability[:, found.x < 6.0] < 1e-3).all()
@@ -207,7 +348,7 @@ def test_guidance_goes_before_the_configuration(beside_a_rock):
     own = selector.assess(beside_a_rock).probability
     theirs = selector.assess(beside_a_rock, dispersion=[0.2, 0.1]).probability
     np.testing.assert_array_equal(
-        theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.5, Dispersion(0.2, 0.1))
+        theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.25, Dispersion(0.2, 0.1))
     )
     assert theirs.max() > own.max()
 
@@ -273,59 +414,22 @@ def test_what_is_more_probable_comes_first_whatever_its_score():
 
 
 def test_limits_cover_the_model_and_the_touchdown_limits():
-    found = limits(MODEL, LssConfig(vehicle=VehicleConfig(clearance=0.9, max_slope_deg=30.0)))
-    assert found.rise == (pytest.approx(0.75), pytest.approx(1.1))
-    assert found.slope[0] == pytest.approx(np.tan(np.radians(27.0)))
+    config = configured(lss={"assessment": "probability"})
+    found = limits(MODEL, config.lss)
+    assert found.rise == (pytest.approx(0.15), pytest.approx(0.42))
+    steep = np.tan(np.radians(10.0))
+    assert found.slope == (pytest.approx(0.6 * steep), pytest.approx(1.3 * steep))
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (("rise: [-0.1, 0, 0.2]\n", ""), "'rise' is missing"),
-        (("rocks: [-4, 1]", "rocks: [-4]"), "rocks has 1 knots and odds 2 tables"),
-        (("own: [", "own: ["), None),
-    ],
-)
-def test_a_file_that_is_no_model_is_refused(tmp_path, change, said):
-    path = tmp_path / "model.yaml"
-    text = risk_model_text(MODEL)
-    assert change[0] in text
-    path.write_text(text.replace(*change))
-    if said is None:
-        assert risk_model(str(path)).own == MODEL.own
-        return
-    with pytest.raises(ConfigError, match=said):
-        risk_model(str(path))
-
-
-def test_files_of_former_versions_are_read(tmp_path):
-    """The first had one table for all ground; then there were several, with nothing added."""
-    path, values = tmp_path / "model.yaml", yaml.safe_load(risk_model_text(MODEL))
-    for newer in ("undulation", "undulating", "noise", "noisy"):
-        del values[newer]
-    nothing, at = ((0.0,) * 3,) * 3, (0.0, 1.0)
-    plain = replace(MODEL, undulation=at, undulating=(nothing,), noise=at, noisy=nothing)
-    path.write_text(yaml.safe_dump(values))
-    assert risk_model(str(path)) == plain
-    path = tmp_path / "first.yaml"
-    del values["rocks"]
-    path.write_text(yaml.safe_dump(values | {"odds": values["odds"][0]}))
-    assert risk_model(str(path)) == replace(plain, rocks=(0.0,), odds=MODEL.odds[:1])
-
-
-def test_the_shipped_model_grows_with_what_is_over_the_limits():
-    model = risk_model("")
-    for values in (model.rise_odds, model.slope_odds):
-        assert (np.diff(values) >= 0.0).all()
-    assert model.provenance
-
-
-def test_where_the_probability_is_the_same_the_score_decides():
-    """In the middle of bare ground no place is more probable: the first is far from the rock."""
-    config = configured(domain={"size": 32.0})
-    cells = mapped(config, block, density=60.0).snapshot()
+def test_where_the_probability_is_the_same_the_score_decides(beside_a_rock, tmp_path):
+    """If contacts alone matter no place of bare ground is better: the first is far from the rock."""
+    steep = Cause(-9.0, (Curve("tilt", (0.5, 1.5), ((0.0, 12.0),)),))
+    rock = Cause(-9.0, (Curve("rise", (0.5, 1.5), ((0.0, 12.0),)),))
+    causes = dict(zip(MODEL.causes, (rock, steep, Cause(-9.0, ())), strict=True))
+    (tmp_path / "model.yaml").write_text(risk_model_text(replace(MODEL, causes=causes)))
     with mock.patch.object(score, "DISTANCE_CAP", 12.0):
-        found = probable(dispersion=0.1).assess(cells)
+        selector = probable(dispersion=0.1, risk_model=str(tmp_path / "model.yaml"))
+        found = selector.assess(beside_a_rock)
     first = found.sites.position[0, :2]
     best = found.probability == found.probability[found.safe].max()
     assert best.sum() > 100

@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.result import peak_memory_mb
 from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity, Value
 from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
 from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
-from quadtree_lss.lab.evaluation.risk_flights import in_memory, lander_of
+from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation import SCENARIOS, simulate
+from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, TYPES
 from quadtree_lss.lab.simulation.scenarios import Conditions
 from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.config.loading import load_config
@@ -43,6 +45,13 @@ def fly(case: Case) -> Flown:
         "peak_memory_mb": peak_memory_mb(),
     }
     return Flown(figures(scores, results, truth), timing)
+
+
+def in_memory(simulation: Simulation) -> MessageBag:
+    """A simulated flight as a bag that is no file, for once."""
+    counts = {SCAN_TOPIC: simulation.scans, POSE_TOPIC: simulation.poses}
+    topics = [Topic(name, kind, counts[name]) for name, kind in TYPES.items()]
+    return MessageBag("bag", topics, simulation.span_ns, simulation.messages())
 
 
 def fly_in_memory(

@@ -330,11 +330,12 @@ class Reliability:
         return "\n".join(lines)
 
 
-def scores(risk: Array, failed: Mask) -> tuple[float, float]:
-    """Brier score and mean log score of risks (K,)."""
+def scores(risk: Array, failed: Mask, weight: Array | None = None) -> tuple[float, float]:
+    """Brier score and mean log score of risks (K,), each of which counts as ``weight`` says."""
     sure = np.clip(risk, LEAST, 1.0 - LEAST)
-    log = -np.where(failed, np.log(sure), np.log1p(-sure)).mean()
-    return float(np.square(risk - failed).mean()), float(log)
+    log = -np.where(failed, np.log(sure), np.log1p(-sure))
+    brier = np.square(risk - failed)
+    return float(np.average(brier, weights=weight)), float(np.average(log, weights=weight))
 
 
 def reliability(risk: Array, failed: Mask) -> Reliability | None:

@@ -1,182 +1,217 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fits a ``RiskModel`` to counts of landings: how many were tried, how many failed."""
+"""Fits a ``RiskModel`` to landings: what a map told of each place, and whether the lander failed.
+
+The log odds of each cause are a constant and steps from knot to knot of its curves. Those of what
+is asked of a place keep their sign: more that rises never lowers the risk, more returns never raise
+it. The likeliest steps are found by Fisher scoring: with p the risk and s the sum over causes of
+log(1 + exp z), the information of a landing about s is (1 - p) / p.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.optimize import minimize
-from scipy.sparse import csr_array, kron
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
-from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.risk import RiskModel, Row
+from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, OVERALL, Cause, Curve, RiskModel, Row
 from quadtree_lss.onboard.core.landing.probability import interpolation_weights
 
-#: Knots of r, m; of s, rise over run; of l, d and g; of h, rad (see ``RiskModel``).
-RISE = (-0.15, -0.12, -0.09, -0.06, -0.04, -0.02, 0.0) + (
-    *(0.02, 0.04, 0.06, 0.09, 0.12, 0.16, 0.22, 0.35),
-)
-SLOPE = (-0.08, -0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06, 0.08, 0.1)
-OWN = (-10.0, -8.0, -6.5, -5.0, -4.0, -3.0, -2.0, -1.0, 0.0, 2.0, 4.0, 6.0)
-ABOUT = (0.0, 0.5, 1.0, 2.0, 3.5, 6.0)
-ROCKS = (-10.4, -7.1, -4.9, -2.8)
-UNDULATION = (0.026, 0.06, 0.08)
-#: Centres of the bins that landings are counted in.
-RISE_BINS = np.linspace(RISE[0], RISE[-1], 201)
-SLOPE_BINS = np.linspace(SLOPE[0], SLOPE[-1], 73)
-OWN_BINS = np.linspace(OWN[0], OWN[-1], 65)
-ABOUT_BINS = np.linspace(ABOUT[0], ABOUT[-1], 25)
+#: What the columns of what is asked are.
+ASKED = LOCAL + OVERALL
+#: Knots of how well ground is seen, where contacts tell of it each in their own way.
+SEEN = (0.0, 1.2, 2.2)
+#: Weight of the squares of all steps, against the mean log score.
+RIDGE = 3e-7
+#: A fit ends when so many rounds in a row gain less than this share of the score.
+STILL, LITTLE, ROUNDS = 3, 3e-6, 60
 
-#: Weights against the mean log score: of second differences of curves and of tables, of what does
-#: not ascend, of differences between one kind of ground and the next, and of what is added to it.
-SMOOTH, SMOOTH_TABLES, ASCENDING, ALIKE, SMALL = 2e-6, 5e-8, 1e-3, 1e-9, 1e-8
-#: Least and greatest of what a curve may begin with.
-LEAST, MOST = -16.0, -2.0
+
+class Term(NamedTuple):
+    """A curve to be fitted: what it goes by, the sign of its steps (0 for any), whether it has a
+    row for each knot of `SEEN`, and where steps begin: the log odds at its end over its start."""
+
+    of: str
+    knots: Row
+    sign: int = 1
+    by_seen: bool = False
+    begin: float = 0.1
+
+
+_CONTACT = (0.4, 0.6, 0.8, 0.9, 1.0, 1.15, 1.5)
+_ROCKS, _SLOPES = (0.0, 0.05, 0.15, 0.3, 0.6), (0.05, 0.15, 0.35, 0.6, 0.9)
+_CELL, _NOISE = (-0.2, 0.0, 0.15, 0.35), (-1.2, -0.8, -0.35)
+TERMS: dict[str, tuple[Term, ...]] = {
+    "obstacle": (
+        Term("rise", _CONTACT, by_seen=True, begin=5.5),
+        Term("rise_beside", _CONTACT, by_seen=True, begin=5.5),
+        Term("rocks", _ROCKS),
+        Term("noise", _NOISE, 0),
+        Term("cell", _CELL, 0),
+    ),
+    "slope": (
+        Term("tilt", _CONTACT[:-1], by_seen=True, begin=5.5),
+        Term("tilt_beside", _CONTACT[:-1], by_seen=True, begin=5.5),
+        Term("slopes", _SLOPES),
+        Term("noise", _NOISE, 0),
+    ),
+    "hidden": (
+        Term("seen", (-1.5, -0.5, 0.2, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6), -1, begin=-5.5),
+        Term("rocks", _ROCKS),
+        Term("slopes", _SLOPES),
+        Term("roughness", (0.0, 0.07, 0.15, 0.3, 0.5)),
+        Term("noise", _NOISE, 0),
+        Term("cell", _CELL, 0),
+        Term("clearance", (-1.25, -1.1, -0.95, -0.78), 0),
+    ),
+}
+
+
+def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
+    """The likeliest model.
+
+    Args:
+        places: (K, len(ASKED)) what was asked of each place.
+        failed: (K,) whether the lander failed there.
+        weight: (K,) of each landing.
+    """
+    columns = [_columns(places, terms) for terms in TERMS.values()]
+    ends = np.cumsum([0] + [part.shape[1] for part in columns])
+    steps = np.concatenate([_steps(unfitted().causes[name]) for name in CAUSES])
+    sign = np.concatenate([_signs(terms) for terms in TERMS.values()])
+    bounds = np.where(sign > 0, 0.0, -np.inf), np.where(sign < 0, 0.0, np.inf)
+    ridge = np.full(len(steps), RIDGE)
+    ridge[ends[:-1]] = 0.0  # of the constants
+    weight, fails = weight / weight.sum(), np.asarray(failed, np.float64)
+
+    def told(of: Array) -> tuple[float, list[Array], Array]:
+        """Mean log score with the ridge, log odds of each cause, and risks."""
+        odds = [
+            (part @ of[i:j].astype(np.float32)).astype(np.float64)
+            for part, i, j in zip(columns, ends, ends[1:], strict=False)
+        ]
+        safe = np.minimum(-sum(np.logaddexp(0.0, z) for z in odds), -1e-9)
+        risk = -np.expm1(safe)
+        value = -np.sum(weight * (fails * np.log(risk) + (1.0 - fails) * safe))
+        return float(value + np.sum(ridge * of * of)), odds, risk
+
+    (value, odds, risk), damping, still = told(steps), 1.0, 0
+    for _ in range(ROUNDS):
+        share = [1.0 / (1.0 + np.exp(-z)) for z in odds]
+        push = weight * (1.0 - fails - fails * (1.0 - risk) / risk)
+        slope = np.concatenate(
+            [part.T @ (push * z).astype(np.float32) for part, z in zip(columns, share, strict=True)]
+        ).astype(np.float64)
+        slope += 2.0 * ridge * steps
+        root = np.sqrt(weight * (1.0 - risk) / risk)
+        scaled = np.concatenate(
+            [
+                part * (root * z)[:, None].astype(np.float32)
+                for part, z in zip(columns, share, strict=True)
+            ],
+            axis=1,
+        )
+        information = (scaled.T @ scaled).astype(np.float64) + 2.0 * np.diag(ridge)
+        while damping < 1e12:
+            step = _least(information, slope, damping, (bounds[0] - steps, bounds[1] - steps))
+            after = told(steps + step)
+            if after[0] < value:
+                break
+            damping *= 6.0
+        else:
+            break
+        still = still + 1 if value - after[0] < LITTLE * value else 0
+        steps, damping = steps + step, max(damping / 6.0, 1e-5)
+        value, odds, risk = after
+        if still == STILL:
+            break
+    return _model([steps[i:j] for i, j in zip(ends, ends[1:], strict=False)])
+
+
+def risks(model: RiskModel, places: Array) -> Array:
+    """(K,) P(unsafe) at places (K, len(ASKED))."""
+    places = np.asarray(places, np.float64)
+    seen = interpolation_weights(places[:, ASKED.index("seen")], model.seen)
+    safe = np.zeros(len(places))
+    for cause in model.causes.values():
+        odds = np.full(len(places), cause.constant)
+        for curve in cause.curves:
+            along = interpolation_weights(places[:, ASKED.index(curve.of)], curve.knots)
+            rows = along @ np.array(curve.odds).T
+            odds += rows[:, 0] if len(curve.odds) == 1 else np.sum(rows * seen, axis=1)
+        safe -= np.logaddexp(0.0, odds)
+    return np.asarray(-np.expm1(safe))
+
+
+def _least(information: Array, slope: Array, damping: float, bounds: tuple[Array, Array]) -> Array:
+    """The step within bounds that a quadratic is least at."""
+    matrix = information + np.diag(damping * np.diag(information) + 1e-10)
+    unit = 1.0 / np.sqrt(np.diag(matrix))
+    size = len(slope)
+    root = np.linalg.cholesky(matrix * unit[:, None] * unit + 1e-10 * np.eye(size))
+    wanted = solve_triangular(root, -slope * unit, lower=True)
+    within = bounds[0] / unit - 1e-12, bounds[1] / unit + 1e-12
+    found = lsq_linear(root.T, wanted, bounds=within, method="bvls", max_iter=300).x * unit
+    return np.asarray(np.clip(found, *bounds))
+
+
+def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
+    """(K, 1 + steps) what each step of a cause weighs at each place."""
+    seen = interpolation_weights(places[:, ASKED.index("seen")], SEEN)
+    parts = [np.ones((len(places), 1))]
+    for term in terms:
+        knots, at = np.array(term.knots), places[:, ASKED.index(term.of), None]
+        steps = np.clip((at - knots[:-1]) / np.diff(knots), 0.0, 1.0)
+        if term.by_seen:
+            steps = (seen[:, :, None] * steps[:, None]).reshape(len(places), -1)
+        parts.append(steps)
+    return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+def _signs(terms: tuple[Term, ...]) -> Array:
+    """(1 + steps,) that steps keep."""
+    return np.concatenate([[0.0], *(np.full(_rows(t) * (len(t.knots) - 1), t.sign) for t in terms)])
+
+
+def _rows(term: Term) -> int:
+    return len(SEEN) if term.by_seen else 1
 
 
 def unfitted() -> RiskModel:
-    """Knots without a fit: curves that fail nowhere, and a second step that changes nothing."""
-    table = tuple((own,) * len(ABOUT) for own in OWN)
-    none = ((0.0,) * len(ABOUT),) * len(OWN)
-    return RiskModel(
-        rise=RISE,
-        rise_odds=(LEAST,) * len(RISE),
-        slope=SLOPE,
-        slope_odds=(LEAST,) * len(SLOPE),
-        own=OWN,
-        about=ABOUT,
-        rocks=ROCKS,
-        odds=(table,) * len(ROCKS),
-        undulation=UNDULATION,
-        undulating=(none,) * (len(UNDULATION) - 1),
-        noise=(0.0, 1.0),
-        noisy=none,
+    """What a fit begins with."""
+    begin = {"obstacle": -9.0, "slope": -9.0, "hidden": -2.5}
+    causes = {}
+    for name, terms in TERMS.items():
+        curves = []
+        for term in terms:
+            row = tuple(np.linspace(0.0, term.begin * bool(term.sign), len(term.knots)).tolist())
+            curves.append(Curve(term.of, term.knots, (row,) * _rows(term)))
+        causes[name] = Cause(begin[name], tuple(curves))
+    return RiskModel(SEEN, causes)
+
+
+def _steps(cause: Cause) -> Array:
+    """Constant and steps of a cause."""
+    return np.concatenate(
+        [[cause.constant], *(np.diff(curve.odds, axis=1).ravel() for curve in cause.curves)]
     )
 
 
-def counted(
-    first: ArrayLike, second: ArrayLike, failed: ArrayLike, bins: tuple[Array, Array]
-) -> Array:
-    """Landings tried and failed (2, len(bins[0]), len(bins[1])), in the nearest bins.
-
-    Args:
-        first, second: (K,) what they are counted by.
-        failed: (K,) whether they did.
-        bins: Centres, evenly spaced; what lies beyond the last counts for it.
-    """
-    place = []
-    for values, centres in zip((first, second), bins, strict=True):
-        step = (centres[-1] - centres[0]) / (len(centres) - 1)
-        nearest = np.rint((np.asarray(values, float) - centres[0]) / step)
-        place.append(np.clip(nearest, 0, len(centres) - 1).astype(np.intp))
-    at = place[0] * len(bins[1]) + place[1]
-    of = np.asarray(failed, float)
-    tried = np.bincount(at, minlength=len(bins[0]) * len(bins[1]))
-    return np.stack([tried, np.bincount(at, of, len(tried))]).reshape(2, len(bins[0]), -1)
-
-
-def fit_curves(counts: Array) -> tuple[Row, Row]:
-    """First step: a at the knots of r and b at those of s, which ascend.
-
-    Args:
-        counts: (2, R, S) weights of the landings tried and failed, over the bins of r and s.
-    """
-    tried, failed = counts / counts[0].sum()
-    by_rise = interpolation_weights(RISE_BINS, RISE)
-    by_slope = interpolation_weights(SLOPE_BINS, SLOPE)
-    # What is sought are steps from knot to knot, none of them down.
-    up_r, up_s = by_rise @ _sums(len(RISE)), by_slope @ _sums(len(SLOPE))
-    bend_r = np.diff(_sums(len(RISE)), 2, axis=0)
-    bend_s = np.diff(_sums(len(SLOPE)), 2, axis=0)
-
-    def cost(steps: Array) -> tuple[float, Array]:
-        one, other = steps[: len(RISE)], steps[len(RISE) :]
-        odds_r, odds_s = up_r @ one, up_s @ other
-        safe = -np.logaddexp(0.0, odds_r)[:, None] - np.logaddexp(0.0, odds_s)
-        safe = np.minimum(safe, -1e-12)
-        risk = -np.expm1(safe)
-        slope = tried - failed - failed * (1.0 - risk) / risk  # of the cost, by -log P(safe)
-        value = -np.sum(failed * np.log(risk) + (tried - failed) * safe)
-        by_r = up_r.T @ (slope.sum(1) / (1.0 + np.exp(-odds_r)))
-        by_s = up_s.T @ (slope.sum(0) / (1.0 + np.exp(-odds_s)))
-        bent_r, bent_s = bend_r @ one, bend_s @ other
-        value += SMOOTH * (bent_r @ bent_r + bent_s @ bent_s)
-        by_r += 2.0 * SMOOTH * bend_r.T @ bent_r
-        by_s += 2.0 * SMOOTH * bend_s.T @ bent_s
-        return float(value), np.concatenate([by_r, by_s])
-
-    begin = np.concatenate([[-7.0], np.full(len(RISE) - 1, 0.7), [-7.0], [0.7] * (len(SLOPE) - 1)])
-    bounds = [(LEAST, MOST), *[(0.0, None)] * (len(RISE) - 1)]
-    bounds += [(LEAST, MOST), *[(0.0, None)] * (len(SLOPE) - 1)]
-    steps = _least(cost, begin, bounds)
-    return rounded(np.cumsum(steps[: len(RISE)])), rounded(np.cumsum(steps[len(RISE) :]))
-
-
-def fit_tables(shares: Array, counts: Array) -> Array:
-    """Second step: tables (G + H, I, J) of the log odds at the knots of l and d, c, m and n.
-
-    Tables c ascend with l and d as good as always.
-
-    Args:
-        shares: (M, G + H) what the tables weigh on each map (see ``RiskTable.shares``).
-        counts: (M, 2, L, D) weights of its landings tried and failed, over the bins of l and d.
-    """
-    maps, kinds, size = len(shares), len(ROCKS), len(OWN) * len(ABOUT)
-    tried, failed = np.swapaxes(counts, 0, 1).reshape(2, maps, -1) / counts[:, 0].sum()
-    here = tried > 0.0
-    tried, failed = tried[here], failed[here]
-    place = np.kron(interpolation_weights(OWN_BINS, OWN), interpolation_weights(ABOUT_BINS, ABOUT))
-    tables = np.eye(shares.shape[1])
-    alike = np.vstack(
-        [np.sqrt(ALIKE) * np.diff(tables[:kinds], axis=0), np.sqrt(SMALL) * tables[kinds:]]
-    )
-
-    def differences(axis: int, order: int, of: Array) -> csr_array:
-        by = [np.eye(len(OWN)), np.eye(len(ABOUT))]
-        by[axis] = np.diff(by[axis], order, axis=0)
-        return csr_array(kron(of, kron(by[0], by[1])))
-
-    squares = [
-        (SMOOTH_TABLES, differences(0, 2, tables)),
-        (SMOOTH_TABLES, differences(1, 2, tables)),
-        (1.0, csr_array(kron(alike, np.eye(size)))),
-    ]
-    rises = [differences(axis, 1, tables[:kinds]) for axis in (0, 1)]
-    more = np.zeros(here.shape)
-
-    def cost(odds: Array) -> tuple[float, Array]:
-        at = (shares @ odds.reshape(-1, size) @ place.T)[here]
-        value = float(np.sum(tried * np.logaddexp(0.0, at) - failed * at))
-        more[here] = tried / (1.0 + np.exp(-at)) - failed
-        by = np.ravel(shares.T @ more @ place)
-        for weight, matrix in squares:
-            bent = matrix @ odds
-            value, by = value + weight * float(bent @ bent), by + 2.0 * weight * matrix.T @ bent
-        for matrix in rises:
-            down = np.minimum(matrix @ odds, 0.0)
-            value += ASCENDING * float(down @ down)
-            by = by + 2.0 * ASCENDING * matrix.T @ down
-        return value, by
-
-    begin = np.zeros((len(tables), len(OWN), len(ABOUT)))
-    begin[:kinds] = np.array(OWN)[:, None]
-    return _least(cost, begin.ravel(), None).reshape(begin.shape)
-
-
-def _least(
-    cost: Callable[[Array], tuple[float, Array]],
-    begin: Array,
-    bounds: list[tuple[float, float | None]] | None,
-) -> Array:
-    options = {"maxiter": 5000, "maxfun": 8000, "ftol": 1e-13, "gtol": 1e-9}
-    found = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return np.asarray(found.x)
-
-
-def _sums(count: int) -> Array:
-    return np.tril(np.ones((count, count)))
+def _model(steps: list[Array]) -> RiskModel:
+    """The model of constants and steps, by cause."""
+    causes = {}
+    for (name, terms), own in zip(TERMS.items(), steps, strict=True):
+        curves, at = [], 1
+        for term in terms:
+            rows, count = _rows(term), len(term.knots) - 1
+            of = own[at : at + rows * count].reshape(rows, count)
+            at += rows * count
+            odds = np.pad(np.cumsum(of, axis=1), ((0, 0), (1, 0)))
+            curves.append(Curve(term.of, term.knots, tuple(rounded(row) for row in odds)))
+        causes[name] = Cause(rounded(own[:1])[0], tuple(curves))
+    return RiskModel(SEEN, causes)
 
 
 def rounded(values: Array) -> Row:

@@ -29,10 +29,13 @@ def _beams(azimuth: Array, elevation: Array) -> Array:
 
 
 @cache
-def _pixel_beams(field_of_view_deg: float, pixels: int) -> Array:
-    centred = (np.arange(pixels) + 0.5) / pixels - 0.5
-    angle = np.radians(field_of_view_deg) * centred
-    beams = _beams(angle[None, :], -angle[:, None])
+def pixel_beams(width_deg: float, height_deg: float, columns: int, rows: int) -> Array:
+    """Unit directions (rows, columns, 3) over a field of view; not to be written to."""
+    across, down = (
+        np.radians(angle) * ((np.arange(count) + 0.5) / count - 0.5)
+        for angle, count in ((width_deg, columns), (height_deg, rows))
+    )
+    beams = _beams(across[None, :], -down[:, None])
     beams.setflags(write=False)
     return beams
 
@@ -54,7 +57,7 @@ class FlashLidar:
 
     def directions(self) -> Array:
         """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
-        return _pixel_beams(self.field_of_view_deg, self.pixels)
+        return pixel_beams(*(self.field_of_view_deg,) * 2, *(self.pixels,) * 2)
 
     def outline(self, surface: Surface, position_map: Array, rotation_map_lidar: Array) -> Array:
         """Edge of the field of view on the ground, map frame: (4·OUTLINE, 2) m; NaN = no hit."""

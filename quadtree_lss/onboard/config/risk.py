@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from quadtree_lss.onboard.config.parameter import ConfigError
@@ -22,82 +23,115 @@ Row = tuple[float, ...]
 NEAR = 0.3
 
 
+#: Why a landing fails: on something that rises under the lander, on ground too steep, and on what
+#: the map does not show at all.
+CAUSES = ("obstacle", "slope", "hidden")
+#: What a model may ask of each place, and of a map as a whole (see `RiskModel`).
+LOCAL = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "rocks", "slopes", "roughness")
+OVERALL = ("noise", "cell", "clearance")
+
+
 @dataclass(frozen=True)
-class RiskModel:
-    """Probability that a lander fails, from its worst contact on the map, in two steps.
-
-    First the contact at the place itself. With a and b straight between their knots, r how far the
-    ground rises over a resting plane beyond ``lss.max_roughness`` and s how much steeper such a
-    plane is than ``lss.max_slope_deg``, it fails with
-
-        p = 1 - 1 / ((1 + exp a(r)) (1 + exp b(s))),    l = log(p / (1 - p)).
-
-    Then what lies about it, for a map misplaces things: d is by how much l is greater at the worst
-    of the four neighbours. And what ground it is, for where rocks are seen there are some that are
-    not. Of the ground that is judged and on which the lander stands level enough let u be the share
-    where something rises under it by more than ``lss.max_roughness``, and v that where it rises by
-    more than 0.12 m less. Rocks rise much or not at all, the rims of craters mostly a little:
-
-        g = log(u (u / v)^3 + 0.00003).
-
-    On flat ground what rises is rocks, of which a map shows a part; where the ground undulates it
-    is its form as well, which a map shows whole: h is the mean slope of that level ground. The log
-    odds of failing are c(g, l, d) + m(h, l, d) + t n(l, d), each straight between its knots, where
-    t ascends from 0 to 1 between two deviations of the range noise that the mapping is told.
+class Curve:
+    """Log odds by something that is asked, straight between knots and level beyond them.
 
     Attributes:
-        rise: (K,) knots of r, m; rise_odds: (K,) a there.
-        slope: (L,) knots of s, rise over run; slope_odds: (L,) b there.
-        own: (I,) knots of l; about: (J,) knots of d; rocks: (G,) knots of g; odds: (G, I, J) c
-            there.
-        undulation: (H,) knots of h, rad; undulating: (H - 1, I, J) m there, but at the first, where
-            it is 0.
-        noise: (2,) range noise where t is 0 and 1, m; noisy: (I, J) n at the knots of l and d.
+        of: In `LOCAL` or `OVERALL`.
+        knots: (K,).
+        odds: (1, K) at the knots, or (S, K), a row for each knot of what is seen.
+    """
+
+    of: str
+    knots: Row
+    odds: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Log odds of failing for one of `CAUSES`: a constant and the sum of curves."""
+
+    constant: float
+    curves: tuple[Curve, ...]
+
+    def at(self, overall: Mapping[str, float]) -> float:
+        """The constant, and the curves of what is the same all over the map."""
+        return self.constant + sum(
+            float(np.interp(overall[curve.of], curve.knots, curve.odds[0]))
+            for curve in self.curves
+            if curve.of in OVERALL
+        )
+
+
+@dataclass(frozen=True)
+class RiskModel:
+    """Probability that a lander fails at a place of a map.
+
+    It stands if nothing that the map shows is in its way, if that is not too steep, and if nothing
+    is there that the map does not show:
+
+        P(unsafe) = 1 - product over `CAUSES` of 1 / (1 + exp z),    z = constant + sum of curves.
+
+    All that the curves go by is without a unit. With c the clearance and d the diameter of the
+    vehicle, in squares about the place:
+
+    - ``rise``: how far ground rises over the worst resting plane on the map, over c; ``tilt``: the
+      tangent of the steepest one's slope over that of the limit; ``rise_beside``,
+      ``tilt_beside``: the greatest of the place and its four neighbours.
+    - ``seen``: k, how well the ground under the lander (0.9 d) is known: the mean of log10 of the
+      returns on a square as wide as c, in the returns that would tell as much at a range noise of
+      0.2 c and cells of 0.85 c: less log10(noise / 0.2 c) and, for wider ones, 3 log10(cell /
+      0.85 c). Ground without a return counts 0.001.
+    - ``rocks``: square root of the share of the places about (4 d) where something rises by more
+      than c on ground that is level enough; ``slopes``: the mean tangent of the slope there over
+      that of the limit; ``roughness``: square root of the mean deviation from the leaves' planes
+      under the lander over c.
+    - ``noise``, ``cell``, ``clearance``: log10 of noise / c, of finest cells / c, of c / d.
+
+    Attributes:
+        seen: (S,) knots of k between which the rows of a curve's odds are interpolated.
+        causes: By name.
         provenance: What it was fitted to, and how well it does.
     """
 
-    rise: Row
-    rise_odds: Row
-    slope: Row
-    slope_odds: Row
-    own: Row
-    about: Row
-    rocks: Row
-    odds: tuple[tuple[Row, ...], ...]
-    undulation: Row
-    undulating: tuple[tuple[Row, ...], ...]
-    noise: Row
-    noisy: tuple[Row, ...]
+    seen: Row
+    causes: Mapping[str, Cause]
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def span(self, name: str) -> tuple[float, float]:
+        """Between which values of something that is asked the odds differ."""
+        curves = [curve for cause in self.causes.values() for curve in cause.curves]
+        ends = [end for curve in curves if curve.of == name for end in curve.knots]
+        ends += self.seen if name == "seen" else ()
+        return (min(ends), max(ends)) if ends else (0.0, 1.0)
+
     @property
-    def tables(self) -> tuple[tuple[Row, ...], ...]:
-        """(G + H, I, J) all of what the log odds are a weighted sum of: c, m and n."""
-        return (*self.odds, *self.undulating, self.noisy)
+    def numbers(self) -> int:
+        """Log odds that were fitted."""
+        return sum(
+            1 + sum(len(row) for curve in cause.curves for row in curve.odds)
+            for cause in self.causes.values()
+        )
 
     def __post_init__(self) -> None:
-        for name, knots, values in (
-            ("rise", self.rise, self.rise_odds),
-            ("slope", self.slope, self.slope_odds),
-            *(("own", self.own, table) for table in self.tables),
-            ("undulation", self.undulation, (None, *self.undulating)),
-            ("noise", self.noise, (0.0, 1.0)),
-        ):
-            if len(knots) < 2 or len(knots) != len(values):
-                msg = f"{name} has {len(knots)} knots and {len(values)} values"
-                raise ConfigError(msg)
-        rows = [row for table in self.tables for row in table]
-        if len(self.about) < 2 or any(len(row) != len(self.about) for row in rows):
-            msg = f"odds has not {len(self.about)} values in each row"
+        if tuple(self.causes) != CAUSES:
+            msg = f"its causes are {', '.join(self.causes)}, not {', '.join(CAUSES)}"
             raise ConfigError(msg)
-        if not self.rocks or len(self.rocks) != len(self.odds):
-            msg = f"rocks has {len(self.rocks)} knots and odds {len(self.odds)} tables"
-            raise ConfigError(msg)
-        for name in ("rise", "slope", "own", "about", "rocks", "undulation", "noise"):
-            knots = getattr(self, name)
-            if any(not b > a for a, b in zip(knots, knots[1:], strict=False)):
-                msg = f"the knots of {name} do not ascend"
-                raise ConfigError(msg)
+        for name, cause in self.causes.items():
+            for curve in cause.curves:
+                what = f"{name}: {curve.of}"
+                if curve.of not in LOCAL + OVERALL:
+                    msg = f"{what} is not known"
+                    raise ConfigError(msg)
+                count = len(curve.knots)
+                if count < 2 or any(len(row) != count for row in curve.odds):
+                    msg = f"{what} has {count} knots and other odds"
+                    raise ConfigError(msg)
+                if len(curve.odds) not in (1, len(self.seen)):
+                    msg = f"{what} has {len(curve.odds)} rows of odds, not 1 or {len(self.seen)}"
+                    raise ConfigError(msg)
+                if not (np.diff(curve.knots) > 0.0).all() or not (np.diff(self.seen) > 0.0).all():
+                    msg = f"the knots of {what} do not ascend"
+                    raise ConfigError(msg)
 
 
 @functools.lru_cache(maxsize=8)
@@ -130,8 +164,7 @@ def doubt(config: Config) -> str:
     """In which way the model of a configuration was fitted to another vehicle or map; or nothing.
 
     The provenance of a model says what it was ``fitted`` to, from and to: ``diameter``, m;
-    ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``. One that says
-    the ``lander`` and the ``finest_cell`` alone was fitted to these.
+    ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``.
 
     Raises:
         ConfigError: as of `risk_model`.
@@ -147,7 +180,7 @@ def doubt(config: Config) -> str:
         "cell": ("cells of {} m", cell, vehicle.diameter),
         "noise": ("a range noise of {} m", config.lidar.range_noise, vehicle.clearance),
     }
-    far, fitted = [], model.provenance.get("fitted") or _fitted_one(model, used)
+    far, fitted = [], model.provenance.get("fitted") or {}
     for name, (text, value, unit) in used.items():
         low, high = (unit * float(of) for of in fitted.get(name) or (value / unit,) * 2)
         if not (1.0 - NEAR) * low <= value <= (1.0 + NEAR) * high:
@@ -177,13 +210,12 @@ def risk_model_text(model: RiskModel) -> str:
     def line(row: Row) -> str:
         return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
 
-    names = "rise rise_odds slope slope_odds own about rocks undulation noise".split()
-    lines = [f"{name}: {line(getattr(model, name))}" for name in names]
-    for name in ("odds", "undulating"):
-        lines.append(f"{name}:")
-        for table in getattr(model, name):
-            lines += ["  -", *(f"    - {line(row)}" for row in table)]
-    lines += ["noisy:", *(f"  - {line(row)}" for row in model.noisy)]
+    lines = [f"seen: {line(model.seen)}"]
+    for name, cause in model.causes.items():
+        lines += [f"{name}:", f"  constant: {cause.constant:.6g}"]
+        for curve in cause.curves:
+            lines += [f"  {curve.of}:", f"    knots: {line(curve.knots)}", "    odds:"]
+            lines += [f"    - {line(row)}" for row in curve.odds]
     origin = {"provenance": dict(model.provenance)}
     told = yaml.safe_dump(origin, sort_keys=False, width=96, default_flow_style=None)
     return "\n".join(lines) + "\n" + str(told)
@@ -193,26 +225,16 @@ def _from_values(values: Any) -> RiskModel:
     def row(given: Any) -> Row:
         return tuple(float(value) for value in given)
 
-    def tables(given: Any) -> tuple[tuple[Row, ...], ...]:
-        return tuple(tuple(row(line) for line in table) for table in given)
-
-    own, about = row(values["own"]), row(values["about"])
-    if "rocks" not in values:  # a file of the first version has one table for all ground
-        values = values | {"rocks": [0.0], "odds": [values["odds"]]}
-    flat, at = [[0.0] * len(about)] * len(own), [0.0, 1.0]  # and nothing is added to it
-    values = {"undulation": at, "undulating": [flat], "noise": at, "noisy": flat} | values
-    return RiskModel(
-        rise=row(values["rise"]),
-        rise_odds=row(values["rise_odds"]),
-        slope=row(values["slope"]),
-        slope_odds=row(values["slope_odds"]),
-        own=own,
-        about=about,
-        rocks=row(values["rocks"]),
-        odds=tables(values["odds"]),
-        undulation=row(values["undulation"]),
-        undulating=tables(values["undulating"]),
-        noise=row(values["noise"]),
-        noisy=tables([values["noisy"]])[0],
-        provenance=dict(values.get("provenance") or {}),
-    )
+    if "rise_odds" in values:
+        msg = "it is of a former version: fit-risk makes one anew"
+        raise ConfigError(msg)
+    causes = {}
+    for name in CAUSES:
+        given = dict(values[name])
+        constant = float(given.pop("constant"))
+        curves = (
+            Curve(of, row(curve["knots"]), tuple(row(line) for line in curve["odds"]))
+            for of, curve in given.items()
+        )
+        causes[name] = Cause(constant, tuple(curves))
+    return RiskModel(row(values["seen"]), causes, dict(values.get("provenance") or {}))

@@ -2,9 +2,10 @@
 """How probable a safe touchdown is: at a place, and where the lander aims at it.
 
 The lander is set down on the map at all headings, or at the one that guidance gives. The true
-ground is not the map: how often a lander fails whose worst contact on the map is this was fitted
-(see ``config.risk.RiskModel``). Where the lander comes down about its aim is normally distributed,
-and
+ground is not the map: how often a lander fails whose worst contact on the map is this, on ground
+that is seen so well, was fitted (see ``config.risk.RiskModel``). Nothing of it is a length: all
+are shares of the vehicle's diameter and clearance. Where the lander comes down about its aim is
+normally distributed, and
 
     P(safe | aim) = sum over grid points of N(point - aim; dispersion) P(safe at the point).
 
@@ -16,23 +17,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, exp, isnan, radians, tan
+from math import ceil, exp, isnan, log10, radians, tan
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import log
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask, Single
-from quadtree_lss.onboard.config.risk import RiskModel, Row
+from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
+from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 
-#: Ground that rises by so much less than the limit still rises, m; what is added to g's share.
-LOWER, NO_ROCKS = 0.12, 3e-5
-#: Steps between entries of the tables, in m, rise over run, and of the log odds.
-FINE = cython.declare(cython.double, 2e-4)
-FINE_ODDS = cython.declare(cython.double, 0.04)
+#: The window of what lies about a place, and that of the ground under the lander, diameters.
+WINDOW, FOOTPRINT = 4.0, 0.9
+#: Returns on a square as wide as the clearance that are as good as none.
+NO_RETURNS = 1e-3
+#: Entries of a table along a curve, and along what is known.
+FINE, COARSE = 128, 48
+#: Place in `LOCAL` of how well ground is seen.
+SEEN = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
+#: Log odds between which exp is in a table, and entries of it.
+LEAST = cython.declare(cython.double, -14.0)
+MOST = cython.declare(cython.double, 10.0)
+EXPS = cython.declare(cython.int, 4096)
 #: A normal distribution is cut off at so many deviations.
 TAIL = 4.0
 #: The greatest deviation that is taken, m.
@@ -77,11 +85,12 @@ class Dispersion:
 
 def limits(model: RiskModel, lss: LssConfig) -> Limits:
     """Between which contacts the model, and the touchdown check, differ."""
-    rise, slope = lss.max_roughness, tan(radians(lss.max_slope_deg))
+    rise, slope = lss.vehicle.clearance, tan(radians(lss.vehicle.max_slope_deg))
     own, steep = lss.touchdown_roughness, tan(radians(lss.touchdown_slope_deg))
+    (low, high), (level, steepest) = (model.span(name) for name in ("rise", "tilt"))
     return Limits(
-        (min(rise + model.rise[0], own), max(rise + max(model.rise), own)),
-        (min(slope + model.slope[0], steep), max(slope + max(model.slope), steep)),
+        (min(low * rise, own), max(high * rise, own)),
+        (min(level * slope, steep), max(steepest * slope, steep)),
     )
 
 
@@ -90,86 +99,105 @@ class RiskTable:
 
     Args:
         model: The fit.
-        lss: Limits of the lander.
+        lss: The lander.
         noise: Configured range noise of the mapping, one deviation, m.
     """
 
     def __init__(self, model: RiskModel, lss: LssConfig, noise: float) -> None:
-        self._low = np.array(
-            [lss.max_roughness + model.rise[0], tan(radians(lss.max_slope_deg)) + model.slope[0]]
-        )
-        rise, slope = _steps(model.rise, FINE), _steps(model.slope, FINE)
-        # Odds that it does not stand, and that it is too steep.
-        self._rise_odds = np.exp(np.interp(rise, model.rise, model.rise_odds))
-        self._slope_odds = np.exp(np.interp(slope, model.slope, model.slope_odds))
-        self._within = np.array([min(model.own), max(model.own)])
-        own, about = _steps(model.own, FINE_ODDS), _steps((0.0, *model.about[1:]), FINE_ODDS)
-        self._weights = (
-            interpolation_weights(own, model.own),
-            interpolation_weights(about, model.about),
-        )
-        self._tables, self._knots = np.array(model.tables), (model.rocks, model.undulation)
-        self._noisy = float(np.interp(noise, model.noise, (0.0, 1.0)))
-        self._limits = lss.max_roughness, tan(radians(lss.max_slope_deg))
+        self._model, self._vehicle, self._noise = model, lss.vehicle, noise
+        spans = {name: model.span(name) for name in LOCAL}
+        steps = {
+            name: np.linspace(*span, COARSE if name == "seen" else FINE)
+            for name, span in spans.items()
+        }
+        self._low = np.array([at[0] for at in steps.values()])
+        self._last = np.array([len(at) - 1.0 for at in steps.values()])
+        self._per = self._last / [at[-1] - at[0] for at in steps.values()]
+        tables: list[float] = []
+        terms = []
+        for number, name in enumerate(CAUSES):
+            for curve in model.causes[name].curves:
+                if curve.of in LOCAL:
+                    rows = interpolation_weights(steps[curve.of], curve.knots)
+                    odds = np.array(curve.odds) @ rows.T
+                    wide = len(odds) > 1
+                    if wide:
+                        odds = interpolation_weights(steps["seen"], model.seen) @ odds
+                    terms.append((number, LOCAL.index(curve.of), len(tables), FINE * wide))
+                    tables += odds.ravel().tolist()
+        self._tables = np.array(tables, dtype=np.float32)
+        self._terms = np.array(terms, dtype=np.int32)
+        self._exps = np.exp(np.linspace(LEAST, MOST, EXPS)).astype(np.float32)
 
-    def risk(self, worst: WorstContact, judged: Mask, slope: Array) -> Array:
-        """P(unsafe) of landing at each grid point, (n + 1, n + 1); 1 where it is not judged.
+    def overall(self, side: float) -> dict[str, float]:
+        """What is the same at all places of a map with finest cells of ``side`` m (`OVERALL`)."""
+        clearance, diameter = self._vehicle.clearance, self._vehicle.diameter
+        return {
+            "noise": log10(self._noise / clearance),
+            "cell": log10(side / clearance),
+            "clearance": log10(clearance / diameter),
+        }
+
+    def features(
+        self, raster: TerrainRaster, judged: Mask, slope: Array, worst: WorstContact
+    ) -> Single:
+        """What the model asks of each grid point, (F, n + 1, n + 1) in the order of `LOCAL`.
 
         Args:
-            worst: The lander's worst contacts on the map.
-            judged: (n + 1, n + 1) grid points of which these are known.
+            raster: The map.
+            judged: (n + 1, n + 1) grid points where all ground under the lander is seen.
             slope: (n + 1, n + 1) of the ground at the lander's scale, rad.
+            worst: The lander's worst contacts on the map, at those and beside them.
         """
-        own, about = self.log_odds(worst, judged)
-        # Not by BLAS: its threads go on waiting for more, and take a core for as long.
-        odds = np.einsum("k,kij->ij", self.shares(worst, judged, slope), self._tables)
-        at_own = np.einsum("ni,ij->nj", self._weights[0], odds)
-        table = 1.0 / (1.0 + np.exp(-np.einsum("nj,mj->nm", at_own, self._weights[1])))
-        out = np.ones(judged.shape)
-        look_up(own, about, judged.view(np.uint8), table, float(self._within[0]), out)
+        vehicle, side, cells = self._vehicle, raster.domain.finest_size, raster.cells
+        clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
+        out = np.empty((len(LOCAL), *judged.shape), dtype=np.float32)
+        for k, contact, limit in ((0, worst.rise, clearance), (2, worst.slope, steep)):
+            np.divide(contact, np.float32(limit), out=out[k])
+            set_beside(out[k], float(self._low[k]), out[k + 1])
+        known = ~raster.bridged
+        share = np.bincount(raster.leaf[known], minlength=len(cells.level))
+        # Returns on a square as wide as the clearance, of those that their leaf has there.
+        returns = cells.count * (clearance / side) ** 2 / np.maximum(share, 1)
+        level = np.log10(returns + NO_RETURNS).astype(np.float32)
+        rough = np.nan_to_num(cells.roughness / (clearance * cells.size**2))
+        rough = np.minimum(rough, 2.0).astype(np.float32)
+        under = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
+        of_cells = np.where(known, level.take(raster.leaf), np.float32(log10(NO_RETURNS)))
+        set_means(of_cells, under, 0, out[4])
+        of = self.overall(side)
+        out[4] -= np.float32(of["noise"] - log10(0.2) + 3.0 * max(of["cell"] - log10(0.85), 0.0))
+        set_means(known * rough.take(raster.leaf), under, 0, out[7])
+        about = max(round(0.5 * WINDOW * vehicle.diameter / side), 1)
+        places, share = judged.astype(np.float32), np.empty(judged.shape, dtype=np.float32)
+        set_means(places, about, 1, share)
+        np.maximum(share, np.float32(1e-6), out=share)
+        rises = (judged & (out[0] > 1.0) & (out[2] <= 1.0)).astype(np.float32)
+        set_means(rises, about, 1, out[5])
+        inclined = (places * np.tan(slope)).astype(np.float32) / np.float32(steep)
+        set_means(inclined, about, 1, out[6])
+        out[5:7] /= share
+        np.sqrt(out[5], out=out[5])
+        np.sqrt(out[7], out=out[7])
         return out
 
-    def shares(self, worst: WorstContact, judged: Mask, slope: Array) -> Array:
-        """What the tables of ``RiskModel`` weigh on this ground, (G + H,); arguments as of `risk`.
+    def risk(
+        self, raster: TerrainRaster, judged: Mask, slope: Array, worst: WorstContact
+    ) -> tuple[Array, Bytes]:
+        """P(unsafe) of landing at each grid point, and what most of it comes from.
 
-        Of the judged grid points at which the lander stands level enough, u is the share at which
-        something rises under it beyond the limit, and v at which it nearly does:
-        g = log(u (u / v)^3 + 0.00003); h is the mean slope there.
+        Arguments as of `features`.
+
+        Returns:
+            (n + 1, n + 1) probabilities, 1 where it is not judged; and numbers in `CAUSES`.
         """
-        rise, steep = self._limits
-        level = judged & (worst.slope <= steep)
-        rises = worst.rise[level]
-        count = max(len(rises), 1)
-        much, some = (int(np.count_nonzero(rises > at)) for at in (rise, rise - LOWER))
-        g = log(much / count * (much / max(some, 1)) ** 3 + NO_ROCKS)
-        h = float(np.sum(slope, where=level)) / count
-        by_g, by_h = (
-            interpolation_weights(np.array([at]), knots)[0]
-            for at, knots in zip((g, h), self._knots, strict=True)
-        )
-        return np.concatenate([by_g, by_h[1:], [self._noisy]])
-
-    def log_odds(self, worst: WorstContact, judged: Mask) -> tuple[Array, Array]:
-        """What the second step goes by, (n + 1, n + 1) each: l and d of ``RiskModel``."""
-        own, about = np.empty((2, *judged.shape))
-        marks, odds = judged.view(np.uint8), (self._rise_odds, self._slope_odds)
-        set_odds(worst.rise, worst.slope, marks, *odds, self._low, self._within, own, about)
-        return own, about
-
-    def by_slope(self, rise: float, slope: float) -> bool:
-        """Whether it is the slope, and not what rises under the lander, that speaks against it."""
-        place = (np.array([rise, slope]) - self._low) / FINE + 0.5
-        tables = self._rise_odds, self._slope_odds
-        by_rise, by_slope = (
-            table[int(min(max(at, 0.0), len(table) - 1.0))]
-            for table, at in zip(tables, place.tolist(), strict=True)
-        )
-        return bool(by_slope > by_rise)
-
-
-def _steps(knots: Row, step: float) -> Array:
-    """From the first knot to the last."""
-    return np.arange(0.0, max(knots) - knots[0] + step, step) + knots[0]
+        places = self.features(raster, judged, slope, worst)
+        of = self.overall(raster.domain.finest_size)
+        constant = np.array([self._model.causes[name].at(of) for name in CAUSES], dtype=np.float32)
+        out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)
+        layout = self._low, self._per, self._last, self._terms, self._tables, self._exps
+        look_up(places, judged.view(np.uint8), constant, *layout, out, cause)
+        return out, cause
 
 
 def interpolation_weights(values: Array, knots: Row) -> Array:
@@ -215,7 +243,7 @@ class Remainder:
     Attributes:
         probability: P(safe | aim).
         away, bearing: Where from the aim, m, and rad from x to y.
-        kind: ``obstacle``, ``slope``, ``unseen`` or ``unmapped``.
+        kind: One of `CAUSES`, ``unseen`` or ``unmapped``.
     """
 
     probability: float
@@ -230,6 +258,7 @@ class Remainder:
         what = {
             "obstacle": "an obstacle",
             "slope": "too steep a slope",
+            "hidden": "what the map may not show",
             "unseen": "unseen ground",
             "unmapped": "ground not yet mapped",
         }[self.kind]
@@ -260,8 +289,7 @@ def remaining_risks(
     risk: Array,
     judged: Mask,
     unmapped: Mask,
-    worst: WorstContact,
-    table: RiskTable,
+    cause: Bytes,
     side: float,
     dispersion: Dispersion,
 ) -> list[str]:
@@ -270,9 +298,9 @@ def remaining_risks(
     Args:
         places: Rows and columns (K,) of the lattice.
         risk: (n + 1, n + 1) P(unsafe) of landing at each grid point.
-        judged: (n + 1, n + 1) where it follows from ``worst`` by ``table``.
+        judged: (n + 1, n + 1) where it follows from the map.
         unmapped: (n + 1, n + 1) where the lander meets ground that is seen but not yet mapped.
-        worst, table: As of `RiskTable.risk`.
+        cause: (n + 1, n + 1) of `RiskTable.risk`.
         side: Between grid points, m.
         dispersion: Of the touchdown about the aim.
     """
@@ -294,8 +322,7 @@ def remaining_risks(
         inside = 0 <= here[0] < risk.shape[0] and 0 <= here[1] < risk.shape[1]
         kind = "unseen"
         if inside and judged[here]:
-            steep = table.by_slope(float(worst.rise[here]), float(worst.slope[here]))
-            kind = "slope" if steep else "obstacle"
+            kind = CAUSES[cause[here]]
         elif inside and unmapped[here]:
             kind = "unmapped"
         away, bearing = float(np.hypot(x, y)), float(np.arctan2(y, x))
@@ -310,91 +337,147 @@ def _middle(weights: Array, count: int) -> Array:
 
 
 @cython.boundscheck(False)
-@cython.locals(rise=cython.float[:, ::1], slope=cython.float[:, ::1], judged=cython.uchar[:, ::1])
-@cython.locals(rise_odds=cython.double[::1], slope_odds=cython.double[::1], low=cython.double[::1])
-@cython.locals(within=cython.double[::1], own=cython.double[:, ::1], about=cython.double[:, ::1])
-def set_odds(
-    rise: Single,
-    slope: Single,
-    judged: Bytes,
-    rise_odds: Array,
-    slope_odds: Array,
-    low: Array,
-    within: Array,
-    own: Array,
-    about: Array,
-) -> None:
-    """Log odds that the lander fails at grid points, and how much greater they are beside them.
+@cython.locals(own=cython.float[:, ::1], out=cython.float[:, ::1])
+def set_beside(own: Single, least: float, out: Single) -> None:
+    """Set the greatest of a grid point and its four neighbours (ny, nx), ``least`` at the least.
 
-    Args:
-        rise, slope: (ny, nx) of the worst contact, m and rise over run.
-        judged: (ny, nx) where they are known; elsewhere the odds are the least.
-        rise_odds, slope_odds: Odds that it fails by the one and by the other, from ``low`` (2,) in
-            steps of ``FINE``: 1 + the odds that it fails is (1 + the one's) (1 + the other's).
-        within: (2,) least and greatest log odds.
-        own: (ny, nx), set.
-        about: (ny, nx), set: how much greater those of the worst of the four neighbours are.
+    Where there is none (NaN) it is ``least``, in ``own`` as well.
     """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(m=cython.Py_ssize_t)
-    k_last: cython.Py_ssize_t = -1
-    m_last: cython.Py_ssize_t = -1
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     rows: cython.Py_ssize_t = own.shape[0]
     columns: cython.Py_ssize_t = own.shape[1]
-    rise_last: cython.double = rise_odds.shape[0] - 1.0
-    slope_last: cython.double = slope_odds.shape[0] - 1.0
-    odds, least, greatest = 0.0, within[0], within[1]
-    per = 1.0 / FINE
+    z: cython.float = least
     with cython.nogil:
         for i in range(rows):
             for j in range(columns):
-                if not judged[i, j]:
-                    own[i, j] = least
-                    continue
-                place = min(max((rise[i, j] - low[0]) * per + 0.5, 0.0), rise_last)
-                k = cython.cast(cython.Py_ssize_t, place)
-                place = min(max((slope[i, j] - low[1]) * per + 0.5, 0.0), slope_last)
-                m = cython.cast(cython.Py_ssize_t, place)
-                if k != k_last or m != m_last:  # level ground is all alike
-                    odds = log(rise_odds[k] + slope_odds[m] + rise_odds[k] * slope_odds[m])
-                    odds = min(max(odds, least), greatest)
-                    k_last, m_last = k, m
-                own[i, j] = odds
+                own[i, j] = own[i, j] if own[i, j] >= z else z
         for i in range(rows):
             for j in range(columns):
-                worst = own[i, j]
-                if i > 0:
-                    worst = max(worst, own[i - 1, j])
-                if i < rows - 1:
-                    worst = max(worst, own[i + 1, j])
-                if j > 0:
-                    worst = max(worst, own[i, j - 1])
-                if j < columns - 1:
-                    worst = max(worst, own[i, j + 1])
-                about[i, j] = worst - own[i, j]
+                out[i, j] = own[i, j]
+            for j in range(1, columns):
+                out[i, j] = max(out[i, j], own[i, j - 1])
+                out[i, j - 1] = max(out[i, j - 1], own[i, j])
+            if i > 0:
+                for j in range(columns):
+                    out[i, j] = max(out[i, j], own[i - 1, j])
+                    out[i - 1, j] = max(out[i - 1, j], own[i, j])
 
 
 @cython.boundscheck(False)
-@cython.locals(own=cython.double[:, ::1], about=cython.double[:, ::1], judged=cython.uchar[:, ::1])
-@cython.locals(table=cython.double[:, ::1], out=cython.double[:, ::1])
-def look_up(
-    own: Array, about: Array, judged: Bytes, table: Array, least: float, out: Array
+@cython.locals(values=cython.float[:, ::1], out=cython.float[:, ::1])
+def set_means(
+    values: Single, reach: cython.Py_ssize_t, after: cython.Py_ssize_t, out: Single
 ) -> None:
-    """Set P(unsafe) at grid points (ny, nx) where it is ``judged``.
+    """Means over squares about each point, of what of them lies within the lattice.
 
-    ``table`` (K, M) has it by the log odds that `set_odds` gives: of ``own`` from ``least`` and of
-    ``about`` from 0, in steps of ``FINE_ODDS``.
+    Args:
+        values: (n, n) of cells, or of points.
+        reach: Cells, or points, on either side.
+        after: 0 for cells about grid points, 1 for points about points.
+        out: (m, m), set; m = n + 1 - ``after``.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(m=cython.Py_ssize_t)
-    per = 1.0 / FINE_ODDS
+    cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
+    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t)
+    n: cython.Py_ssize_t = values.shape[0]
+    column = cython.declare(cython.double[::1], np.zeros(n))
+    sums = cython.declare(cython.double[::1], np.zeros(n + 1))
+    k = 0
     with cython.nogil:
         for i in range(out.shape[0]):
+            south, north = max(i - reach, 0), min(i + reach + after, n)
+            while k < north:
+                for j in range(n):
+                    column[j] += values[k, j]
+                k += 1
+            if i - reach > 0:
+                for j in range(n):
+                    column[j] -= values[i - reach - 1, j]
+            for j in range(n):
+                sums[j + 1] = sums[j] + column[j]
             for j in range(out.shape[1]):
-                if judged[i, j]:
-                    k = cython.cast(cython.Py_ssize_t, (own[i, j] - least) * per + 0.5)
-                    m = cython.cast(cython.Py_ssize_t, about[i, j] * per + 0.5)
-                    out[i, j] = table[min(k, table.shape[0] - 1), min(m, table.shape[1] - 1)]
+                west, east = max(j - reach, 0), min(j + reach + after, n)
+                z = (sums[east] - sums[west]) / ((east - west) * (north - south))
+                out[i, j] = max(z, 0.0) if after else z
+
+
+@cython.boundscheck(False)
+@cython.locals(places=cython.float[:, :, ::1], judged=cython.uchar[:, ::1])
+@cython.locals(constant=cython.float[::1], low=cython.double[::1], per=cython.double[::1])
+@cython.locals(last=cython.double[::1])
+@cython.locals(terms=cython.int[:, ::1], tables=cython.float[::1], exps=cython.float[::1])
+@cython.locals(out=cython.double[:, ::1], cause=cython.uchar[:, ::1])
+def look_up(
+    places: Single,
+    judged: Bytes,
+    constant: Single,
+    low: Array,
+    per: Array,
+    last: Array,
+    terms: Ints,
+    tables: Single,
+    exps: Single,
+    out: Array,
+    cause: Bytes,
+) -> None:
+    """Set P(unsafe) at the ``judged`` grid points (ny, nx), and which cause is the likeliest.
+
+    Args:
+        places: (F, ny, nx) what is asked of each.
+        constant: (C,) log odds of each cause.
+        low, per, last: (F,) where its tables begin, entries per unit, and the last one.
+        terms: (T, 4) cause, which of ``places``, where its table begins, and entries to the
+            next row of it, one row for each entry of what is seen; or 0.
+        tables: Log odds of all.
+        exps: (EXPS,) exp between ``LEAST`` and ``MOST``.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t=cython.Py_ssize_t)
+    cython.declare(c=cython.Py_ssize_t, f=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    columns: cython.Py_ssize_t = out.shape[1]
+    causes: cython.Py_ssize_t = constant.shape[0]
+    count: cython.Py_ssize_t = places.shape[0]
+    entry = cython.declare(cython.int[:, ::1], np.zeros((count, columns), dtype=np.int32))
+    odds = cython.declare(cython.float[:, ::1], np.zeros((causes, columns), dtype=np.float32))
+    least: cython.float = LEAST
+    end: cython.float = EXPS - 1
+    step: cython.float = (EXPS - 1) / (MOST - LEAST)
+    with cython.nogil:
+        for i in range(out.shape[0]):
+            for f in range(count):
+                base: cython.float = low[f]
+                scale: cython.float = per[f]
+                top: cython.float = last[f]
+                for j in range(columns):
+                    x: cython.float = (places[f, i, j] - base) * scale + 0.5
+                    x = x if x > 0.0 else 0.0  # also of what is no number
+                    x = x if x < top else top
+                    entry[f, j] = cython.cast(cython.int, x)
+            for c in range(causes):
+                odds[c, :] = constant[c]
+            for t in range(terms.shape[0]):
+                c, f, k = terms[t, 0], terms[t, 1], terms[t, 2]
+                row: cython.int = terms[t, 3]
+                if row:
+                    for j in range(columns):
+                        odds[c, j] += tables[k + row * entry[SEEN, j] + entry[f, j]]
+                else:
+                    for j in range(columns):
+                        odds[c, j] += tables[k + entry[f, j]]
+            for j in range(columns):
+                if not judged[i, j]:
+                    continue
+                safe: cython.float = 1.0
+                most: cython.float = -1e9
+                for c in range(causes):
+                    z: cython.float = odds[c, j]
+                    if z > most:
+                        most = z
+                        cause[i, j] = c
+                    z = (z - least) * step + 0.5
+                    z = z if z > 0.0 else 0.0
+                    z = z if z < end else end
+                    safe /= 1.0 + exps[cython.cast(cython.Py_ssize_t, z)]
+                out[i, j] = 1.0 - safe
 
 
 @cython.boundscheck(False)

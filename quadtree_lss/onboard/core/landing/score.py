@@ -48,12 +48,15 @@ class Surroundings:
             it is nearer by their radius.
         to_unmapped: Distance to such ground, where that matters, m.
         judged: All ground under the lander is seen and mapped.
+        met: These, and their neighbours at which the lander is within the domain: on bridged
+            ground, too, it is set down, for what it meets there may lie a grid point farther.
     """
 
     planes: GroundPlanes
     room: Array
     to_unmapped: Array
     judged: Mask
+    met: Mask
 
 
 def ground_radius(lss: LssConfig) -> float:
@@ -80,8 +83,15 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
     np.minimum(room, border, out=room)
     np.minimum(room, border[:, None], out=room)
-    judged = room >= (0.5 - SLACK) * lss.vehicle.diameter
-    return Surroundings(planes, room, to_unmapped, judged)
+    needed = (0.5 - SLACK) * lss.vehicle.diameter
+    judged, inside = room >= needed, border >= needed
+    met = judged.copy()
+    met[1:] |= judged[:-1]
+    met[:-1] |= judged[1:]
+    met[:, 1:] |= judged[:, :-1]
+    met[:, :-1] |= judged[:, 1:]
+    met &= inside & inside[:, None]
+    return Surroundings(planes, room, to_unmapped, judged, met)
 
 
 @dataclass(frozen=True)
@@ -90,6 +100,7 @@ class PointAssessment:
     is P(unsafe) of landing there, NaN if nobody asked, ``worst`` contacts None likewise.
 
     Attributes:
+        cause: What most of the risk comes from (see `RiskTable.risk`).
         hazard: Bits of ``hazards``.
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
@@ -103,6 +114,7 @@ class PointAssessment:
     around: Surroundings
     worst: WorstContact | None
     risk: Array
+    cause: Bytes
     hazard: Bytes
     safe: Mask
     score: Array
@@ -129,9 +141,9 @@ def assess_points(
     bits *= raster.seen.view(np.uint8)
     bits |= unknown_bits(raster)
     hazard = touching(bits)
-    risk = np.full(around.room.shape, np.nan)
+    risk, cause = np.full(around.room.shape, np.nan), np.zeros(around.room.shape, dtype=np.uint8)
     if worst is not None and table is not None:
-        risk = table.risk(worst, around.judged, around.planes.slope)
+        risk, cause = table.risk(raster, around.judged, around.planes.slope, worst)
     if worst is None or check is None or lss.assessment == "paper":
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0
@@ -174,7 +186,9 @@ def assess_points(
     # than itself: none needs sums over more than that.
     over = disc(min(zone, 0.5 * cells.domain.size), side)
     score = disc_means(density, over, raster.seen)
-    return PointAssessment(raster, around, worst, risk, hazard, safe, score, rough, spoiled, reach)
+    return PointAssessment(
+        raster, around, worst, risk, cause, hazard, safe, score, rough, spoiled, reach
+    )
 
 
 def unknown_bits(raster: TerrainRaster) -> Bytes:

@@ -130,7 +130,7 @@ class LandingSiteSelector:
         if self._check is not None:
             # The risk is fitted to the worst of all headings: no less is said of one of them.
             heading = spread.heading if self._table is None else None
-            worst = self._check.worst(raster, around.judged, heading)
+            worst = self._check.worst(raster, around.met, heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
         aims = aim(points, at, spread, wanted, lss)
         return self._choose_sites(points, aims, spread, wanted)
@@ -263,7 +263,7 @@ class LandingSiteSelector:
         if points.worst is not None and self._table is not None:
             reach = 0.5 * vehicle.diameter + vehicle.pad_radius
             unmapped = around.to_unmapped < (1.0 - SLACK) * reach
-            judged = around.judged, unmapped, points.worst, self._table
+            judged = around.judged, unmapped, points.cause
             side = points.raster.domain.finest_size
             risks = [
                 f"{of}; " for of in remaining_risks(centre, points.risk, *judged, side, spread)
