@@ -27,7 +27,9 @@ from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.loading import dump_config
-from quadtree_lss.onboard.nodes.qos import latched, stream
+from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.nodes.losses import Publishers
+from quadtree_lss.onboard.nodes.qos import latched, stream, subscribe
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
 KINDS = {
@@ -149,8 +151,10 @@ class _Link:
         }
         self._said: list[Target] = []
         self.heard: list[Heard] = []
-        kind = PoseWithCovarianceStamped
-        self._node.create_subscription(kind, "landing/selected", self._hear, latched())
+        kind, effect = PoseWithCovarianceStamped, "targets of either are flown to"
+        problems, name = Problems(self._node.get_logger()), "/landing/selected"
+        publishers = Publishers(name, "target_publishers", effect, problems)
+        subscribe(self._node, kind, name, self._hear, latched(), publishers.changed)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
 
