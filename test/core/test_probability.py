@@ -422,7 +422,7 @@ def test_limits_cover_the_model_and_the_touchdown_limits():
 
 
 def test_where_the_probability_is_the_same_the_score_decides(beside_a_rock, tmp_path):
-    """If contacts alone matter no place of bare ground is better: the first is far from the rock."""
+    """If contacts alone matter all bare ground is as good: the first is far from the rock."""
     steep = Cause(-9.0, (Curve("tilt", (0.5, 1.5), ((0.0, 12.0),)),))
     rock = Cause(-9.0, (Curve("rise", (0.5, 1.5), ((0.0, 12.0),)),))
     causes = dict(zip(MODEL.causes, (rock, steep, Cause(-9.0, ())), strict=True))

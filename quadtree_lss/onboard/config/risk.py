@@ -192,18 +192,6 @@ def doubt(config: Config) -> str:
     return f"the risk model {name} was fitted for {'; '.join(far)}: fit-risk makes another"
 
 
-def _fitted_one(
-    model: RiskModel, used: Mapping[str, tuple[str, float, float]]
-) -> dict[str, tuple[float, float]]:
-    """The same of one lander, in the units of ``used``."""
-    origin = model.provenance
-    given = dict(origin.get("lander") or {}) | {"cell": origin.get("finest_cell")}
-    given["clearance"] = given.get("max_roughness")
-    ones = {name: (value, value) for name, value in given.items() if name in used and value}
-    ones["noise"] = model.noise[0], model.noise[-1]
-    return {name: (low / used[name][2], high / used[name][2]) for name, (low, high) in ones.items()}
-
-
 def risk_model_text(model: RiskModel) -> str:
     """The model as `risk_model` reads it."""
 
