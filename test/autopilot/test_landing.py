@@ -124,8 +124,9 @@ def test_from_below_the_gate_it_climbs_first():
         {"target_age": CONFIG.max_target_age + 0.1},
         {"target": SITE + (4.0, 0.0, 0.0)},
         {"target": SITE + (-80.0, 0.0, 0.0)},
+        {"target": SITE + (0.0, 0.0, 15.0)},
     ],
-    ids=["withdrawn", "silent", "moved", "out of reach"],
+    ids=["withdrawn", "silent", "moved", "out of reach", "above"],
 )
 def test_what_is_lost_below_the_gate_is_answered_by_a_climb(height, fault):
     flight = Flight().until(below(height))

@@ -39,8 +39,8 @@ BETTER, NOISES = 0.4, 3.0
 """What is mended must be so much better, and what there is worse than the noise by this."""
 ALIKE = 10.0
 """Scans that see no common ground must see it so well when mended, in deviations of the noise."""
-MOST_ABOVE = 0.05
-"""Share of points above the lidar."""
+MOST_ABOVE, MENDED_ABOVE = 0.5, 0.05
+"""Share of points above the lidar: of houses about one that stands, and of what is mended."""
 LAGS = np.linspace(-0.5, 0.5, 51)
 LEAST_LAG, LAG_GAIN = 0.03, 0.8
 """s; and the share of the disagreement that is left without the lag."""
@@ -320,7 +320,7 @@ def _judged(flight: _Flight, config: Config) -> list[Finding]:
         found, over = flight.disagreement(origins, tried.turns, tried.scale)
         if tried.key == "map_cloud":
             over = float(np.mean(flight.points[:, 2] > height[flight.of]))
-        if over <= MOST_ABOVE and (best is None or found < 0.8 * best[0]):
+        if over <= MENDED_ABOVE and (best is None or found < 0.8 * best[0]):
             best = found, tried
     limit = BETTER * cost if np.isfinite(cost) else ALIKE * noise
     wrong = not sound or (cost > NOISES * noise and best is not None and best[0] < limit)

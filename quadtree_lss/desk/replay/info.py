@@ -190,7 +190,7 @@ def _read(
             scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
             info.points += ready.points_lidar.size // 3
             dropped.update(lost)
-            if missed_at is None and not len(scan.key):
+            if not why and not len(scan.key):
                 missed_at = scan.centre
                 why = likely_reason(ready.points_lidar, ready.pose, config)
         for notice in intake.notices():
