@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from replay.recordings import CLOUD, POSE, SECOND, START, Recorder
+from replay.recordings import CLOUD, POSE, SECOND, START, Recorder, write_ros2
+from replay.test_cli import run
 from rosbags.rosbag2 import StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
 
@@ -193,3 +195,34 @@ def test_each_mistake_is_named_with_its_mend(name, tmp_path):
         told = dict(part.split(": ") for part in wrong[0].mend[8:-1].split(", "))
         mount = Rotation.from_euler("xyz", [float(v) for v in told.values()], degrees=True)
         assert np.degrees((mount * DOWN.inv()).magnitude()) < 1.0
+
+
+STILL = {"scan_times": np.full(60, 3.0) + 1e-3 * np.arange(60)}
+GOOD = {
+    "poses of the body": ({}, MOUNTED),
+    "poses of the lidar": (LIDAR_POSES, BASE),
+    "hardly any motion": (STILL, MOUNTED),
+    "clocks since boot, both": ({"scan_clock": -1.7e9, "pose_clock": -1.7e9}, MOUNTED),
+    "another noise": ({}, {**MOUNTED, "lidar.range_noise": 0.06}),
+}
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_nothing_is_wrong_with_a_good_flight(name, tmp_path):
+    change, values = GOOD[name]
+    path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")
+    info = inspect_bag(path, config_from_values(values))
+    assert info.works and not [f for f in info.findings if f.mend], info.findings
+
+
+def test_nothing_is_wrong_with_one_that_looks_straight_down_and_the_command_says_so(
+    tmp_path, capsys
+):
+    path = write_ros2(tmp_path / "bag", scans=20)
+    settings = ("--set", "lidar.range_noise=0.03")
+    code, out, _ = run(capsys, "doctor", path, *settings)
+    assert code == 0 and out == "nothing is wrong with /lidar/points and /nav/pose\n"
+    code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom")
+    assert code == 1 and "mend:  frames.map: map" in out
+    code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom", "--json")
+    assert json.loads(out)[0]["mend"] == "frames.map: map"

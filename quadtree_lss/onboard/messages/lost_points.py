@@ -111,11 +111,12 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
         ("poses whose orientation takes the lidar's axes to the map's, not back", r.T, p),
         ("the pose of a body with z up and a lidar that looks down from it: mount.roll_deg 180",
          own @ LOOKING_DOWN, p),
-        ("poses with x east, y north, z up instead of north, east, down",
-         NED_FROM_ENU @ r, NED_FROM_ENU @ p),
         ("a cloud in the lidar's axes: this one is in the map's frame already",
          np.eye(3), np.zeros(3)),
     ]  # fmt: skip
+    north = ("poses with x east, y north, z up instead of north, east, down",
+             NED_FROM_ENU @ r, NED_FROM_ENU @ p)  # fmt: skip
+    tries.insert(0 if p[2] < 0.0 else len(tries), north)
     shares = [
         _share_inside(points @ turn.T + place, config, place[2] if place.any() else p[2])
         for _, turn, place in tries
@@ -123,7 +124,8 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
     best = int(np.argmax(shares))
     if shares[best] < 0.5:
         return ""
-    return f"it would lie inside, below the lidar, with {tries[best][0]} ({100 * shares[best]:.0f} % of its points)"
+    share = f"{100 * shares[best]:.0f} % of its points"
+    return f"it would lie inside, below the lidar, with {tries[best][0]} ({share})"
 
 
 def _share_inside(points_map: Array, config: Config, lidar_z: float) -> float:
