@@ -217,6 +217,7 @@ def test_a_jump_of_navigation_ends_at_the_pilot():
     assert flight.order.state == GIVE_UP and "jumped" in flight.order.text
     assert flight.height == pytest.approx(CONFIG.gate_height, abs=0.1)
     assert flight.on(60.0).order.state == GIVE_UP, "until the pilot has taken over"
+    assert flight.order.target is None, "whoever takes over by LAND does not land there"
 
 
 def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_than_it_may():

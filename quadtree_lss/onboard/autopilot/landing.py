@@ -148,6 +148,7 @@ class Landing:
         if seen.pose_age <= self._config.max_pose_age and self.state != TOUCHDOWN:
             self._move(point, seen, target, dt)
         self._point = point
+        target = None if self.state == GIVE_UP else target
         return Order(self.state, self._text, point.copy(), target)
 
     def _leave(self, seen: Seen) -> None:
