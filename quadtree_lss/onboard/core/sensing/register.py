@@ -119,10 +119,7 @@ def register(
     above = inside if 2 * np.count_nonzero(points[:inside, 2] > 0.0) > inside else 0
     scan = RegisteredScan(
         pose=Pose(
-            pose.stamp_ns,
-            pose.position,
-            pose.rotation_map_lidar,
-            sound_covariance(pose.covariance),
+            pose.stamp_ns, pose.position, pose.rotation_map_lidar, sound_covariance(pose.covariance)
         ),
         origin=pose.position,
         points=points[: inside - above],
