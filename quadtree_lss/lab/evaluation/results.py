@@ -250,21 +250,13 @@ def _leaves(path: Path, a: dict[str, Any]) -> Leaves:
         a.setdefault(name, np.full(a["level"].size, np.nan))
     for name in (*_CELLS[:-1], *_CELLS_EXTRA):
         _check_length(path, name, a[name], a["level"].size, "one per leaf")
-    xmin, ymin, size, min_level, max_level = np.asarray(a["domain"], float)
+    xmin, ymin, size, low, high = np.asarray(a["domain"], float).tolist()
+    kinds = dict.fromkeys(("level", "ix", "iy", "observed"), np.int64) | {"measured": np.bool_}
+    names = (*_CELLS[:7], "measured", *_CELLS_EXTRA)
     return Leaves(
-        level=a["level"].astype(np.int64),
-        ix=a["ix"].astype(np.int64),
-        iy=a["iy"].astype(np.int64),
-        x=a["x"].astype(float),
-        y=a["y"].astype(float),
-        size=a["size"].astype(float),
-        z=a["z"].astype(float),
+        **{name: a[name].astype(kinds.get(name, np.float64)) for name in names},
         normal=np.stack([a["nx"], a["ny"], a["nz"]], axis=-1).astype(float),
-        measured=a["measured"].astype(bool),
-        domain=Domain(*map(float, (xmin, ymin, size)), int(min_level), int(max_level)),
-        observed=a["observed"].astype(np.int64),
-        low=a["low"].astype(float),
-        high=a["high"].astype(float),
+        domain=Domain(xmin, ymin, size, int(low), int(high)),
     )
 
 
