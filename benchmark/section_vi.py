@@ -90,14 +90,8 @@ def summary(tree: list[MapScore], grid: list[MapScore]) -> None:
         ["  slowest scan, ms", *both(lambda s: s.scan_ms.max(), ".1f", none, max)],
         ["prefit below 95 %, one degree, %", *percent(c.one_degree.below for c in fractions)],
         ["prefit above 95 %, one degree, %", *percent(c.one_degree.above for c in fractions)],
-        [
-            "prefit below 95 %, three degrees, %",
-            *percent(c.three_degrees.below for c in fractions),
-        ],
-        [
-            "prefit above 95 %, three degrees, %",
-            *percent(c.three_degrees.above for c in fractions),
-        ],
+        ["prefit below 95 %, three degrees, %", *percent(c.three_degrees.below for c in fractions)],
+        ["prefit above 95 %, three degrees, %", *percent(c.three_degrees.above for c in fractions)],
     ]
     ratio = np.mean([a.elevation.mean_absolute for a in tree]) / np.mean(
         [b.elevation.mean_absolute for b in grid]

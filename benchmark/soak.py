@@ -63,11 +63,7 @@ def main() -> None:
         extra = ["-p", f"checkpoint.path:={folder}/checkpoint.map"]
         script = write_script(options.seed)
         flight = fly(
-            script,
-            options.minutes * MINUTE_S,
-            Path(folder),
-            extra=extra,
-            kill_every=options.kill,
+            script, options.minutes * MINUTE_S, Path(folder), extra=extra, kill_every=options.kill
         )
     by_the_minute(flight)
     report(flight)

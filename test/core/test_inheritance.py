@@ -50,10 +50,7 @@ def test_children_keep_the_mean_height_of_all_scans():
 
 @pytest.mark.parametrize("correlation_time", [0.0, 300.0])
 def test_children_keep_the_pose_part_of_all_scans(correlation_time):
-    config = configured(
-        lidar={"range_noise": 0.02},
-        pose={"correlation_time": correlation_time},
-    )
+    config = configured(lidar={"range_noise": 0.02}, pose={"correlation_time": correlation_time})
     mapper, rng = Mapper(config), np.random.default_rng(2)
     for surface in (flat(), flat(), flat(), block):
         look(mapper, surface, *scattered(rng, 0.0, 0.0, 16.0, 8000), rng, 0.02, POSE)

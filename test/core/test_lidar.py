@@ -5,13 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import (
-    configured,
-    flat,
-    lattice,
-    make_pose,
-    scan,
-)
+from core.builders import configured, flat, lattice, make_pose, scan
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.core.geometry import morton

@@ -80,9 +80,7 @@ def test_the_papers_criterion_hides_misfit_behind_pose_uncertainty():
     counts = []
     for division in ("lack_of_fit", "mahalanobis"):
         config = configured(
-            mapping={"division": division},
-            lidar={"range_noise": 0.03},
-            features={"enabled": False},
+            mapping={"division": division}, lidar={"range_noise": 0.03}, features={"enabled": False}
         )
         mapper, rng = Mapper(config), np.random.default_rng(5)
         pose, places = (

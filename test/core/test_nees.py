@@ -32,11 +32,7 @@ GRADIENT = (0.12, -0.07)
 GROUND = slope(*GRADIENT, 30.0)
 NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
 MAPS = 250
-CASES = {
-    "range": (0.3, 1e-9, 1e-12),
-    "pose": (1e-3, 0.2, 1e-3),
-    "both": (0.3, 0.2, 1e-3),
-}
+CASES = {"range": (0.3, 1e-9, 1e-12), "pose": (1e-3, 0.2, 1e-3), "both": (0.3, 0.2, 1e-3)}
 
 
 @functools.cache

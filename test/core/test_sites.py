@@ -454,9 +454,7 @@ def test_hysteresis_does_not_keep_a_site_that_became_unsafe(level_ground):
 
 
 @pytest.mark.parametrize(
-    "limit",
-    [{"max_slope_deg": 0.5}, {"clearance": 0.024}],
-    ids=lambda limit: next(iter(limit)),
+    "limit", [{"max_slope_deg": 0.5}, {"clearance": 0.024}], ids=lambda limit: next(iter(limit))
 )
 def test_other_limits_hold_from_the_next_map_on(cells, limit):
     """Those of a selector that has seen the map are the same as those of a new one."""

@@ -198,11 +198,7 @@ def test_a_single_wrong_stamp_ahead_costs_one_scan_and_no_map():
 
 
 @settings(max_examples=80, deadline=None)
-@given(
-    data=st.data(),
-    latency=st.integers(0, 250),
-    period=st.integers(20, 90),
-)
+@given(data=st.data(), latency=st.integers(0, 250), period=st.integers(20, 90))
 def test_when_it_is_asked_for_does_not_change_what_comes_out(data, latency, period):
     """Live nodes ask after each message, others may ask seldom: the same scans and poses."""
     rng = np.random.default_rng(0)

@@ -80,8 +80,7 @@ def pose(stamp_ns=0, position=(1.0, 2.0, 3.0), xyzw=(0, 0, 0, 1), covariance=Non
     x, y, z = position
     qx, qy, qz, qw = xyzw
     at = SimpleNamespace(
-        position=SimpleNamespace(x=x, y=y, z=z),
-        orientation=SimpleNamespace(x=qx, y=qy, z=qz, w=qw),
+        position=SimpleNamespace(x=x, y=y, z=z), orientation=SimpleNamespace(x=qx, y=qy, z=qz, w=qw)
     )
     held = SimpleNamespace(pose=at, covariance=np.asarray(covariance, dtype=float).reshape(-1))
     return SimpleNamespace(header=header(stamp_ns, frame), pose=held)

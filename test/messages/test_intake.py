@@ -89,8 +89,7 @@ def test_what_waits_at_the_end_is_counted():
 
 
 @pytest.mark.parametrize(
-    ("ratio", "effect"),
-    [(1.0, ""), (1.3, ""), (3.0, "too many"), (0.2, "too few"), (np.nan, "")],
+    ("ratio", "effect"), [(1.0, ""), (1.3, ""), (3.0, "too many"), (0.2, "too few"), (np.nan, "")]
 )
 def test_a_wrong_range_noise_is_told(ratio, effect):
     notice = noise_notice(ratio, CONFIG)

@@ -146,12 +146,7 @@ def test_axes_turn_the_cloud_under_every_mount():
         (ready,) = intake.ready(0)
         return ready.points_lidar @ ready.pose.rotation_map_lidar.T + ready.pose.position
 
-    for mount in (
-        {},
-        {"x": 2.0, "pitch_deg": 30.0},
-        {"gimbal": True},
-        {"tf": True},
-    ):
+    for mount in ({}, {"x": 2.0, "pitch_deg": 30.0}, {"gimbal": True}, {"tf": True}):
         np.testing.assert_allclose(
             mapped(flu, axes="flu_to_optical", **mount), mapped(optical, **mount), atol=1e-6
         )

@@ -5,13 +5,7 @@ import shutil
 from contextlib import closing
 
 import pytest
-from replay.recordings import (
-    CLOUD,
-    POSE,
-    storage_file,
-    write_ros1,
-    write_ros2,
-)
+from replay.recordings import CLOUD, POSE, storage_file, write_ros1, write_ros2
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.mcap_file import McapFile

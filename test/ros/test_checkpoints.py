@@ -46,9 +46,7 @@ mapper.Mapper.update = update
 sys.exit(main())
 """
 """A node that maps three scans, and the fourth ends in an error after it has spoilt the map."""
-SMALL = {
-    "domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6},
-}
+SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 
 
 def test_killed_mapping_node_takes_up_its_checkpoint(ros):

@@ -22,9 +22,7 @@ from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
 from quadtree_lss.onboard.nodes.files import MapFileError, write_atomically
 from quadtree_lss.onboard.nodes.map_files import WrongContentError, load, save
 
-SMALL = {
-    "domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6},
-}
+SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 
 
 def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):

@@ -83,10 +83,7 @@ def test_maps_of_an_overloaded_node(ros, policy):
     args = ["--params-file", str(ros.params), "-p", f"qos.overload:={policy}"]
     command = [sys.executable, "-c", SLOW, "--ros-args", *args]
     maps = []
-    with (
-        ros.listen({}) as listener,
-        process(command, env=ros.env, cwd=ros.folder) as node,
-    ):
+    with ros.listen({}) as listener, process(command, env=ros.env, cwd=ros.folder) as node:
         listener.node.create_subscription(
             PointCloud2,
             "map/cells",

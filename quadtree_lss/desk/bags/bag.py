@@ -28,11 +28,7 @@ from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 
-FORMATS: dict[str, type[RecordedFile]] = {
-    ".mcap": McapFile,
-    ".db3": SqliteFile,
-    ".bag": Ros1File,
-}
+FORMATS: dict[str, type[RecordedFile]] = {".mcap": McapFile, ".db3": SqliteFile, ".bag": Ros1File}
 PACKED = (".zstd", ".zst")
 """How files end that are compressed as a whole."""
 

@@ -27,10 +27,7 @@ from quadtree_lss.desk.commands.explained import (
     parameter_as_dict,
 )
 from quadtree_lss.onboard.config.limits import slow
-from quadtree_lss.onboard.config.loading import (
-    dump_config,
-    load_config,
-)
+from quadtree_lss.onboard.config.loading import dump_config, load_config
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values, values_from_config
 

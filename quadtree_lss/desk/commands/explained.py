@@ -11,12 +11,7 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 from types import SimpleNamespace
 
-from quadtree_lss.onboard.config.loading import (
-    check_reaches,
-    find_config,
-    read_values,
-    scalar_text,
-)
+from quadtree_lss.onboard.config.loading import check_reaches, find_config, read_values, scalar_text
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,

@@ -6,13 +6,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    add_command,
-    add_json,
-    named,
-    print_json,
-)
+from quadtree_lss.desk.commands.common import DONE, add_command, add_json, named, print_json
 from quadtree_lss.desk.commands.console import ProgressBar, show
 
 if TYPE_CHECKING:
@@ -64,11 +58,7 @@ def _run(options: argparse.Namespace) -> int:
 
     with ProgressBar("consistency", "scans", options.verbose) as bar:
         result = evaluate(
-            options.results[0],
-            options.truth,
-            options.out,
-            bag=options.bag,
-            progress=bar.update,
+            options.results[0], options.truth, options.out, bag=options.bag, progress=bar.update
         )
     _show(options, result)
     return DONE

@@ -9,10 +9,4 @@ from quadtree_lss.lab.evaluation.evaluate import (
 )
 from quadtree_lss.lab.evaluation.results import EvaluationError
 
-__all__ = [
-    "ComparisonResult",
-    "EvaluationError",
-    "EvaluationResult",
-    "compare",
-    "evaluate",
-]
+__all__ = ["ComparisonResult", "EvaluationError", "EvaluationResult", "compare", "evaluate"]

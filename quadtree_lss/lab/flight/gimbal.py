@@ -99,12 +99,7 @@ class Gimbal:
         return axes(self.boresight)
 
     def _begin(
-        self,
-        now: float,
-        position: Array,
-        velocity: Array,
-        target: Array | None,
-        aim: Array | None,
+        self, now: float, position: Array, velocity: Array, target: Array | None, aim: Array | None
     ) -> None:
         """Strips across the line of sight, from the near edge to the far one.
 

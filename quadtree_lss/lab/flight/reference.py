@@ -71,12 +71,7 @@ class Descent:
         return found[middle]
 
     def within(
-        self,
-        seconds: float,
-        position: Array,
-        velocity: Array,
-        end: Array,
-        end_velocity: Array,
+        self, seconds: float, position: Array, velocity: Array, end: Array, end_velocity: Array
     ) -> Optimum | None:
         """The descent that burns least in a given time, None if there is none."""
         cp = self._cvxpy

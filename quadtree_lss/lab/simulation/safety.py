@@ -60,11 +60,7 @@ def contact_safe(
 
 
 def worst_contact(
-    x: ArrayLike,
-    y: ArrayLike,
-    elevation: ArrayLike,
-    points: ArrayLike,
-    lander: LandingGear,
+    x: ArrayLike, y: ArrayLike, elevation: ArrayLike, points: ArrayLike, lander: LandingGear
 ) -> tuple[Array, Array]:
     """The worst over yaws and resting planes, for landers at each of ``points`` (K, 2).
 

@@ -94,10 +94,7 @@ class MarkerPublisher:
     the message, or its bytes."""
 
     def __init__(
-        self,
-        node: Node,
-        publisher: Publisher,
-        build: Callable[[], MarkerArray | bytes | None],
+        self, node: Node, publisher: Publisher, build: Callable[[], MarkerArray | bytes | None]
     ) -> None:
         self._publisher = publisher
         self._build = build

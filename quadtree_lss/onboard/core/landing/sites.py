@@ -243,11 +243,7 @@ class LandingSiteSelector:
         return ranked
 
     def _describe(
-        self,
-        points: PointAssessment,
-        aims: Aims,
-        spread: Dispersion,
-        places: list[tuple[int, int]],
+        self, points: PointAssessment, aims: Aims, spread: Dispersion, places: list[tuple[int, int]]
     ) -> Sites:
         """What is known of landing at grid points, given by row and column."""
         lss, around, at = self.config.lss, points.around, aims.at

@@ -94,11 +94,7 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
     rho = np.asarray(ranges, dtype=np.float64)
     cos_el = np.cos(elevation)
     return np.stack(
-        [
-            rho * np.sin(azimuth) * cos_el,
-            -rho * np.sin(elevation),
-            rho * np.cos(azimuth) * cos_el,
-        ],
+        [rho * np.sin(azimuth) * cos_el, -rho * np.sin(elevation), rho * np.cos(azimuth) * cos_el],
         axis=-1,
     )
 

@@ -112,10 +112,7 @@ def register(
         middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
     scan = RegisteredScan(
         pose=Pose(
-            pose.stamp_ns,
-            pose.position,
-            pose.rotation_map_lidar,
-            sound_covariance(pose.covariance),
+            pose.stamp_ns, pose.position, pose.rotation_map_lidar, sound_covariance(pose.covariance)
         ),
         origin=pose.position,
         points=points[:inside],
