@@ -16,8 +16,8 @@ ROS := $(shell test -n "$${ROS_DISTRO-}" && $(PYTHON) -c 'import rclpy' 2>/dev/n
 # It holds the versions that are installed.
 DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
 PACKAGE := $(VENV)/.package
-EXTRAS_wheels := [desk,wheels,exchange,guidance,campaign,test]
-EXTRAS_sourced := [desk,exchange,guidance,campaign,test]
+EXTRAS_wheels := [desk,wheels,exchange,autopilot,guidance,campaign,docs,test]
+EXTRAS_sourced := [desk,exchange,autopilot,guidance,campaign,docs,test]
 SOURCES := $(shell find quadtree_lss launch rviz foxglove security config examples scripts resource -type f \
     -not -path '*/__pycache__/*' -not -name '*.so') package.xml pyproject.toml setup.py setup.cfg
 
@@ -25,7 +25,7 @@ SOURCES := $(shell find quadtree_lss launch rviz foxglove security config exampl
 export PYTHONSAFEPATH := 1
 unexport VIRTUAL_ENV
 
-.PHONY: help setup lock audit demo test test-all test-checked test-vehicle lint bench clean
+.PHONY: help setup lock audit demo test test-all test-checked test-vehicle lint docs figures bench clean
 
 help:
 	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
@@ -33,7 +33,9 @@ help:
 	@echo 'make test-all  test suite with the slow tests'
 	@echo 'make test-checked  tests of the core with every index checked'
 	@echo 'make test-vehicle  test suite with the versions of a vehicle computer, where there is a Python 3.12'
-	@echo 'make lint      ruff and mypy'
+	@echo 'make lint      ruff, mypy, and the language of the documents'
+	@echo 'make docs      the site, into build/site/html'
+	@echo 'make figures   make the quick tables of the documents anew, list the others'
 	@echo 'make bench     print benchmark figures'
 	@echo 'make setup     only install into .venv'
 	@echo 'make lock      write .ci/requirements.lock anew: every wheel of constraints.txt with its hashes'
@@ -140,7 +142,7 @@ $(VEHICLE)/.dependencies: constraints.txt Makefile
 $(VEHICLE)/.package: $(VEHICLE)/.dependencies $(SOURCES)
 	@echo 'installing quadtree_lss and the versions of a vehicle into .venv-vehicle'
 	@rm -rf quadtree_lss.egg-info
-	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[desk,wheels,exchange,guidance,campaign,test]'
+	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[desk,wheels,exchange,autopilot,guidance,campaign,test]'
 	@rm -rf quadtree_lss.egg-info
 	@touch $@
 
@@ -158,10 +160,23 @@ $(CHECKED)/.package: $(PACKAGE)
 	@rm -rf quadtree_lss.egg-info
 	@touch $@
 
+# Of a copy, in which the pages outside of docs/ have their places, as rosdoc2 makes one.
+SITE := $(CURDIR)/build/site
+docs: setup
+	@rm -rf $(SITE) && mkdir -p build && cp -rL docs $(SITE)
+	$(BIN)/sphinx-build -q -W --keep-going $(SITE) $(SITE)/html
+	@echo 'open $(SITE)/html/index.html'
+
+# Tables and pictures of the documents: makes those that take minutes, lists those that take hours.
+figures: setup
+	@$(BIN)/python docs/figures.py --make
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy quadtree_lss/onboard/core quadtree_lss/lab/simulation/march.py quadtree_lss/lab/simulation/contact.py quadtree_lss/lab/simulation/rocks.py
+	$(BIN)/codespell README.md CONTRIBUTING.md QUALITY_DECLARATION.md CHANGELOG.rst docs msg_docs quadtree_lss config studies
+	$(BIN)/python docs/language.py
 
 bench: setup
 	@for script in $$(ls benchmark/*.py | grep -v soak.py); do \

@@ -82,7 +82,7 @@ def main() -> None:
             for seed in options.seeds
         ]
         rows.append([name, np.size(alarms), f"{100.0 * np.mean(alarms):.2f}"])
-    table("Plain ground (false alarms: must < 4 %, aim < 1 %)", ["ground", "cells", "%"], rows)
+    table("Plain ground (false alarms: required < 4 %, aim < 1 %)", ["ground", "cells", "%"], rows)
 
 
 PLAIN: dict[str, Ground] = {
@@ -150,7 +150,7 @@ def show_found(fields: list[Hemispheres], state: np.ndarray) -> None:
             ]
         )
     table(
-        "Hemispheres (must: found 90 %, height within 35 %, centre within 10 cm; aim: height 15 %)",
+        "Hemispheres (required: found 90 %, height within 35 %, centre within 10 cm)",
         [
             "radius",
             "cells",

@@ -4,7 +4,7 @@
 Flat ground seen from 100 m, 20 scans a second, pose errors of 0.3 m and 2 mrad along and about
 each axis, as claimed: independent from scan to scan (white), constant, or Gauss-Markov. The
 correlation time is the errors' own. Ratios are root mean square over flights and cells; calibrated
-is 1, must 0.5 .. 1.5.
+is 1, required 0.5 .. 1.5.
 """
 
 from __future__ import annotations

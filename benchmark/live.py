@@ -321,7 +321,7 @@ def report(flight: Flight) -> None:
     table(
         "Latency from scan stamp, ms (a message's: from the newest scan in it; every scan's: to"
         " the first message that has it, which withdraws the target if the scan shows a hazard)",
-        ["", "number", "median", "p95", "worst", "p95 must", "aim"],
+        ["", "number", "median", "p95", "worst", "p95 required", "aim"],
         rows,
     )
     rows = []
@@ -338,9 +338,9 @@ def report(flight: Flight) -> None:
             ]
         )
     total = sum(usage.share() for usage in flight.usage.values())
-    rows.append(["both (must < 60, aim < 25)", f"{total:.1f}", "", "", ""])
+    rows.append(["both (required < 60, aim < 25)", f"{total:.1f}", "", "", ""])
     table(
-        "Processes (mapping_node must stay flat below 200 MB, aim 150)",
+        "Processes (mapping_node is to stay flat below 200 MB, aim 150)",
         ["", "% of a core", "MB early", "MB last", "MB most"],
         rows,
     )
@@ -360,7 +360,7 @@ def report(flight: Flight) -> None:
         f" the player was at most {flight.late_ms:.0f} ms late"
     )
     for name, seconds in flight.recovery_s:
-        print(f"{name} killed and started again: serves new scans {seconds:.1f} s later (must 6)")
+        print(f"{name} killed and started again: new scans {seconds:.1f} s later (required 6)")
 
 
 def _spread(values: Any) -> list[str]:

@@ -38,8 +38,8 @@ STAGES: tuple[tuple[str, object, str], ...] = (
     ("update (fuse, judge, divide, rest)", mapping.ScanUpdate, "settle"),
 )
 FLIGHTS = (
-    ("morpheus", "Morpheus, leaves to 0.25 m (must: median 1.5, 99 % 4 ms)"),
-    ("parabola", "Section VI, to 1.875 m (must: all scans 80 ms)"),
+    ("morpheus", "Morpheus, leaves to 0.25 m (required: median 1.5, 99 % 4 ms)"),
+    ("parabola", "Section VI, to 1.875 m (required: all scans 80 ms)"),
 )
 POINTS = (64, 128, 256, 512, 1024)
 LEVELS = (3, 4, 5, 6, 7, 8)
@@ -165,7 +165,7 @@ def growth_with_points(sides: list[int]) -> None:
         loose = cpu_ms(mapper.update, points.reshape(-1, 3), pose)
         rows.append([f"{side * side:,}", mapper.leaves.count, *growth(spent), f"{loose:.2f}"])
     table(
-        "Growth with points: 64 x 64 m, leaves of 4 to 0.25 m, ms (must: a million in 60 ms)",
+        "Growth with points: 64 x 64 m, leaves of 4 to 0.25 m, ms (required: a million in 60 ms)",
         ["points", "leaves", *GROWTH, "not organised"],
         rows,
     )
@@ -181,7 +181,7 @@ def growth_with_leaves() -> None:
         spent = side_by_side(Mapper(config), scans)
         rows.append([f"{4**level:,}", f"{64.0 / 2**level:g}", *growth(spent)])
     table(
-        "Growth with leaves: 16,384 points over leaves of one size, ms (must: 65,536 in 8 ms)",
+        "Growth with leaves: 16,384 points over leaves of one size, ms (required: 65,536 in 8 ms)",
         ["leaves", "size m", *GROWTH],
         rows,
     )

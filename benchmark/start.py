@@ -103,7 +103,7 @@ def main() -> None:
         found = np.array([start_once(domain, log) for log in logs])
         stop.set()
         sensors.join(10.0)
-    names = ("ready, s", "first scan mapped, s (must 1.5)", "memory then, MB (must 130)")
+    names = ("ready, s", "first scan mapped, s (required 1.5)", "memory then, MB (must 130)")
     rows = [
         [name, f"{np.median(column):.2f}", f"{column.min():.2f}", f"{column.max():.2f}"]
         for name, column in zip(names, found.T, strict=True)

@@ -8,14 +8,15 @@ a guidance node flies to the last one, and has none after a message without a pl
 """
 
 import math
+import signal
 
 import rclpy
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 
 LATCHED = {
     "depth": 1,
@@ -70,15 +71,16 @@ class TargetFollower(Node):
 
 def main():
     """Runs until it is told to stop."""
-    rclpy.init()
+    # ROS's own handlers end the context at once, and whatever is being sent fails.
+    stop = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.append(True))
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = TargetFollower()
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    while not stop:
+        rclpy.spin_once(node, timeout_sec=0.2)
+    node.destroy_node()
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

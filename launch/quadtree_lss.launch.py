@@ -2,6 +2,8 @@
 """Both nodes: ``ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml``."""
 
 import os
+import sys
+from difflib import get_close_matches
 
 import yaml
 from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
@@ -22,6 +24,9 @@ from launch_ros.substitutions import FindPackageShare
 PACKAGE = "quadtree_lss"
 # Exit codes after which another start would end the same way: wrong arguments, wrong configuration.
 FINAL = (2, 78)
+# Nodes that ended so; of a launch of this file alone, which no other's nodes depend on.
+ENDED: set[str] = set()
+ALONE = any(os.path.basename(word) == os.path.basename(__file__) for word in sys.argv[1:])
 # Each is an argument too, with "_" for "/": the name under which the topic is known here.
 TOPICS = {
     "mapping_node": (
@@ -78,6 +83,12 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=value, description=text)
         for name, (value, text) in arguments.items()
     ]
+    for word in sys.argv if ALONE else ():
+        name, given, _ = word.partition(":=")
+        if given and name not in arguments:
+            near = get_close_matches(name, arguments, n=1)
+            msg = f"there is no argument '{name}'"
+            raise RuntimeError(f"{msg}; did you mean '{near[0]}'?" if near else msg)
     return LaunchDescription([*declared, OpaqueFunction(function=_nodes)])
 
 
@@ -125,6 +136,9 @@ def _stay_ended(event: ProcessExited, context: LaunchContext) -> list[LaunchDesc
         return []
     text = f"{event.process_name} ended with exit code {event.returncode}: its arguments or its"
     text += " configuration are wrong, see its line above; it is not started again"
+    ENDED.add(event.action.name)
+    if ALONE and len(ENDED) == len(TOPICS):
+        raise RuntimeError(text)  # the launch's exit code is then not 0
     end = ShutdownProcess(process_matcher=matches_action(event.action))
     return [LogInfo(msg=text), EmitEvent(event=end)]
 

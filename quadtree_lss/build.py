@@ -71,11 +71,8 @@ def interpreted() -> bool:
 
 @functools.cache
 def check() -> None:
-    """Lets core or simulation be imported, which call this first.
-
-    Raises:
-        BuildError: it is not compiled for this Python, or of other sources than those beside it.
-    """
+    """Lets core or simulation be imported, which call this first. Raises `BuildError`: it is not
+    compiled for this Python, or of other sources than those beside it."""
     if interpreted():
         if importlib.util.find_spec("cython") is None:
             msg = "QUADTREE_LSS_INTERPRETED needs Cython: apt install cython3"

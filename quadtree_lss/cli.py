@@ -14,7 +14,16 @@ from collections.abc import Callable, Sequence
 import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.desk.commands import compare, completion, config, export, info, replay, sites
-from quadtree_lss.desk.commands.common import DONE, ERROR, EXIT_CODES, INTERRUPTED, USAGE, Parser
+from quadtree_lss.desk.commands.common import (
+    DONE,
+    ERROR,
+    EXIT_CODES,
+    INTERRUPTED,
+    USAGE,
+    Parser,
+    UsageError,
+    print_json,
+)
 from quadtree_lss.desk.commands.completion import complete
 from quadtree_lss.desk.commands.console import first_line, quiet, say
 from quadtree_lss.lab.commands import campaign, evaluate, fit_risk, fly, simulate
@@ -38,29 +47,35 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = run(options)
             sys.stdout.flush()
         return code
-    except SystemExit as stop:  # argparse: help, version, wrong usage
+    except SystemExit as stop:  # argparse: help, version
         return stop.code if isinstance(stop.code, int) else USAGE
-    except QuadtreeLssError as error:
-        say(f"error: {error}")
-        return ERROR
     except BrokenPipeError:  # the reader of our output has gone, as with `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
-    except (OSError, MemoryError) as error:
-        say(f"error: {first_line(error)}")
-        return ERROR
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
     except Exception as error:
-        lacks = str(getattr(error, "name", "")).partition(".")[0]
-        if isinstance(error, ModuleNotFoundError) and lacks in OF_BAGS:
-            say(f"error: '{lacks}' is not installed, which bags need: {REMEDY}")
-            return ERROR
-        if getattr(options, "verbose", False):
+        code, text = _told(error)
+        if text.startswith("internal") and getattr(options, "verbose", False):
             raise
-        say(f"internal error: {type(error).__name__}: {first_line(error)} (-v shows where)")
-        return ERROR
+        say(text)
+        if "--json" in arguments:
+            print_json({"error": text.partition(": ")[2], "exit_code": code})
+        return code
+
+
+def _told(error: Exception) -> tuple[int, str]:
+    """Exit code and line of an error."""
+    if isinstance(error, QuadtreeLssError):
+        return USAGE if isinstance(error, UsageError) else ERROR, f"error: {error}"
+    if isinstance(error, (OSError, MemoryError)):
+        return ERROR, f"error: {first_line(error)}"
+    lacks = str(getattr(error, "name", "")).partition(".")[0]
+    if isinstance(error, ModuleNotFoundError) and lacks in OF_BAGS:
+        return ERROR, f"error: '{lacks}' is not installed, which bags need: {REMEDY}"
+    name = type(error).__name__
+    return ERROR, f"internal error: {name}: {first_line(error)} (-v shows where)"
 
 
 def main_replay_bag() -> int:

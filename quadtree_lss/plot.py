@@ -71,11 +71,8 @@ def elevation(
 
 def relief(heights: Array, side: float, *, sun_deg: tuple[float, float] = (315.0, 40.0)) -> Array:
     """Hillshade from 0 (dark) to 1 of heights (ny, nx), level ground 0.5; NaN where unknown.
-
-    Args:
-        side: Distance of the heights, m.
-        sun_deg: Azimuth clockwise from north (y), and elevation.
-    """
+    ``side``: distance of the heights, m. ``sun_deg``: azimuth clockwise from north (y), and
+    elevation."""
     north, east = np.gradient(heights, side)
     azimuth, up = np.radians(sun_deg)
     towards = -(east * np.sin(azimuth) + north * np.cos(azimuth)) * np.cos(up)

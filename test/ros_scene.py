@@ -126,13 +126,21 @@ class Sensors:
         self.poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
         self._listener = listener
 
-    def wait_for_subscribers(self) -> None:
-        """Until the mapping node is there."""
+    def matched(self) -> Sensors:
+        """The same, once the mapping node is there."""
         publishers = (self.scans, self.poses)
         assert self._listener.wait_for(
             lambda: all(p.get_subscription_count() for p in publishers), timeout=30.0
         )
         time.sleep(0.5)  # the subscriber's side of the match
+        return self
+
+    def map(self, mapping: Any, scans: int, **how: Any) -> int:
+        """As `publish`, and until the node's map has the stamp of the last scan."""
+        last = self.publish(scans, **how)
+        listener = self._listener
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        return last
 
     def publish(
         self,

@@ -21,7 +21,7 @@ from quadtree_lss.lab.evaluation.metrics import (
     elevation_field,
     safety_field,
 )
-from quadtree_lss.lab.evaluation.results import Grid, Leaves, load_grid, load_leaves
+from quadtree_lss.lab.evaluation.results import Leaves, ScoredGrid, load_grid, load_leaves
 from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
@@ -69,7 +69,7 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
     )
 
 
-def as_evaluated(cells: CellMap, found: LandingAssessment) -> tuple[Leaves, Grid]:
+def as_evaluated(cells: CellMap, found: LandingAssessment) -> tuple[Leaves, ScoredGrid]:
     """Map and assessment as ``evaluate`` reads them from a results folder."""
     with tempfile.TemporaryDirectory() as folder:
         leaves, grid = Path(folder) / "cells.npz", Path(folder) / "grid.npz"

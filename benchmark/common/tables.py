@@ -19,12 +19,21 @@ def machine() -> str:
     return (
         f"{platform.machine()}, {cores} cores, Python {platform.python_version()},"
         f" NumPy {np.__version__}, SciPy {scipy.__version__},"
-        f" quadtree_lss {quadtree_lss.__version__}"
+        f" quadtree_lss {quadtree_lss.__version__}."
     )
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print ``rows`` under ``header``: first column to the left, the others to the right."""
+    """Print ``rows`` under ``header``: first column to the left, the others to the right.
+
+    With ``TABLES=markdown`` as Markdown, for the documents.
+    """
+    if os.environ.get("TABLES") == "markdown":
+        lines = [header, ["---"] * len(header), *rows]
+        print(f"\n{title}\n")
+        texts = ([str(cell).replace("|", "\\|") for cell in line] for line in lines)
+        print("\n".join(f"| {' | '.join(text)} |" for text in texts) + "\n")
+        return
     cells = [list(map(str, header)), *[[str(cell) for cell in row] for row in rows]]
     width = [max(len(row[k]) for row in cells) for k in range(len(header))]
     print(f"\n{title}")

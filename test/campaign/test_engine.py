@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -20,11 +21,11 @@ import psutil
 import pytest
 
 from quadtree_lss.desk.commands.common import INTERRUPTED
-from quadtree_lss.lab.campaign import Where, campaign, compare_campaigns, read_study
+from quadtree_lss.lab.campaign import Where, campaign, compare_campaigns, engine, read_study
 from quadtree_lss.lab.campaign.engine import _client, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
 
-pytest.importorskip("distributed")
+LocalCluster = pytest.importorskip("distributed").LocalCluster
 # One after the other: each has processes of its own.
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -206,6 +207,32 @@ def test_a_scheduler_started_separately(first, study, tmp_path):
         again = Where(scheduler_address=address)
         campaign(read_study(study), tmp_path / "out", again, rerun=[1])
         assert files(tmp_path / "out") == files(first[0].out)
+
+
+def test_workers_that_do_not_come_end_it_in_a_line(study, tmp_path, monkeypatch):
+    """Killed while they start, or none at the scheduler."""
+    over = threading.Event()
+
+    def kill():
+        while not over.wait(0.02):
+            for child in psutil.Process().children():
+                with contextlib.suppress(psutil.Error):
+                    if "spawn_main" in " ".join(child.cmdline()):
+                        child.kill()
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        with pytest.raises(CampaignError, match="workers could not be started: "):
+            campaign(read_study(study), tmp_path / "out", Where(workers=1))
+    finally:
+        over.set()
+        killer.join()
+    monkeypatch.setattr(engine, "NO_WORKER_S", 1.0)
+    with LocalCluster(n_workers=0, dashboard_address=None) as cluster:
+        where = Where(scheduler_address=cluster.scheduler_address)
+        with pytest.raises(CampaignError, match="no worker for 1 s"):
+            campaign(read_study(study), tmp_path / "out", where)
 
 
 def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):

@@ -3,7 +3,16 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+
+import pytest
+
+from quadtree_lss.lab.campaign.kinds import CampaignError, Case
 from quadtree_lss.lab.campaign.store import Store
+
+CASES = [Case(k, "map", "morpheus", 7106 + k, version="1", build="b") for k in range(4)]
 
 
 def test_times_of_another_version_keep_their_columns(tmp_path):
@@ -14,3 +23,83 @@ def test_times_of_another_version_keep_their_columns(tmp_path):
         {"index": "0", "cpu_s": "2.5", "process": "17"},
         {"index": "1", "cpu_s": "2.25", "process": "18"},
     ]
+
+
+@pytest.fixture
+def store(tmp_path):
+    store = Store(tmp_path / "c")
+    for case in CASES[:3]:
+        store.write(case, {"safe_found": 90.5, "b": 1, "a": None})
+    return store
+
+
+def test_a_record_is_read_as_it_was_written(store):
+    record = store.read(CASES[1])
+    assert list(record.figures) == ["safe_found", "b", "a"] and record.build == "b"
+    assert store.read(CASES[3]) is None
+    other = Case(1, "map", "morpheus", 7107, version="1", build="of other sources")
+    assert store.read(other) is None
+
+
+def edited(**new):
+    return lambda text: json.dumps({**json.loads(text), **new}).encode()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (edited(figures={"safe_found": "high"}), "was changed"),
+        (edited(figures={"safe_found": None}), "was changed"),
+        (edited(index="1"), "no record"),
+        (edited(index=2), "but of 000002-"),
+        (edited(more=1), "no record"),
+        (lambda text: text[: len(text) // 2], "no record"),
+        (lambda text: b"", "no record"),
+        (lambda text: b"[" * 100_000, "no record"),
+    ],
+)
+def test_what_is_no_record_of_a_flight_is_named(store, spoil, word):
+    path = store.path(CASES[1])
+    path.write_bytes(spoil(path.read_bytes()))
+    with pytest.raises(CampaignError, match=word) as caught:
+        store.read(CASES[1])
+    assert path.name in str(caught.value)
+    assert store.read(CASES[0]) and store.read(CASES[2])
+    store.forget(CASES[1])
+    assert store.read(CASES[1]) is None
+
+
+def test_a_copied_record_is_not_counted_twice(store):
+    store.path(CASES[3]).write_bytes(store.path(CASES[0]).read_bytes())
+    with pytest.raises(CampaignError, match="but of 000000-"):
+        store.read(CASES[3])
+
+
+@pytest.mark.parametrize("text", ["two", "-1", "1e3", "9" * 5000, "2000000", "\udcff"])
+def test_a_number_of_added_flights_that_is_none_is_named(store, text):
+    (store.out / "added").write_text(text, errors="surrogateescape")
+    with pytest.raises(CampaignError, match="added"):
+        store.added()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts")
+def test_a_full_disk_loses_no_record(tmp_path):
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(tmp_path)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("nothing can be mounted here")
+    try:
+        store, done = Store(tmp_path), []
+        with pytest.raises(OSError, match="No space left") as caught:
+            for k in range(1000):
+                case = Case(k, "map", "morpheus", k)
+                record = store.write(case, {"safe_found": 0.5 * k})
+                done.append((case, record))
+                store.note_time(k, {"cpu_s": 1.0 + k})
+        assert str(tmp_path) in str(caught.value) and len(done) > 5
+        assert all(store.read(case) == record for case, record in done)
+        assert store.path(Case(len(done), "map", "morpheus", len(done))).exists() is False
+        store.forget(done[-1][0])
+        store.note_time(1000, {"cpu_s": 2.0})
+        assert store.times()[-1] == {"index": "1000", "cpu_s": "2"}
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)

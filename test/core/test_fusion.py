@@ -13,7 +13,6 @@ from quadtree_lss.onboard.core.geometry import plane, sphere
 
 DRAWS = 20_000
 MONTE_CARLO = 5.0 * np.sqrt(2.0 / DRAWS)
-NOTHING = np.zeros((3, 3))
 
 
 class Plane(NamedTuple):
@@ -38,10 +37,6 @@ def estimate(rng: np.random.Generator, truth: np.ndarray, parts: np.ndarray) -> 
     error = rng.multivariate_normal(np.zeros(3), parts[0] + parts[1])
     normal = sphere.plus(truth, error[:2])
     return Plane(normal, error[2] / truth[2], *parts)
-
-
-def error_of(found: Plane, truth: np.ndarray, z: float = 0.0) -> np.ndarray:
-    return np.append(sphere.minus(found.normal, truth), truth[2] * (found.z - z))
 
 
 def seen_from(of: Plane, by: Plane) -> np.ndarray:

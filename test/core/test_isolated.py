@@ -12,8 +12,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from quadtree_lss.onboard.core.sensing import lidar
-from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image
-from quadtree_lss.onboard.core.sensing.isolated_points import isolated_in_space, usual_distance
+from quadtree_lss.onboard.core.sensing.isolated import (
+    isolated_in_image,
+    isolated_in_space,
+    usual_distance,
+)
 
 
 def scene(height: int = 12, width: int = 16) -> np.ndarray:

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import log_ndtr, ndtr
 
-from quadtree_lss.onboard.core.geometry.portable import eigen, product
-from quadtree_lss.onboard.core.mapping.tail import above
+from quadtree_lss.onboard.core.geometry.portable import above, eigen, product
 
 
 def matrix(seed: int, n: int) -> np.ndarray:

@@ -18,7 +18,8 @@ from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import parameters
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("msg_docs/*.md")])
+FOLDERS = (".", "docs", "docs/tutorials", "docs/reference", "msg_docs")
+PAGES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.md"))
 MARKED = re.compile(r"<!-- test: (shell|python)([^>]*)-->\n```\w+\n(.*?)```", re.DOTALL)
 
 
@@ -104,6 +105,13 @@ def test_parameters_that_are_named_exist(page):
     for word in re.findall(r"`([a-z_]+\.[a-z_0-9]+)(?::[^`]*)?`", page.read_text()):
         if word.partition(".")[0] in sections - {"map", "lidar", "diagnostics"}:
             assert word in names, word
+
+
+def test_pages_that_code_and_configurations_name_exist():
+    folders = ("quadtree_lss", "config", "studies", "benchmark", "examples", "launch", "test")
+    files = [p for f in folders for kind in ("py", "yaml") for p in (ROOT / f).rglob(f"*.{kind}")]
+    named = {n for p in files for n in re.findall(r"\b(?:msg_)?docs/\w+\.md", p.read_text())}
+    assert len(named) > 5 and all((ROOT / name).exists() for name in named), named
 
 
 def test_every_equation_is_found_in_one_search():

@@ -12,7 +12,7 @@ from evaluation.scores import ground, write_results, write_truth
 from quadtree_lss.cli import main
 from quadtree_lss.lab.evaluation import EvaluationError, evaluate
 from quadtree_lss.lab.evaluation.metrics import fill_holes, seen_at
-from quadtree_lss.lab.evaluation.results import Grid
+from quadtree_lss.lab.evaluation.results import ScoredGrid
 
 
 def _evaluate(tmp_path, truth=None, figures=False, **results):
@@ -174,7 +174,7 @@ def test_a_point_is_seen_if_all_four_grid_points_about_it_are(hidden):
     axis, none = np.arange(4.0), np.zeros((4, 4))
     hazard = np.zeros((4, 4), np.uint8)
     hazard[hidden] = 128
-    grid = Grid(axis, axis, none, none, hazard, none > 0, none)
+    grid = ScoredGrid(axis, axis, none, none, hazard, none > 0, none)
     middle, corner = np.array([1.5]), np.array([0.5])
     assert not seen_at(grid, middle, middle)[0, 0]
     assert seen_at(grid, corner, corner)[0, 0] == (hidden != (1, 1))
@@ -313,10 +313,10 @@ def test_a_summary_that_is_missing_and_one_that_is_damaged_are_told_apart(tmp_pa
     folder = write_results(tmp_path / "results")
     truth = write_truth(tmp_path / "truth.npz")
     (folder / "summary.json").write_text("{")
-    with pytest.raises(EvaluationError, match="summary.json is not JSON"):
+    with pytest.raises(EvaluationError, match=r"summary\.json: cannot be read"):
         evaluate(folder, truth)
     (folder / "summary.json").unlink()
-    with pytest.raises(EvaluationError, match="not a folder that replay wrote"):
+    with pytest.raises(EvaluationError, match="replay did not write this folder"):
         evaluate(folder, truth)
 
 

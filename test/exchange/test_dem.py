@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import struct
+import zipfile
+from io import BytesIO
+
 import numpy as np
 import pytest
 
@@ -55,10 +59,70 @@ def test_what_is_not_metric_or_turned_is_told(tmp_path, crs, turned, word):
         read_dem(tiff(tmp_path / "dem.tif", crs, **options))
 
 
+def band(path, values=Z, crs="EPSG:32611", unit=None, scale=1.0, offset=0.0, bands=1, **shape):
+    """A raster whose band says how its numbers are heights."""
+    rasterio = pytest.importorskip("rasterio")
+    grid = rasterio.Affine(2.0, 0.0, X[0] - 1.0, 0.0, -2.0, Y[-1] + 1.0)
+    shape = {"width": 7, "height": 5, "count": bands, "dtype": "float64", **shape}
+    with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=grid, **shape) as file:
+        file.scales, file.offsets = [scale] * bands, [offset] * bands
+        if unit:
+            file.units = [unit] * bands
+        for k in range(bands if values is not None else 0):
+            file.write(values[::-1].astype(shape["dtype"]), k + 1)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("crs", "unit", "metres"),
+    [
+        ("EPSG:32611", "km", 1000.0),
+        ("EPSG:32611", "ft", 0.3048),
+        ("EPSG:26911+5703", None, 1.0),
+        ("EPSG:26911+6360", None, 1200.0 / 3937.0),  # told by the vertical system alone
+    ],
+)
+def test_heights_are_what_the_band_says(tmp_path, crs, unit, metres):
+    path = band(tmp_path / "dem.tif", crs=crs, unit=unit, scale=10.0, offset=-3.0)
+    np.testing.assert_allclose(read_dem(path).elevation, metres * (10.0 * Z - 3.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("how", "word"),
+    [
+        ({"unit": "fathom"}, "'fathom', which is no known unit"),
+        ({"bands": 3, "dtype": "uint8"}, "bands of red, green, blue"),
+        ({"bands": 2}, "gray, "),
+        ({"dtype": "complex64"}, "complex64"),
+        ({"width": 200_000, "height": 90_000, "values": None, "sparse_ok": True}, "is the most"),
+        ({"values": np.where(Z > 5.0, -3.4e38, Z)}, "no data must be declared"),
+        ({"crs": 'LOCAL_CS["site",UNIT["foot",0.3048]]'}, "units of foot"),
+    ],
+)
+def test_what_is_no_ground_in_metres_is_refused(tmp_path, how, word):
+    with pytest.raises(ExchangeError, match=word):
+        read_dem(band(tmp_path / "dem.tif", **how))
+
+
+def test_sizes_are_looked_at_before_anything_is_unpacked(tmp_path):
+    """3 GB of zeros in a few MB, never unpacked: the archive's own list says so."""
+    path = tmp_path / "dem.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        np.lib.format.write_array(io := BytesIO(), Z)
+        archive.writestr("elevation.npy", io.getvalue())
+    content = path.read_bytes()
+    size = struct.pack("<I", len(io.getvalue()))
+    at = content.index(size, content.rindex(b"PK\x01\x02"))
+    path.write_bytes(content[:at] + struct.pack("<I", 3 << 30) + content[at + 4 :])
+    with pytest.raises(ExchangeError, match=r"3\.2 GB; 2\.1 is the most"):
+        read_dem(path)
+
+
 @pytest.mark.parametrize(
     ("arrays", "word"),
     [
         ({"x": X, "y": Y}, "arrays x, y and elevation"),
+        ({"x": X, "y": Y, "elevation": Z + 1j}, "real numbers"),
         ({"x": X, "y": Y, "elevation": Z.T}, "does not belong"),
         ({"x": X[::-1], "y": Y, "elevation": Z}, "equal steps"),
         ({"x": X**2, "y": Y, "elevation": Z}, "equal steps"),

@@ -6,6 +6,8 @@ from __future__ import annotations
 import os
 import re
 import runpy
+import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -134,6 +136,33 @@ def test_the_readmes_vehicle_section_names_what_there_is(make):
             assert words[3].lstrip("/") in TOPIC_TYPES and len(words) == 4
         seen.add(kind)
     assert seen >= {"ros2 launch", "ros2 run", "ros2 param", "ros2 topic"}
+
+
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [
+        (LAUNCH.name, "no argument 'parms_file'; did you mean 'params_file'?"),
+        ("mission.launch.py", None),  # another's, which may have arguments of its own
+    ],
+)
+def test_a_misspelt_argument_stops_the_launch(make, monkeypatch, file, said):
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "package", file, "parms_file:=a.yaml"])
+    with pytest.raises(RuntimeError, match=re.escape(said)) if said else nullcontext():
+        make()
+
+
+def test_a_launch_whose_nodes_all_ended_so_fails(make, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", str(LAUNCH)])
+    nodes, others = make()
+    events = [
+        SimpleNamespace(returncode=78, process_name=node.name, action=node)
+        for node in nodes.values()
+    ]
+    stay_ended = next(e.args[0].on_exit for e in others if isinstance(e, RegisterEventHandler))
+    for event in (events[0], events[0]):
+        assert stay_ended(event, None)
+    with pytest.raises(RuntimeError, match="exit code 78"):
+        stay_ended(events[1], None)
 
 
 def test_log_level_namespace_and_respawn(make):

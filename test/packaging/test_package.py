@@ -23,7 +23,7 @@ from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_
 from quadtree_lss.onboard.messages.outputs import SITE_TABLE, STATUS, TOPIC_TYPES
 
 ROOT = Path(__file__).parents[2]
-NODES = ("mapping_node", "lss_node")
+NODES = ("mapping_node", "lss_node", "autopilot_node")
 EXECUTABLES = (*NODES, "replay_bag", "simulate", "evaluate", "quadtree-lss")
 
 needs_rclpy = pytest.mark.skipif(
@@ -41,7 +41,7 @@ def test_installed_files_are_those_of_the_checkout():
     ):
         copy = installed / source.relative_to(package)
         assert copy.read_bytes() == source.read_bytes(), f"{copy} is stale: make setup"
-    shared = (("launch", "*.launch.py"), ("config", "*.yaml"), ("rviz", "*.rviz"))
+    shared = (("launch", "*.launch.py"), ("config", "*.*"), ("rviz", "*.rviz"))
     shared += (("foxglove", "*.json"), ("examples", "*.py"))
     for folder, pattern in shared:
         names = {path.name for path in (ROOT / folder).glob(pattern)}

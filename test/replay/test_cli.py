@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from installed import PREFIX
 from replay.recordings import storage_file, write_ros2
@@ -118,8 +119,23 @@ def test_errors_are_one_line_and_exit_code_1(bag, tmp_path, capsys, arguments, w
     ],
 )
 def test_wrong_usage_is_exit_code_2(capsys, arguments):
-    code, _, err = run(capsys, *arguments)
-    assert code == 2 and "usage:" in err
+    code, out, err = run(capsys, *arguments)
+    assert code == 2 and "--help)" in err and err.count("\n") == 1
+    told = run(capsys, *arguments, "--json")[1]
+    assert not out and json.loads(told)["exit_code"] == 2
+
+
+def test_a_place_may_begin_with_a_minus(capsys, tmp_path):
+    x = np.arange(-20.0, 20.5, 0.5)
+    np.savez(tmp_path / "dem.npz", x=x, y=x, elevation=np.zeros((x.size, x.size)))
+    options = ["--out", tmp_path / "out", "--no-report", "--json", "-q"]
+    found = []
+    for target in (["--target", "-3,4"], ["--target=-3,4"]):
+        code, out, _ = run(capsys, "sites", tmp_path / "dem.npz", *target, *options)
+        found.append(json.loads(out)["landing"])
+    assert code == 0 and found == [{"target": [-3.0, 4.0]}] * 2
+    code, out, _ = run(capsys, "sites", tmp_path / "none.npz", *options)
+    assert code == 1 and "no such file" in json.loads(out)["error"]
 
 
 def test_options_that_do_not_go_together_are_named(capsys):
@@ -327,6 +343,11 @@ def test_config_checks_files_and_explains_keys(tmp_path, capsys):
     bad.write_text("/**:\n  ros__parameters:\n    lss.margn: 1.0\n")
     code, out, _ = run(capsys, "config", "check", good, "morpheus")
     assert code == 0 and out.count("good\n") == 2
+    fine = tmp_path / "fine.yaml"
+    fine.write_text("/**:\n  ros__parameters:\n    domain: {size: 60.0, max_level: 9}\n")
+    code, out, err = run(capsys, "config", "check", fine)
+    assert code == 0 and "a landing site pass may take" in err and "within 1 s" in err
+    assert "pass" not in run(capsys, "config", "check", good)[2]
     code, out, _ = run(capsys, "config", "check", good, bad)
     assert code == 1 and "lss.margin" in out.splitlines()[1]
     code, out, _ = run(capsys, "config", "explain", "lss.margin")

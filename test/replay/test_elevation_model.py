@@ -76,7 +76,8 @@ def test_the_command_writes_results_like_a_replay(tmp_path, capsys):
     np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
     options = ["--set", "lss.grid_spacing=0.5", "--out", tmp_path / "out"]
     code, out, _ = run(capsys, "sites", tmp_path / "dem.npz", *options)
-    assert code == 0 and "161 x 121 posts, 0.25 m apart" in out
+    assert code == 0 and "161 x 121 posts, 0.25 m apart; heights 0.0 to 9.0 m" in out
+    assert "median slope 0.0°" in out
     assert out.splitlines()[-1] == f"open {tmp_path / 'out' / 'report.html'}"
     results = load_results(tmp_path / "out")
     assert len(results.positions) == 5 and results.map.at(18.0, 20.0).height == pytest.approx(0.0)

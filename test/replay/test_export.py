@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -15,11 +16,14 @@ from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
 
 from quadtree_lss.desk.exchange.libraries import ExchangeError
-from quadtree_lss.desk.replay.export import FORMATS, export_results
+from quadtree_lss.desk.replay.export import FORMATS, LAYERS, export_results
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.results import Grid, load_results
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import encode_hazards
+
+#: Of a map about its origin.
+MADE_FOR = "+proj=tmerc +lat_0=38 +lon_0=-116 +datum=WGS84 +units=m"
 
 
 @pytest.fixture(scope="module")
@@ -31,15 +35,22 @@ def written(tmp_path_factory):
 
 def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
     rasterio = pytest.importorskip("rasterio")
-    paths = export_results(written.out, tmp_path, ["geotiff"], crs="EPSG:32611")
+    paths = export_results(written.out, tmp_path, ["geotiff"], crs=MADE_FOR)
     grid = load_results(written.out).grid
     assert {path.stem for path in paths} == {*grid.layers, "map_height", "map_deviation"}
     for name, values in grid.layers.items():
         with rasterio.open(tmp_path / f"{name}.tif") as file:
-            assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG" and file.crs == "EPSG:32611"
-            assert file.descriptions == (name,)
+            assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG" and file.crs.is_projected
+            assert file.descriptions == (name,) and file.units == (LAYERS[name][0] or None,)
+            assert LAYERS[name][1] in file.tags()["TIFFTAG_IMAGEDESCRIPTION"]
             x, y = grid.x[5], grid.y[40]
             (pixel,) = file.sample([(x, y)])
+            if name == "safe":
+                assert file.nodata == 255 and file.colormap(1)[1][:3] == (0x00, 0x9E, 0x73)
+                values = np.where(grid["hazard"] & 128, 255, values)
+                assert {0, 1, 255} == set(values.flat)
+            elif name == "hazard":
+                assert file.colormap(1)[128 | 8] != file.colormap(1)[8] != file.colormap(1)[0]
             np.testing.assert_allclose(pixel[0], np.float32(values[40, 5]))
             np.testing.assert_allclose(file.read(1), values[::-1].astype(file.dtypes[0]))
     with rasterio.open(tmp_path / "map_height.tif") as file:
@@ -109,31 +120,65 @@ def test_a_mesh_far_from_the_origin_is_moved_and_says_by_how_much(written, tmp_p
     np.testing.assert_allclose(steps, grid.spacing, atol=1e-3)
 
 
-def test_geojson_without_and_with_a_place_on_the_earth(written, tmp_path):
-    (path,) = export_results(written.out, tmp_path, ["geojson"])
-    local = json.loads(path.read_text())
-    sites = load_results(written.out).sites
-    points = [f for f in local["features"] if f["properties"]["kind"] == "site"]
-    assert "map frame" in local["coordinates"] and len(points) == len(sites["x"]) > 0
-    for k, feature in enumerate(points):
-        known = feature["properties"]
-        assert feature["geometry"]["coordinates"] == [sites[name][k] for name in "xyz"]
-        assert known["rank"] == k + 1 and known["id"] == sites["id"][k]
+def test_geojson_has_a_place_on_the_earth(written, tmp_path):
+    with pytest.raises(ExchangeError, match="longitude and latitude"):
+        export_results(written.out, tmp_path, ["geojson"])
+    assert not list(tmp_path.iterdir())
     pytest.importorskip("rasterio")
+    sites = load_results(written.out).sites
     (path,) = export_results(written.out, tmp_path, ["geojson"], origin=(38.0, -116.0))
     world = json.loads(path.read_text())
-    assert "coordinates" not in world
-    for feature, placed in zip(local["features"], world["features"], strict=True):
-        if feature["geometry"]["type"] == "Point":
-            x, y, _ = feature["geometry"]["coordinates"]
-            longitude, latitude, _ = placed["geometry"]["coordinates"]
-            metre = np.radians(6_371_000.0)  # of a degree, on a sphere: to half a per cent
-            np.testing.assert_allclose((latitude - 38.0) * metre, y, atol=0.006 * 16)
-            east = (longitude + 116.0) * metre * np.cos(np.radians(38.0))
-            np.testing.assert_allclose(east, x, atol=0.006 * 16)
-        else:
-            (ring,) = placed["geometry"]["coordinates"]
+    assert set(world) == {"type", "features"}
+    points = [f for f in world["features"] if f["properties"]["kind"] == "site"]
+    assert len(points) == len(sites["x"]) > 0
+    for k, feature in enumerate(points):
+        known = feature["properties"]
+        assert known["rank"] == k + 1 and known["id"] == sites["id"][k]
+        longitude, latitude, z = feature["geometry"]["coordinates"]
+        metre = np.radians(6_371_000.0)  # of a degree, on a sphere: to half a per cent
+        np.testing.assert_allclose((latitude - 38.0) * metre, sites["y"][k], atol=0.006 * 16)
+        east = (longitude + 116.0) * metre * np.cos(np.radians(38.0))
+        np.testing.assert_allclose(east, sites["x"][k], atol=0.006 * 16)
+        assert z == sites["z"][k]
+    for feature in world["features"]:
+        if feature["properties"]["kind"] == "zone":
+            (ring,) = feature["geometry"]["coordinates"]
             assert ring[0] == ring[-1] and len(ring) == 49
+
+
+@pytest.mark.parametrize(
+    ("crs", "word"),
+    [
+        ("EPSG:4326", "is in degrees"),
+        ("EPSG:2225", "US survey foot"),
+        ("EPSG:4978", "is no plane"),
+        ("EPSG:32611", "which is for"),  # the origin of UTM is in no zone
+        ("EPSG:2056", "which is for"),
+    ],
+)
+def test_a_system_that_cannot_be_the_maps_is_refused(written, tmp_path, crs, word):
+    pytest.importorskip("rasterio")
+    with pytest.raises(ExchangeError, match=word):
+        export_results(written.out, tmp_path, ["geotiff"], crs=crs)
+
+
+@pytest.mark.parametrize(
+    ("crs", "x", "y", "good"),
+    [
+        ("EPSG:32611", 5e5, 4e6, True),
+        ("EPSG:32611", 2.0e5, 4e6, True),  # a little west of its zone
+        ("EPSG:32611", -2e5, 4e6, False),
+        ("EPSG:32601", 3.3e5, 7e6, True),  # across 180 degrees
+        ("EPSG:32701", 8e5, 4e6, False),
+        ("EPSG:3857", 1.9e7, 0.0, True),
+    ],
+)
+def test_areas_of_systems(crs, x, y, good):
+    pytest.importorskip("rasterio")
+    from quadtree_lss.desk.exchange.geotiff import check_place, reference
+
+    with contextlib.nullcontext() if good else pytest.raises(ExchangeError, match="which is for"):
+        check_place(np.array([x, x + 64.0]), np.array([y, y + 64.0]), reference(crs))
 
 
 def test_map_server_reads_back_the_occupancy_grids(written, tmp_path):
@@ -163,8 +208,10 @@ def test_the_command_writes_all_of_it(written, tmp_path, capsys):
     code, out, _ = run(capsys, "export", written.out, "--out", tmp_path / "all")
     assert code == 0 and "elevation.tif" in out and "files in" in out
     written_now = {path.name for path in (tmp_path / "all").iterdir()}
-    assert {"safe.tif", "ground.ply", "ground.glb", "sites.geojson", "landing.yaml"} <= written_now
-    code, out, _ = run(capsys, "export", written.out, "--format", "geojson", "--json", "-q")
+    assert {"safe.tif", "ground.ply", "ground.glb", "landing.yaml"} <= written_now
+    assert "sites.geojson" not in written_now
+    place = ["--format", "geojson", "--origin=38,-116"]
+    code, out, _ = run(capsys, "export", written.out, *place, "--json", "-q")
     assert json.loads(out)["files"] == [str(written.out / "exchange" / "sites.geojson")]
     code, _, err = run(capsys, "export", written.out, "--format", "geotif")
     assert code == 2 and "did you mean 'geotiff'?" in err
@@ -182,7 +229,7 @@ def test_both_a_system_and_an_origin_is_too_much(written, tmp_path):
 def test_a_folder_that_cannot_be_written_is_named(written, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ExchangeError, match="cannot be written"):
-        export_results(written.out, tmp_path / "file", ["geojson"])
+        export_results(written.out, tmp_path / "file", ["map_server"])
 
 
 @pytest.mark.parametrize(("module", "form"), [("rasterio", "geotiff"), ("trimesh", "ply")])
@@ -215,5 +262,5 @@ def test_an_assessment_without_a_safe_place_is_exported_too(written, tmp_path):
     write_results(tmp_path / "none", result, config_from_values(GROUND), report=False)
     for name in ("rasterio", "trimesh"):
         pytest.importorskip(name)
-    export_results(tmp_path / "none", tmp_path / "out")
+    export_results(tmp_path / "none", tmp_path / "out", origin=(38.0, -116.0))
     assert json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"] == []

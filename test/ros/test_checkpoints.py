@@ -36,7 +36,7 @@ left = [3]
 
 def update(self, *scan):
     left[0] -= 1
-    if left[0] < 0:
+    if left[0] == -1:
         self.leaves.plant()
         self.stamp_ns = 1
         raise ValueError("math domain error")
@@ -45,7 +45,7 @@ def update(self, *scan):
 mapper.Mapper.update = update
 sys.exit(main())
 """
-"""A node that maps three scans and dies of the fourth, after it has spoilt the map."""
+"""A node that maps three scans, and the fourth ends in an error after it has spoilt the map."""
 SMALL = {
     "domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6},
 }
@@ -57,10 +57,8 @@ def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        last = sensors.map(mapping, SCANS)
         before = bytes(listener.newest["map/cells"].data)
         assert listener.wait_for(lambda: _stamp_in(path) == last), mapping.output()
         mapping.process.kill()
@@ -107,10 +105,8 @@ def test_damaged_checkpoint_is_set_aside_and_mapping_goes_on(ros):
     path.write_bytes(b"PK\x03\x04 something else")
     mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={path}")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        sensors.map(mapping, SCANS)
         assert listener.wait_for(lambda: has(listener, "problems.checkpoint", 1))
     assert path.with_name("checkpoint.map.refused").exists()
     assert "starting with an empty map" in mapping.output()
@@ -124,10 +120,8 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     before = resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE, (20_000, before[1]))
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        sensors.map(mapping, SCANS)
         assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 3))
         lines = [line for line in mapping.output().splitlines() if "File too large" in line]
         assert len(lines) == 1, "told once, though it fails again and again"
@@ -142,10 +136,8 @@ def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
     args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=3600.0")
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        sensors.map(mapping, SCANS)
         assert listener.wait_for(path.exists), mapping.output()
         path.unlink()
         path.mkdir()
@@ -163,8 +155,7 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     args = ("-p", f"checkpoint.path:={folder / 'a.map'}", "-p", "checkpoint.interval:=0.1")
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         sensors.publish(SCANS)
         assert listener.wait_for((folder / "a.map").exists), mapping.output()
         shutil.rmtree(folder)
@@ -175,26 +166,40 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     assert "[ERROR]" in mapping.output().splitlines()[-1]
 
 
-def test_a_node_that_dies_of_an_exception_leaves_its_checkpoint_alone(ros):
-    """Whatever it was, the map that it happened to may be half written."""
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
+    """Whatever it was, the map that it happened to may be half changed."""
     path = ros.folder / "checkpoint.map"
-    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1") if kept else ()
     command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params), *args]
     with (
         ros.listen() as listener,
         process(command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE) as faulty,
     ):
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         good = sensors.publish(SCANS - 1)
-        assert listener.wait_for(lambda: _stamp_in(path) == good)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == good)
+        assert not kept or listener.wait_for(lambda: _stamp_in(path) == good)
+        leaves = len(listener.newest["map/cells"].data)
         sensors.publish(1, offset_ns=TEN_SECONDS_NS)
+
+        def told():
+            status = listener.diagnostics["mapping_node"]
+            how = "that of the checkpoint" if kept else "sound and goes on"
+            return status.level == DiagnosticStatus.ERROR and how in status.message
+
+        assert listener.wait_for(told), listener.diagnostics
+        assert "ValueError" in listener.diagnostics["mapping_node"].message
+        assert has(listener, "problems.scan_failed", 1)
+        assert not kept or _stamp_in(path) == good
+        last = sensors.publish(1, offset_ns=2 * TEN_SECONDS_NS)
+        assert listener.wait_for(lambda: listener.stamp("map/cells") == last)
+        assert not kept or len(listener.newest["map/cells"].data) >= leaves
+        well = lambda: "failed" not in listener.diagnostics["mapping_node"].message  # noqa: E731
+        assert listener.wait_for(well), listener.diagnostics
+        faulty.send_signal(signal.SIGTERM)
         _, errors = faulty.communicate(timeout=20.0)
-    assert faulty.returncode == 1 and "ValueError: math domain error" in errors
-    assert _stamp_in(path) == good
-    again = ros.start("mapping_node", *args)
-    with ros.listen() as listener:
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == good), again.output()
+    assert faulty.returncode == 0 and "ValueError: math domain error" in errors
 
 
 def test_two_nodes_on_one_checkpoint(ros):
@@ -202,8 +207,7 @@ def test_two_nodes_on_one_checkpoint(ros):
     args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
     first = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         stamp = sensors.publish(SCANS)
         assert listener.wait_for(lambda: _stamp_in(path) == stamp), first.output()
         second = ros.start("mapping_node", *args, "-r", "__node:=second")
@@ -229,8 +233,7 @@ def test_both_nodes_recover_from_kills_while_sensors_stay(ros):
     nodes = {name: ros.start(name, *args) for name in ("mapping_node", "lss_node")}
     rng = np.random.default_rng(5)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         for attempt in range(8):
             newest = _publish_until_mapped(listener, sensors, 100 * attempt, "landing/sites")
             assert newest, "".join(node.output() for node in nodes.values())

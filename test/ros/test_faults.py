@@ -31,8 +31,7 @@ def flight(ros):
     """A mapping node with sensors: listener, sensors, process."""
     mapping = ros.start("mapping_node", "-p", "pose.max_wait:=0.3")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         yield listener, sensors, mapping
         mapping.check()
         assert "Traceback" not in mapping.output()
@@ -44,8 +43,7 @@ def test_poses_stop_and_resume(flight):
     sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS, make_pose=lambda stamp: None)
     dropped = functools.partial(has, listener, "scans.dropped.no_pose", SCANS)
     assert listener.wait_for(dropped), mapping.output()
-    last = sensors.publish(SCANS, offset_ns=2 * TEN_SECONDS_NS)
-    assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+    sensors.map(mapping, SCANS, offset_ns=2 * TEN_SECONDS_NS)
     assert listener.wait_for(lambda: has(listener, "scans", 2 * SCANS))
     lines = [line for line in mapping.output().splitlines() if "no longer sent" in line]
     assert len(lines) == 1, "one line for all of them"
@@ -98,8 +96,7 @@ def test_unknown_and_invalid_covariances(flight):
         return [message, pose(stamp)]
 
     sensors.publish(SCANS, make_pose=unknown)
-    last = sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS, make_pose=invalid)
-    assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+    sensors.map(mapping, SCANS, offset_ns=TEN_SECONDS_NS, make_pose=invalid)
     for key in ("pose_covariance_unknown", "pose_covariance"):
         told = functools.partial(at_least, listener, f"problems.{key}", SCANS)
         assert listener.wait_for(told), key
@@ -145,8 +142,7 @@ def layouts(stamp_ns, points):
 
 def test_every_legal_layout_maps_all_points(flight):
     listener, sensors, mapping = flight
-    last = sensors.publish(SCANS, make_cloud=layouts)
-    assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+    sensors.map(mapping, SCANS, make_cloud=layouts)
     assert listener.wait_for(lambda: has(listener, "scans", SCANS)), mapping.output()
     values = status_values(listener, "mapping_node")
     dropped = {key: value for key, value in values.items() if key.startswith("points.dropped")}
@@ -171,8 +167,7 @@ def test_a_second_publisher_is_told_and_no_loss_invented(flight):
 def test_mounts_give_the_map_of_the_lidars_own_poses(ros, moving):
     own = ros.start("mapping_node")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         last = sensors.publish(SCANS)
         assert listener.wait_for(lambda: listener.stamp("map/observed") == last), own.output()
         wanted = np.frombuffer(listener.newest["map/observed"].data, np.int8)
@@ -184,7 +179,7 @@ def test_mounts_give_the_map_of_the_lidars_own_poses(ros, moving):
         publisher = listener.node.create_publisher(
             TransformStamped, "lidar/gimbal", stream(100, reliable=True)
         )
-        sensors.wait_for_subscribers()
+        sensors.matched()
         assert publisher.get_subscription_count() == int(moving)
 
         def on_pose(stamp):
@@ -218,8 +213,7 @@ def test_a_missing_gimbal_is_told_by_its_name_and_topic(ros):
     args = ("-p", "mount.gimbal:=true", "-p", "pose.max_wait:=0.2", "-r", "lidar/gimbal:=/my/turn")
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         sensors.publish(SCANS)
         told = functools.partial(has, listener, "scans.dropped.gimbal_no_pose", SCANS)
         assert listener.wait_for(told), mapping.output()

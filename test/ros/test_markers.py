@@ -98,8 +98,7 @@ def test_sites_have_circle_normal_and_rank(mapper):
 def test_markers_come_to_whom_subscribes_late_and_go_with_a_reset(ros):
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         last = sensors.publish(4)
         assert listener.wait_for(lambda: listener.stamp("landing/sites") == last), lss.output()
         with ros.listen(MARKERS) as viewer:

@@ -56,10 +56,8 @@ def has_stamp(listener, topic, stamp):
 
 def test_scans_and_poses_become_ranked_sites(ros):
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
-    listener = ros.listen()
-    with listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+    with ros.listen() as listener:
+        sensors = Sensors(listener).matched()
         last = sensors.publish(SCANS)
         assert listener.wait_for(lambda: all(listener.stamp(t) == last for t in TOPICS)), (
             mapping.output() + lss.output()
@@ -133,10 +131,8 @@ def test_live_equals_offline_cell_for_cell(ros):
 
 def test_malformed_messages_are_counted_and_survived(ros):
     mapping = ros.start("mapping_node")
-    listener = ros.listen()
-    with listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+    with ros.listen() as listener:
+        sensors = Sensors(listener).matched()
         good = next(e for e in events(1) if e.points_lidar is not None)
         truncated = cloud(good.stamp_ns, good.points_lidar)
         truncated.data = truncated.data[:-5]
@@ -155,8 +151,7 @@ def test_malformed_messages_are_counted_and_survived(ros):
         for bad in (not_unit, elsewhere, negative):
             sensors.poses.publish(bad)
 
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors.map(mapping, SCANS)
         counts = functools.partial(status_values, listener, "mapping_node")
         expected = {
             "problems.cloud_size": "2",
@@ -177,16 +172,13 @@ def test_malformed_messages_are_counted_and_survived(ros):
 
 def test_late_and_restarted_subscribers_get_the_map(ros):
     mapping = ros.start("mapping_node")
-    first = ros.listen()
-    with first:
-        sensors = Sensors(first)
-        sensors.wait_for_subscribers()
+    with ros.listen() as first:
+        sensors = Sensors(first).matched()
         last = sensors.publish(SCANS)
         assert first.wait_for(lambda: first.stamp("map/cells") == last), mapping.output()
     for signal_number in (signal.SIGKILL, signal.SIGINT):
         lss = ros.start("lss_node")
-        late = ros.listen()
-        with late:
+        with ros.listen() as late:
             for topic in ("map/cells", "landing/sites"):
                 done = functools.partial(has_stamp, late, topic, last)
                 assert late.wait_for(done), lss.output()
@@ -195,24 +187,20 @@ def test_late_and_restarted_subscribers_get_the_map(ros):
 
 def test_scan_without_pose_is_dropped_with_its_cause(ros):
     mapping = ros.start("mapping_node", "-p", "pose.max_wait:=0.2")
-    listener = ros.listen()
-    with listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+    with ros.listen() as listener:
+        sensors = Sensors(listener).matched()
         scan = next(e for e in events(1) if e.points_lidar is not None)
         sensors.scans.publish(cloud(scan.stamp_ns, scan.points_lidar))
         assert listener.wait_for(lambda: "dropped" in mapping.output())
         line = next(text for text in mapping.output().splitlines() if "dropped" in text)
         for part in ("1700000000.000000", "/lidar/points", "/nav/pose"):
             assert part in line
-        last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors.map(mapping, SCANS)
 
 
 def test_incompatible_qos_is_told_with_its_remedy(ros):
     mapping = ros.start("mapping_node")
-    listener = ros.listen()
-    with listener:
+    with ros.listen() as listener:
         profile = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
         publisher = listener.node.create_publisher(PointCloud2, "lidar/points", profile)
         assert listener.wait_for(lambda: "or qos_overrides." in mapping.output()), mapping.output()
@@ -224,8 +212,7 @@ def test_incompatible_qos_is_told_with_its_remedy(ros):
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
 def test_ends_cleanly_on_signals(ros, name, signal_number):
     node = ros.start(name)
-    listener = ros.listen()
-    with listener:
+    with ros.listen() as listener:
         assert listener.wait_for(lambda: name in listener.diagnostics), node.output()
     assert node.stop(signal_number) == 0
     assert "Traceback" not in node.output()
@@ -259,8 +246,7 @@ def test_wrong_usage_and_missing_home(ros):
         assert "Traceback" not in wrong.stderr and wrong.stderr.splitlines()[-1][:6] == "error:"
     del ros.env["HOME"], ros.env["ROS_LOG_DIR"]
     node = ros.start("lss_node")
-    listener = ros.listen()
-    with listener:
+    with ros.listen() as listener:
         assert listener.wait_for(lambda: "lss_node" in listener.diagnostics), node.output()
     assert node.stop() == 0
 
@@ -269,10 +255,8 @@ def test_scans_lost_on_the_way_are_counted(ros):
     """Every scan sent is either lost and counted, or arrives and is dropped for want of a pose."""
     depth = ("-p", "qos_overrides./lidar/points.subscription.depth:=1")
     mapping = ros.start("mapping_node", *depth, "-p", "pose.max_wait:=0.2")
-    listener = ros.listen()
-    with listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+    with ros.listen() as listener:
+        sensors = Sensors(listener).matched()
         scans = [cloud(e.stamp_ns, e.points_lidar) for e in events(9) if e.points_lidar is not None]
 
         def accounted():

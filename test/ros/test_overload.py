@@ -93,8 +93,7 @@ def test_maps_of_an_overloaded_node(ros, policy):
             lambda message: maps.append(stamp_ns(message.header)),
             latched(),
         )
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         for _ in range(2):  # as of now
             sensors.publish(
                 60,

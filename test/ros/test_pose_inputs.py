@@ -38,9 +38,8 @@ def test_odometry_is_taken_where_it_is_configured(ros):
     mapping = ros.start("mapping_node", *options)
     with ros.listen() as listener:
         sensors = OdometrySensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(4, make_pose=odometry)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors.matched()
+        sensors.map(mapping, 4, make_pose=odometry)
     assert "/odometry/filtered (reliable, 200)" in mapping.output()
 
 
@@ -73,17 +72,14 @@ def test_a_mount_comes_from_tf_static(ros):
         link.transform.rotation.w = 0.0
         tf = listener.node.create_publisher(TFMessage, "/tf_static", latched())
         tf.publish(TFMessage(transforms=[link]))
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
-        last = sensors.publish(4, make_pose=lambda stamp_ns: level_body(stamp_ns, 2.0))
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        sensors = Sensors(listener).matched()
+        sensors.map(mapping, 4, make_pose=lambda stamp_ns: level_body(stamp_ns, 2.0))
 
 
 def test_a_cloud_with_other_axes_says_what_would_help(ros):
     mapping = ros.start("mapping_node")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
 
         def forward(stamp_ns, points):
             right, down, ahead = points[..., 0], points[..., 1], points[..., 2]

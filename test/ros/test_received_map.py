@@ -5,11 +5,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import signal
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from ros.conftest import process
 from ros_vehicle import Vehicle, flat_map
 
 from quadtree_lss.onboard.config.settings import LssConfig
@@ -112,3 +116,82 @@ def test_a_map_of_another_scale_is_refused_and_the_one_before_kept(cells):
     received.take()
     assert received.refusals == 1 and "grid points a side" in received.refused
     assert received.cells.domain == cells.domain
+
+
+FAULTY = """
+import sys
+from quadtree_lss.onboard.core.landing import sites
+from quadtree_lss.onboard.nodes.lss_node import main
+
+whole, stamps = sites.LandingSiteSelector.assess, set()
+
+def assess(self, cells, **wanted):
+    stamps.add(cells.stamp_ns)
+    if len(stamps) == 3:
+        raise OverflowError("math range error")
+    return whole(self, cells, **wanted)
+
+sites.LandingSiteSelector.assess = assess
+sys.exit(main())
+"""
+"""A pass over its third map ends in an error."""
+
+
+def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ros, cells):
+    command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params)]
+    with (
+        ros.listen({}) as listener,
+        process(command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE) as faulty,
+    ):
+        vehicle, wait = Vehicle(listener, cells), listener.wait_for
+        for k in range(2):
+            stamp = vehicle.send_map(k)
+            anywhere = functools.partial(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9)
+            assert wait(anywhere)
+        stamp = vehicle.send_map(2)
+        assert wait(functools.partial(vehicle.none_of, stamp)), "its sites are withdrawn"
+        words = ("no site is given out", "OverflowError", "math range error")
+        assert wait(lambda: vehicle.told(DiagnosticStatus.ERROR, *words))
+        assert vehicle.values()["target.reason"] == "withheld"
+        for k in (3, 4):
+            stamp = vehicle.send_map(k)
+            assert wait(functools.partial(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9))
+        assert wait(lambda: vehicle.told(DiagnosticStatus.OK, "sites"))
+        assert int(vehicle.values()["problems.pass_failed"]) >= 1
+        faulty.send_signal(signal.SIGTERM)
+        _, errors = faulty.communicate(timeout=20.0)
+    assert faulty.returncode == 0 and "OverflowError: math range error" in errors
+
+
+def test_what_a_first_map_lacks(cells):
+    received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
+    cloud, grid = map_messages(cells, "map")
+    assert "nothing came" in received.lacks()
+    received.on_cells(cloud)
+    assert "map/cells came, the other half" in received.lacks()
+    received.on_observed(map_messages(dataclasses.replace(cells, stamp_ns=1), "map")[1])
+    assert "both halves of one stamp did not" in received.lacks()
+    received.on_observed(grid)
+    received.take()
+    assert not received.lacks()
+
+
+def test_who_waits_says_for_what_ever_less_often(monkeypatch):
+    clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
+    monkeypatch.setattr(diagnostics, "time", clock)
+    lines = []
+    waiting = diagnostics.Waiting(SimpleNamespace(warning=lines.append))
+    for _ in range(40):
+        clock.now += 1.0
+        waiting.tell("a map")
+        waiting.tell("")
+    assert lines == ["waiting for a map"] * 3, "after 5, 15 and 35 s"
+
+
+def test_nodes_that_wait_say_so_in_the_log(ros):
+    lss, mapping = ros.start("lss_node"), ros.start("mapping_node")
+    with ros.listen({}) as listener:
+        told = "waiting for a map: nothing came (publishers known on '/map/cells': "
+        assert listener.wait_for(lambda: told in lss.output()), lss.output()
+        told = "waiting for '/lidar/points' (publishers known: 0) and '/nav/pose'"
+        assert listener.wait_for(lambda: told in mapping.output()), mapping.output()

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
-from rcl_interfaces.msg import Parameter
-from rcl_interfaces.srv import SetParameters
-from ros.conftest import status_values
+from ros.conftest import has, status_values
 from ros_scene import Sensors
 
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS
@@ -48,17 +46,12 @@ def target(x, y):
     return message
 
 
-def has_count(listener, node, key, number):
-    return status_values(listener, node).get(key) == str(number)
-
-
 def test_reset_save_and_load(ros):
     path = ros.folder / "saved.map"
     mapping = ros.start("mapping_node", "-p", f"map_file.path:={path}")
     lss = ros.start("lss_node")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         call = functools.partial(ros.call, listener)
         missing = call("/mapping_node/load_map")
         assert not missing.success and str(path) in missing.message
@@ -117,15 +110,6 @@ def test_no_peer_can_say_where_a_node_writes(ros):
     assert not (ros.folder / "elsewhere").exists()
 
 
-def set_parameter(listener, node, name, value):
-    client = listener.node.create_client(SetParameters, f"{node}/set_parameters")
-    assert listener.wait_for(client.service_is_ready)
-    request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-    future = client.call_async(request)
-    assert listener.wait_for(future.done)
-    return future.result().results[0]
-
-
 def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:
@@ -134,8 +118,7 @@ def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
         area = node.create_publisher(PolygonStamped, "landing/area", volatile)
         keep_out = node.create_publisher(PolygonStamped, "landing/keep_out", keep)
         goal = node.create_publisher(PointStamped, "landing/target", volatile)
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         last = sensors.publish(SCANS)
         assert listener.wait_for(lambda: listener.stamp("landing/sites") == last), mapping.output()
         free = site_places(listener)
@@ -170,9 +153,9 @@ def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
         )
         assert listener.wait_for(near), site_places(listener)
 
-        problems = functools.partial(has_count, listener, "lss_node")
         goal.publish(target(float("inf"), 0.0))
-        assert listener.wait_for(lambda: problems("problems.target_point", 1)), lss.output()
+        told = functools.partial(has, listener, "problems.target_point", 1, "lss_node")
+        assert listener.wait_for(told), lss.output()
         assert both() and near(), "the target that was asked for before still holds"
 
         lss.process.kill()
@@ -208,8 +191,7 @@ def test_levels_follow_the_age_of_the_data(ros):
     for node in nodes:
         ros.start(node, *limits)
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
 
         def level(node):
             status = listener.diagnostics.get(node)
@@ -250,8 +232,7 @@ def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
     ros.start("mapping_node")
     ros.start("lss_node", "-p", "lss.vehicle.diameter:=40.0")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         last = sensors.publish(SCANS)
         assert listener.wait_for(lambda: listener.stamp("landing/sites") == last)
         assert listener.newest["landing/sites"].poses == []

@@ -45,8 +45,7 @@ def test_one_line_says_what_runs_and_one_that_it_works(ros):
 def test_the_first_scan_and_the_first_sites_are_told_once(ros):
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         sensors.publish(4)
         told = lambda: "first sites: 3, the best at x " in lss.output()  # noqa: E731
         assert listener.wait_for(told), lss.output()
@@ -81,8 +80,7 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     ros.env["PYTHONPATH"] = os.pathsep.join(path)
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         sensors.publish(4)
         ranked = lambda: "first sites: 3" in lss.output()  # noqa: E731
         assert listener.wait_for(ranked), mapping.output() + lss.output()
@@ -99,8 +97,7 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
 def test_a_full_map_stays_full_whether_a_scan_wants_to_divide_or_not(ros):
     mapping = ros.start("mapping_node", "-p", "mapping.max_cells:=64")
     with ros.listen() as listener:
-        sensors = Sensors(listener)
-        sensors.wait_for_subscribers()
+        sensors = Sensors(listener).matched()
         sensors.publish(2)
         refused = lambda: at_least(listener, "map.refused_divisions", 1)  # noqa: E731
         assert listener.wait_for(refused), mapping.output()

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import functools
 import signal
+import sys
+import time
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
+from ros.conftest import process
 from ros_vehicle import Vehicle, flat_map
 from sensor_msgs.msg import PointCloud2
 
@@ -138,3 +141,36 @@ def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pi
     lss.process.send_signal(signal.SIGKILL)
     lss.process.wait(10.0)
     assert wait(lambda: missed and alive[-1] == 0, timeout=10.0), (missed, alive)
+
+
+SLOW = """\
+import time
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.nodes import lss_node
+assess, passes = LandingSiteSelector.assess, []
+def slow(self, *args, **how):
+    passes.append(None)
+    time.sleep(3.0 if len(passes) == 3 else 0.0)
+    return assess(self, *args, **how)
+LandingSiteSelector.assess = slow
+lss_node.main()
+"""
+
+
+def test_the_target_is_said_again_while_a_pass_is_at_work(ros, pilot):
+    """A third pass of three seconds, as of an overloaded computer."""
+    heard = []
+    pilot.listener.node.create_subscription(
+        PoseWithCovarianceStamped, "landing/selected", lambda _: heard.append(time.monotonic()), 50
+    )
+    command = [sys.executable, "-c", SLOW, "--ros-args", "--params-file", str(ros.params)]
+    with process(command, env=ros.env):
+        pilot.send_map(0)
+        assert pilot.listener.wait_for(pilot.has_target)
+        before = pilot.status()["answer"]
+        pilot.send_map(1)
+        pilot.listener.wait_for(lambda: False, timeout=0.6)
+        pilot.send_map(2)
+        assert pilot.listener.wait_for(lambda: pilot.status()["answer"] > before + 1, timeout=30.0)
+    late = np.diff(heard)
+    assert late.max() < 1.0, late

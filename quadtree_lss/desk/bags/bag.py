@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading ROS 2 and ROS 1 bags as a stream of raw messages, whatever their state.
+"""Reading ROS 2 and ROS 1 bags as a stream of raw messages, whatever their state (docs/onboard.md).
 
-A bag is a list of files. What could not be read stands in ``Bag.losses``. rosbags, which decodes
-the messages, does not read the files: it ends at the first damage, unpacks without bounds, asks
-what an sqlite file would compute, and sorts by time what a recorder's clock put out of order.
+rosbags decodes the messages, but does not read the files: it ends at the first damage, unpacks
+without bounds, asks what an sqlite file would compute, and sorts by time what a recorder's clock
+put out of order.
 """
 
 from __future__ import annotations
@@ -51,15 +51,9 @@ class Topic:
 
 
 class Bag:
-    """Context manager that opens a bag for reading.
-
-    Args:
-        path: rosbag2 directory (mcap or sqlite3, also without its metadata), a single ``.mcap``,
-            ``.db3`` or ROS 1 ``.bag`` file; each also compressed with zstd.
-
-    Raises:
-        BagError: there is nothing to read.
-    """
+    """Context manager that opens a bag for reading. ``path``: rosbag2 directory (mcap or sqlite3,
+    also without its metadata), a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file; each also
+    compressed with zstd. Raises `BagError`: there is nothing to read."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -123,11 +117,8 @@ class Bag:
             yield from heapq.merge(*streams, key=lambda message: message.received_ns)
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
-        """The message of which ``raw`` are the serialised bytes.
-
-        Raises:
-            MessageError: ``encoding`` if they are not.
-        """
+        """The message of which ``raw`` are the serialised bytes. Raises `MessageError`:
+        ``encoding`` if they are not."""
         try:
             if raw[:4] == ZSTD_MAGIC:  # bags compressed message by message
                 raw = unpack("zstd", raw, MOST_BYTES)
@@ -199,14 +190,10 @@ class Bag:
 
 
 class MessageBag(Bag):
-    """Messages that never were in a file, replayed like a bag, once.
-
-    Args:
-        name: Stands for the path in summaries and messages.
-        topics: All of them, with their numbers of messages.
-        span_ns: Times of reception of the first and of the last message.
-        messages: (topic, time of reception, message) in the order of reception.
-    """
+    """Messages that never were in a file, replayed like a bag, once: ``messages`` are (topic, time
+    of reception, message) in the order of reception, ``name`` stands for the path in texts,
+    ``topics`` have their numbers of messages, ``span_ns`` is the first and the last time of
+    reception."""
 
     def __init__(
         self,

@@ -35,16 +35,10 @@ _UNITS_NS = (1, 10**3, 10**6, 10**9)
 def open_recording(
     path: str | Path, poses: str | Path | None = None, frame: str = "map"
 ) -> Bag | CloudFiles:
-    """A bag, or point clouds: a file or a folder of them.
-
-    Args:
-        path: Of the bag or the clouds.
-        poses: File of poses for clouds in the lidar's axes; None for clouds in the map frame.
-        frame: Name of the map frame, of clouds.
-
-    Raises:
-        BagError: there is nothing to read, or a bag is given poses that it has itself.
-    """
+    """A bag, or point clouds: a file or a folder of them. ``path``: of the bag or the clouds.
+    ``poses``: file of poses for clouds in the lidar's axes; None for clouds in the map frame.
+    ``frame``: name of the map frame, of clouds. Raises `BagError`: there is nothing to read, or a
+    bag is given poses that it has itself."""
     place = Path(path)
     if is_clouds(place):
         return CloudFiles(place, None if poses is None else Path(poses), frame)
@@ -66,17 +60,8 @@ def is_clouds(path: Path) -> bool:
 
 
 class CloudFiles:
-    """Context manager that gives clouds and poses as `bags.Bag` gives its messages.
-
-    Args:
-        path: A file, or a folder of them.
-        poses, frame: See `open_recording`.
-
-    Attributes:
-        path: As given.
-        topics: ``/lidar/points`` and ``/nav/pose``.
-        losses, notes: What could not be read, and what to know, one line each.
-    """
+    """Context manager that gives the clouds of a file or folder and their poses (`open_recording`)
+    as `bags.Bag` gives its messages, on ``/lidar/points`` and ``/nav/pose``."""
 
     def __init__(self, path: Path, poses: Path | None, frame: str) -> None:
         self.path = path
@@ -129,11 +114,8 @@ class CloudFiles:
                 yield message
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
-        """The message of that number.
-
-        Raises:
-            MessageError: ``encoding`` if its file cannot be read.
-        """
+        """The message of that number. Raises `MessageError`: ``encoding`` if its file cannot be
+        read."""
         number = int(raw)
         try:
             if msgtype == SCAN_TYPE:

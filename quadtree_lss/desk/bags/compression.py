@@ -23,16 +23,9 @@ class DamagedError(ValueError):
 
 
 def unpack(compression: str, data: bytes, size: int) -> bytes:
-    """Content of compressed data, or its beginning if they are cut.
-
-    Args:
-        compression: ``zstd``, ``lz4``, ``bz2``, or ``none`` or empty.
-        data: What is there.
-        size: Bytes it may have.
-
-    Raises:
-        DamagedError: damaged, larger than ``size``, or that is more than can be read.
-    """
+    """Content of compressed data, or its beginning if they are cut. ``compression``: ``zstd``,
+    ``lz4``, ``bz2``, or ``none`` or empty. ``data``: what is there. ``size``: bytes it may have.
+    Raises `DamagedError`: damaged, larger than ``size``, or that is more than can be read."""
     if size > MOST_BYTES:
         msg = f"claims {size} bytes, {MOST_BYTES} is the most"
         raise DamagedError(msg)
@@ -68,11 +61,8 @@ def _content(compression: str, data: bytes, most: int) -> bytes:
 
 
 def unpack_file(source: BinaryIO, target: BinaryIO) -> str | None:
-    """A file that was compressed with zstd as a whole, as far as it can be read.
-
-    Returns:
-        What is wrong with it, None if nothing is.
-    """
+    """A file that was compressed with zstd as a whole, as far as it can be read. Returns what is
+    wrong with it, None if nothing is."""
     decompressor = zstandard.ZstdDecompressor().decompressobj()
     packed = unpacked = 0
     try:

@@ -66,12 +66,8 @@ OURS = (*OURS, POSES_TYPE, GRID_MAP_TYPE)
 
 
 def typestore(ros1: bool, wanted: Collection[str] = OURS) -> Typestore:
-    """Decoder of the types above as ROS 1 or ROS 2 serialises them.
-
-    Args:
-        ros1: Which of them.
-        wanted: Types that matter: each takes milliseconds to declare.
-    """
+    """Decoder of the types above as ROS 1 or ROS 2 serialises them. ``ros1``: which of them.
+    ``wanted``: types that matter: each takes milliseconds to declare."""
     header = "builtin_interfaces/Time stamp\nstring frame_id"
     fields = {**_FIELDS, "std_msgs/msg/Header": f"uint32 seq\n{header}" if ros1 else header}
     names = [name for name in wanted if name in fields]

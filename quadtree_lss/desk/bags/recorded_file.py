@@ -211,11 +211,8 @@ class ChunkedFile(RecordedFile):
 
     @abstractmethod
     def _scan(self, chunk: Chunk) -> Iterator[Record]:
-        """Messages of a chunk in their order; channels that it declares are noted.
-
-        Raises:
-            DamagedError: it is damaged; what came before is sound.
-        """
+        """Messages of a chunk in their order; channels that it declares are noted. Raises
+        `DamagedError`: it is damaged; what came before is sound."""
 
     def _read(self, place: int, length: int) -> bytes:
         self._file.seek(place)
@@ -325,10 +322,7 @@ def mend_times(times: NDArray[np.int64]) -> int:
     """Takes impossible times of messages one after the other to be their neighbours', in place.
 
     A time is impossible if it is negative, or lies more than an hour from its neighbours, which
-    agree with each other; the first and the last if it lies a year away.
-
-    Returns:
-        How many were.
+    agree with each other; the first and the last if it lies a year away. Returns how many were.
     """
     bad = times < 0
     if len(times) >= 3:

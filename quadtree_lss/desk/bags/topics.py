@@ -16,18 +16,9 @@ OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
 
 
 def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option: str) -> str:
-    """The topic of a type to read: the one asked for, else the default, else the only one.
-
-    Args:
-        bag: An open bag.
-        asked: What the user named, or None.
-        default: Taken if present.
-        msgtype: Type the topic must have.
-        option: Command-line option by which the user can choose, for messages.
-
-    Raises:
-        BagError: lists the candidates.
-    """
+    """The topic of ``msgtype`` to read: the one ``asked`` for, else the ``default``, else the only
+    one. Raises `BagError`: lists the candidates, and the command-line ``option`` by which to
+    choose."""
     fitting = [t.name for t in bag.topics if t.type == msgtype and t.count]
     if asked is None:
         fitting = [name for name in fitting if not name.endswith(OUTPUTS)]
@@ -54,15 +45,8 @@ def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option
 
 def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str]:
     """Topic and type of the poses: of the type preferred, of the other if there is none of it.
-
-    Args:
-        bag: An open bag.
-        asked: Topic that the user named, or None.
-        source: ``pose`` or ``odometry``, as ``pose.source`` has it.
-
-    Raises:
-        BagError: lists the candidates.
-    """
+    ``bag``: an open bag. ``asked``: topic that the user named, or None. ``source``: ``pose`` or
+    ``odometry``, as ``pose.source`` has it. Raises `BagError`: lists the candidates."""
     kinds = [(POSE_TOPIC, POSE_TYPE), (ODOMETRY_TOPIC, ODOMETRY_TYPE)]
     if source == "odometry":
         kinds.reverse()
@@ -77,14 +61,9 @@ def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, st
 
 
 def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]:
-    """``area``, ``keep_out`` or ``target`` by the topic of an open bag that tells it.
-
-    Args:
-        without: Names that are not looked for.
-
-    Raises:
-        BagError: several topics end alike and none has the plain name.
-    """
+    """``area``, ``keep_out`` or ``target`` by the topic of an open bag that tells it. ``without``:
+    names that are not looked for. Raises `BagError`: several topics end alike and none has the
+    plain name."""
     found = {}
     for name, kind in TYPES.items():
         plain = f"/landing/{name}"

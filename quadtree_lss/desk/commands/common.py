@@ -7,14 +7,15 @@ import argparse
 import difflib
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-from quadtree_lss.desk.commands.completion import completed, config_names, parameter_settings
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 CLOUDS = "rosbag2 folder, .mcap, .db3, ROS 1 .bag; or point clouds: a file or a folder of them"
 POSES = "poses of point clouds, TUM or CSV; without it they are taken to be in the map frame"
@@ -24,8 +25,24 @@ EXIT_CODES = """exit codes:
 """
 
 
+class UsageError(QuadtreeLssError):
+    """Words that make no command."""
+
+
 class Parser(argparse.ArgumentParser):
-    """As of argparse; a word that is not known comes with the nearest one that is."""
+    """As of argparse; a word that is not known comes with the nearest one that is.
+
+    What begins as a negative number, as a place may, is no option.
+    """
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **named)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message: str) -> NoReturn:
+        """Raises `UsageError`."""
+        msg = f"{message} ({self.prog} --help)"
+        raise UsageError(msg)
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None
@@ -128,6 +145,32 @@ def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
 def add_json(parser: argparse.ArgumentParser) -> None:
     """``--json``."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for scripts")
+
+
+def completed(action: argparse.Action, values: Callable[..., Iterable[str]]) -> None:
+    """Lets the shell complete an argument with what ``values(prefix, …)`` gives."""
+    action.completer = values  # type: ignore[attr-defined]
+
+
+def config_names(prefix: str, **_: Any) -> list[str]:
+    """Shipped configurations and files."""
+    from argcomplete.completers import FilesCompleter
+
+    from quadtree_lss.onboard.config.loading import shipped_names
+
+    return [*shipped_names(), *FilesCompleter(("yaml", "yml"))(prefix)]
+
+
+def parameter_settings(prefix: str, **_: Any) -> list[str]:
+    """``lss.margin=``; after the ``=`` the choices there are."""
+    from quadtree_lss.onboard.config.settings import parameters
+
+    key, equals, _value = prefix.partition("=")
+    if not equals:
+        return [f"{row.name}=" for row in parameters()]
+    rows = [row for row in parameters() if row.name == key]
+    values = [c for row in rows for c in row.choices or (row.type is bool) * ("true", "false")]
+    return [f"{key}={value}" for value in values]
 
 
 def add_config_options(parser: argparse._ActionsContainer) -> None:

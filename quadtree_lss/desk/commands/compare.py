@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from quadtree_lss.desk.commands.common import DONE, add_command, add_json, named, print_json
-from quadtree_lss.desk.commands.console import show
+from quadtree_lss.desk.commands.common import DONE, ERROR, add_command, add_json, named, print_json
+from quadtree_lss.desk.commands.console import say, show
 
 TEXT = "Compare two results of the same ground: heights, safe ground, sites gained and lost."
 EXAMPLES = """examples:
@@ -14,7 +14,8 @@ EXAMPLES = """examples:
   quadtree-lss compare before after --out difference        (also as JSON and picture)
   quadtree-lss compare before after --json
 
-The second is compared with the first, at the first one's grid points. Against a simulation's truth
+The second is compared with the first, at the first one's grid points; exit code 1 if they are not
+of the same ground. Against a simulation's truth
 compare by: quadtree-lss evaluate A B --truth truth.npz
 """
 
@@ -40,4 +41,8 @@ def _run(options: argparse.Namespace) -> int:
         show(result.table())
         if options.out is not None:
             print(f"comparison.json and comparison.png in {options.out}")
+    if not result.same_ground:
+        text = f"correlation {result.heights.correlation:.2f}, RMS {result.heights.rms:.2f} m"
+        say(f"not of the same ground, or not at the same place: their heights differ: {text}")
+        return ERROR
     return DONE

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterable
 from typing import Any
+
+from quadtree_lss.desk.commands.common import add_command, config_names
 
 TEXT = "Print what makes a shell complete commands, options and names."
 EXAMPLES = """examples:
@@ -19,8 +20,6 @@ SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    from quadtree_lss.desk.commands.common import add_command
-
     parser = add_command(commands, "completion", _run, TEXT, EXAMPLES)
     parser.add_argument("shell", choices=SHELLS, help="which shell")
 
@@ -38,32 +37,6 @@ def complete(parser: argparse.ArgumentParser) -> None:
         import argcomplete
 
         argcomplete.autocomplete(parser)
-
-
-def completed(action: argparse.Action, values: Callable[..., Iterable[str]]) -> None:
-    """Lets the shell complete an argument with what ``values(prefix, …)`` gives."""
-    action.completer = values  # type: ignore[attr-defined]
-
-
-def config_names(prefix: str, **_: Any) -> list[str]:
-    """Shipped configurations and files."""
-    from argcomplete.completers import FilesCompleter
-
-    from quadtree_lss.onboard.config.loading import shipped_names
-
-    return [*shipped_names(), *FilesCompleter(("yaml", "yml"))(prefix)]
-
-
-def parameter_settings(prefix: str, **_: Any) -> list[str]:
-    """``lss.margin=``; after the ``=`` the choices there are."""
-    from quadtree_lss.onboard.config.settings import parameters
-
-    key, equals, _value = prefix.partition("=")
-    if not equals:
-        return [f"{row.name}=" for row in parameters()]
-    rows = [row for row in parameters() if row.name == key]
-    values = [c for row in rows for c in row.choices or (row.type is bool) * ("true", "false")]
-    return [f"{key}={value}" for value in values]
 
 
 def names_of_action(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:

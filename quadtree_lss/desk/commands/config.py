@@ -13,10 +13,11 @@ from quadtree_lss.desk.commands.common import (
     add_config_options,
     add_json,
     chosen_config,
+    completed,
     named,
     print_json,
 )
-from quadtree_lss.desk.commands.completion import completed, names_of_action
+from quadtree_lss.desk.commands.completion import names_of_action
 from quadtree_lss.desk.commands.console import ProgressBar, show, warn
 from quadtree_lss.desk.commands.explained import (
     check_files,
@@ -25,6 +26,7 @@ from quadtree_lss.desk.commands.explained import (
     lengths_text,
     parameter_as_dict,
 )
+from quadtree_lss.onboard.config.limits import slow
 from quadtree_lss.onboard.config.loading import (
     dump_config,
     load_config,
@@ -41,6 +43,7 @@ EXAMPLES = """examples:
   quadtree-lss config > my_lander.yaml                  (every parameter, explained)
   quadtree-lss config --config morpheus --set lss.margin=1.0
   quadtree-lss config check my_lander.yaml other.yaml   (all errors; exit code 1 if there is one)
+  quadtree-lss config check my_lander.yaml --node /uav1/lss_node    (does it reach this node?)
   quadtree-lss config explain lss.margin                (one parameter)
   quadtree-lss config explain lss                       (a section)
   quadtree-lss config explain vehicle --config drone    (and the lengths that follow from it)
@@ -62,6 +65,12 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--poses", type=named, metavar="FILE", help=POSES)
     text = "suggest for a vehicle of this diameter and clearance, m"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
+    add(
+        "--node",
+        default="",
+        metavar="NAME",
+        help="check: the files are for this node, /uav1/lss_node",
+    )
     add("--plain", action="store_true", help="print without the explanations")
     add_json(parser)
 
@@ -108,14 +117,18 @@ def _print(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    found = check_files(options.names)
+    found = check_files(options.names, options.node)
     if options.json:
         print_json(found)
     else:
         for name, errors in found.items():
             show("\n".join(f"{name}: {line}" for line in errors or ["good"]))
-            if not errors and (said := doubt(load_config([name]))):
-                warn(f"{name}: {said}")
+            if not errors:
+                config = load_config([name])
+                finest = 1 << config.domain.max_level
+                for said in (doubt(config), slow(config.domain.size, finest, config.lss)):
+                    if said:
+                        warn(f"{name}: {said}")
     return ERROR if any(found.values()) else DONE
 
 

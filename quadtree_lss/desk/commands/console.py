@@ -43,12 +43,8 @@ def quiet(on: bool, json: bool = False) -> Iterator[None]:
 
 class ProgressBar:
     """A progress bar on stderr that is told what is done of how much; silent without terminal.
-
-    Args:
-        what: Is done.
-        unit: It is counted in, in the plural; ``s`` are seconds of a bag.
-        verbose: Show it even if stderr is no terminal.
-    """
+    ``what``: is done. ``unit``: it is counted in, in the plural; ``s`` are seconds of a bag.
+    ``verbose``: show it even if stderr is no terminal."""
 
     def __init__(self, what: str, unit: str, verbose: bool) -> None:
         self._bar: Any = None
@@ -92,10 +88,7 @@ def _bar(what: str, unit: str) -> Any:
 
 class Interruption:
     """Context manager that turns the first Ctrl-C into a wish to stop; the second one stops.
-
-    Args:
-        then: What is still done, which the first Ctrl-C tells at once.
-    """
+    ``then``: what is still done, which the first Ctrl-C tells at once."""
 
     def __init__(self, then: str) -> None:
         self._then = then
@@ -154,9 +147,11 @@ def result_text(result: ReplayResult, columns: int) -> str:
         )
     elif "posts" in summary:
         across, along = summary["posts"]
+        low, high = summary["height_range"]
         text = (
-            f"{across} x {along} posts, {summary['post_spacing']:g} m apart; landing site selection"
-            f" {summary['lss_ms']:.0f} ms; {result.assessment.explanation}"
+            f"{across} x {along} posts, {summary['post_spacing']:g} m apart; heights {low:.1f} to"
+            f" {high:.1f} m, median slope {summary['median_slope_deg']:.1f}°\n"
+            f"landing site selection {summary['lss_ms']:.0f} ms; {result.assessment.explanation}"
         )
     else:
         text = (

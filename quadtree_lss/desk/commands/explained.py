@@ -11,7 +11,12 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 from types import SimpleNamespace
 
-from quadtree_lss.onboard.config.loading import find_config, read_values, scalar_text
+from quadtree_lss.onboard.config.loading import (
+    check_reaches,
+    find_config,
+    read_values,
+    scalar_text,
+)
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -30,7 +35,7 @@ Written by `python -m quadtree_lss.desk.commands.explained > docs/parameters.md`
 in `onboard/config/sections.py`, which also declares and documents them; the
 module `settings` beside it checks them.
 
-Both nodes accept all of them, so one parameter file serves both, and `quadtree-lss replay` as
+All nodes accept all of them, so one parameter file serves them, and `quadtree-lss replay` as
 well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
 the start. Lengths are m, and a name that ends in `_deg` is in degrees.
 
@@ -40,15 +45,22 @@ explain vehicle` shows each value and rule. Old names (`lss.vehicle_diameter`, `
 """
 
 
-def check_files(paths: Iterable[str | os.PathLike[str]]) -> dict[str, list[str]]:
-    """Each file by itself over the defaults: all that is wrong with it, a line each."""
-    return {str(path): _errors_of(path) for path in paths}
+def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
+    """Each file by itself over the defaults: all that is wrong with it, a line each.
+
+    Args:
+        paths: The files.
+        node: Full name of a node that is to get something of each.
+    """
+    return {str(path): _errors_of(path, node) for path in paths}
 
 
-def _errors_of(path: str | os.PathLike[str]) -> list[str]:
+def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
     errors: list[str] = []
     try:
         found = find_config(path)
+        if node:
+            check_reaches(found, node)
         values = read_values(found, errors)
     except ConfigError as error:
         return [str(error).removeprefix(f"{path}: ")]
@@ -61,11 +73,8 @@ def _errors_of(path: str | os.PathLike[str]) -> list[str]:
 
 
 def explain(name: str) -> list[Parameter]:
-    """The parameter of that name, or all of the section of that name.
-
-    Raises:
-        ConfigError: there is none; names the nearest.
-    """
+    """The parameter of that name, or all of the section of that name. Raises `ConfigError`: there
+    is none; names the nearest."""
     table = parameters()
     rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
     if not rows:

@@ -22,7 +22,7 @@ formats:
   ply, gltf    the ground as a mesh in relief, green where landing is allowed
   geojson      sites and landing zones
   map_server   hazards and landing as pgm + yaml for nav2
-Without --crs or --origin the map frame is a frame without a place on the Earth.
+Without --crs or --origin the map frame has no place on the Earth, and there is no GeoJSON.
 """
 
 

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.exchange.archives import read_arrays
 from quadtree_lss.desk.exchange.libraries import ExchangeError, library
 
 Array = NDArray[Any]
@@ -55,11 +54,7 @@ def _npy(path: Path) -> Clouds:
 
 def _npz(path: Path) -> Clouds:
     """``points`` of one scan, or with one more axis of several and ``stamp_ns`` of each."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, zlib.error) as error:
-        raise ValueError(error) from None
+    arrays = read_arrays(path)
     points = arrays.get("points", next(iter(arrays.values())) if len(arrays) == 1 else None)
     if points is None:
         msg = f"{path}: has no array 'points', but {', '.join(arrays) or 'nothing'}"

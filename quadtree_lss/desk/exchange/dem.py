@@ -3,18 +3,27 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.geotiff import why_not_metric
 from quadtree_lss.desk.exchange.libraries import ExchangeError, library
 from quadtree_lss.onboard.arrays import Array
 
 TIFF = (".tif", ".tiff", ".vrt", ".img", ".asc")
+#: Posts of a model; heights take 8 bytes each, several times.
+MOST_POSTS = 1 << 26
+#: No ground of any body is so far from its datum, m: a value that means no data.
+FARTHEST = 1e5
+#: m, by what files call it; GDAL takes it from a vertical coordinate system too.
+UNITS = {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0}
+UNITS |= {"mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "kilometre": 1e3, "kilometer": 1e3}
+UNITS |= {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us survey foot": 1200.0 / 3937.0}
+UNITS |= {"us-ft": 1200.0 / 3937.0, "us_survey_foot": 1200.0 / 3937.0}
 
 
 @dataclass(frozen=True)
@@ -48,8 +57,11 @@ class ElevationModel:
 def read_dem(path: Path) -> ElevationModel:
     """An elevation model: ``.npz`` with x (nx,), y (ny,), elevation (ny, nx), or what GDAL reads.
 
+    A raster's heights are scale * value + offset of its only band, in the band's unit.
+
     Raises:
-        ExchangeError: the file cannot be read, is in degrees or feet, or turned.
+        ExchangeError: the file cannot be read, is too large, no heights, turned, or x and y are not
+            in m.
     """
     if not path.is_file():
         msg = f"{path}: there is no such file"
@@ -62,25 +74,29 @@ def read_dem(path: Path) -> ElevationModel:
     if min(len(model.x), len(model.y)) < 3 or not np.isfinite(model.elevation).any():
         msg = f"{path}: {len(model.x)} x {len(model.y)} posts with heights are too few"
         raise ExchangeError(msg)
+    low, high = np.nanmin(model.elevation), np.nanmax(model.elevation)
+    if not max(-low, high) <= FARTHEST:
+        msg = f"{path}: heights from {low:g} to {high:g} m; what means no data must be declared so"
+        raise ExchangeError(msg)
     return model
 
 
+def _bounded(path: Path, across: int, along: int) -> None:
+    if across * along > MOST_POSTS:
+        msg = f"{path}: {across} x {along} posts; {MOST_POSTS} is the most (gdal_translate -srcwin)"
+        raise ExchangeError(msg)
+
+
 def _npz(path: Path) -> ElevationModel:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            x, y, z = (np.asarray(file[name], np.float64) for name in ("x", "y", "elevation"))
-    except KeyError:
-        msg = f"{path}: an elevation model has the arrays x, y and elevation"
-        raise ExchangeError(msg) from None
-    except (OSError, ValueError, TypeError, EOFError, AttributeError) as error:
-        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise ExchangeError(msg) from None
-    except (zipfile.BadZipFile, zlib.error) as error:
-        msg = f"{path}: cannot be read: {error}"
-        raise ExchangeError(msg) from None
+    arrays = read_arrays(path, ("x", "y", "elevation"))
+    if len(arrays) < 3 or any(array.dtype.kind not in "fiu" for array in arrays.values()):
+        msg = f"{path}: an elevation model has the arrays x, y and elevation, of real numbers"
+        raise ExchangeError(msg)
+    x, y, z = (np.asarray(arrays[name], np.float64) for name in ("x", "y", "elevation"))
     if x.ndim != 1 or y.ndim != 1 or z.shape != (y.size, x.size) or min(x.size, y.size) < 2:
         msg = f"{path}: elevation {z.shape} does not belong to x {x.shape} and y {y.shape}"
         raise ExchangeError(msg)
+    _bounded(path, x.size, y.size)
     step = float(x[-1] - x[0]) / (x.size - 1)
     even = all(np.allclose(np.diff(axis), step, rtol=1e-3, atol=1e-9) for axis in (x, y))
     if not (even and step > 0.0):
@@ -94,17 +110,25 @@ def _raster(path: Path) -> ElevationModel:
     try:
         with rasterio.open(path) as file:
             transform, crs = file.transform, file.crs
+            _bounded(path, file.width, file.height)
+            unit = (file.units[0] or "").strip()
+            colours = [colour.name for colour in file.colorinterp if colour.name != "alpha"]
+            kind = file.dtypes[0]
+            if len(colours) != 1 or colours[0] in ("palette", "red") or "complex" in kind:
+                names = ", ".join(colours)
+                msg = f"{path}: is no elevation model but has bands of {names} ({kind});"
+                msg += " gdal_translate -b takes one of several"
+                raise ExchangeError(msg)
+            if unit.lower() not in UNITS:
+                msg = f"{path}: heights are in '{unit}', which is no known unit of length"
+                raise ExchangeError(msg)
             z = file.read(1, masked=True).astype(np.float64).filled(np.nan)
-    except rasterio.errors.RasterioError as error:
+            z = UNITS[unit.lower()] * (file.scales[0] * z + file.offsets[0])
+    except (rasterio.errors.RasterioError, MemoryError) as error:
         msg = f"{path}: cannot be read: {str(error).splitlines()[0]}"
         raise ExchangeError(msg) from None
-    if crs is not None and crs.is_geographic:
-        msg = (
-            f"{path}: is in degrees; bring it to metres first: gdalwarp -t_srs EPSG:<a metric one>"
-        )
-        raise ExchangeError(msg)
-    if crs is not None and crs.is_projected and abs(crs.linear_units_factor[1] - 1.0) > 1e-9:
-        msg = f"{path}: is in {crs.linear_units}; bring it to metres first: gdalwarp -t_srs EPSG:…"
+    if crs is not None and (why := why_not_metric(crs)):
+        msg = f"{path}: {why}; bring it to metres first: gdalwarp -t_srs EPSG:<a metric one>"
         raise ExchangeError(msg)
     across, along = transform.a, -transform.e
     if transform.b or transform.d or across <= 0.0 or abs(along / across - 1.0) > 1e-3:

@@ -14,14 +14,13 @@ from quadtree_lss.desk.exchange.geotiff import to_degrees
 CIRCLE_POINTS = 48
 
 
-def sites_geojson(sites: Mapping[str, NDArray[Any]], zone: float, crs: str = "") -> dict[str, Any]:
+def sites_geojson(sites: Mapping[str, NDArray[Any]], zone: float, crs: str) -> dict[str, Any]:
     """A FeatureCollection.
 
     Args:
         sites: Columns of ``sites.csv``.
         zone: Radius of the landing zone, m.
-        crs: Of the map frame, as of `geotiff.reference`; without one the coordinates are the
-            map frame's in m, and a member ``coordinates`` says so.
+        crs: Of the map frame, as of `geotiff.reference`.
     """
     features: list[dict[str, Any]] = []
     x, y, z = (np.asarray(sites[name], np.float64) for name in "xyz")
@@ -38,14 +37,11 @@ def sites_geojson(sites: Mapping[str, NDArray[Any]], zone: float, crs: str = "")
         for shape, kind in zip(shapes, ("site", "zone"), strict=True):
             properties = {"kind": kind, **known}
             features.append({"type": "Feature", "geometry": shape, "properties": properties})
-    told = {} if crs else {"coordinates": "map frame, m: no place on the Earth was given"}
-    return {"type": "FeatureCollection", **told, "features": features}
+    return {"type": "FeatureCollection", "features": features}
 
 
 def _places(x: Any, y: Any, crs: str) -> list[list[float]]:
-    if crs:
-        x, y = to_degrees(x, y, crs)
-    return np.column_stack([x, y]).tolist()
+    return np.column_stack(to_degrees(x, y, crs)).tolist()
 
 
 def _plain(value: Any) -> Any:

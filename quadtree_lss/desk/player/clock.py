@@ -32,14 +32,9 @@ PAUSE_PATIENCE_S = 1.0
 class PlayTime:
     """Waits for the time of each message; serves ``~/pause``, ``~/resume``, ``~/toggle_paused``.
 
-    Args:
-        node: Owner of publisher and services; this object spins it.
-        rate: Bag seconds per second.
-        clock: Publish the time on ``/clock``; it goes on, standing still, while paused.
-        pressed: Keys pressed since the last call; a space toggles.
-
-    Attributes:
-        paused: Time stands still.
+    It spins the ``node`` that owns these. ``rate`` is bag seconds per second; with ``clock`` the
+    time goes out on ``/clock``, standing still while paused. ``pressed`` gives the keys pressed
+    since the last call: a space toggles.
     """
 
     def __init__(
@@ -61,12 +56,8 @@ class PlayTime:
         self._last = time.monotonic()
 
     def wait_until(self, bag_ns: int, *, may_pause: bool = True) -> None:
-        """Returns when it is time for the message of ``bag_ns``.
-
-        Args:
-            may_pause: False if a pause here would harm: it then comes at the next call that may,
-                or after `PAUSE_PATIENCE_S`.
-        """
+        """Returns when it is time for the message of ``bag_ns``. ``may_pause``: False if a pause
+        here would harm: it then comes at the next call that may, or after `PAUSE_PATIENCE_S`."""
         if self._now_ns is None:
             self._now_ns, self._last = bag_ns, time.monotonic()
         while True:

@@ -79,13 +79,9 @@ class PlayError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class PlayReport:
-    """What was sent.
-
-    Attributes:
-        scans, poses, maps: Number of messages.
-        duration: Time from the first to the last of them, s.
-        losses: One line for each piece of the bag that could not be read.
-    """
+    """What was sent. ``scans``, ``poses``, ``maps``: number of messages. ``duration``: time from
+    the first to the last of them, s. ``losses``: one line for each piece of the bag that could not
+    be read."""
 
     scans: int
     poses: int
@@ -119,21 +115,17 @@ def play(
     ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of its terminal.
 
     Args:
-        bag: Directory or single file.
         rate: Bag seconds per second.
         clock: Publish the bag's time on ``/clock``.
-        scan_topic, pose_topic: Topics in the bag, found as in a replay if None.
-        start, duration: Part of the bag, s from its first message.
+        scan_topic, pose_topic, start, duration: As of `replay.replay`.
         wait: How long to wait for subscribers, s.
-        namespace: Of the topics published on.
-        remap: Other names for them, each ``FROM:=TO`` as after ``-r`` of a node.
+        namespace, remap: Of the topics published on; ``FROM:=TO`` as after ``-r`` of a node.
         domain_id: ROS domain, that of the environment if None.
         progress: Called with the seconds of the bag that are played and those to play.
 
     Raises:
-        BagError: the bag cannot be read or its topics are not clear.
+        BagError, ReplayError: the bag cannot be read, its topics or the part are not clear.
         PlayError: ROS 1 bag, rate not positive and finite, no subscriber in time.
-        ReplayError: the part lies outside the bag.
     """
     if not 0.0 < rate < math.inf:
         msg = f"rate {rate:g} is not positive and finite"
@@ -250,11 +242,8 @@ def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
 def player_node(
     context: Context, namespace: str, remap: Sequence[str], played: Iterable[str]
 ) -> Node:
-    """What publishes.
-
-    Raises:
-        PlayError: the namespace or another name is none, or no such topic is played.
-    """
+    """What publishes. Raises `PlayError`: the namespace or another name is none, or no such topic
+    is played."""
     known = [name.lstrip("/") for name in played]
     for rule in remap:
         if rule.partition(":=")[0].lstrip("/") not in known:
@@ -275,11 +264,8 @@ def player_node(
 
 
 def wait_for_subscribers(node: Node, publishers: Sequence[Publisher], wait: float) -> None:
-    """Until each publisher has one.
-
-    Raises:
-        PlayError: after ``wait`` seconds; names what is subscribed instead.
-    """
+    """Until each publisher has one. Raises `PlayError`: after ``wait`` seconds; names what is
+    subscribed instead."""
     deadline = time.monotonic() + wait
     while missing := [p for p in publishers if not p.get_subscription_count()]:
         if time.monotonic() > deadline:

@@ -33,17 +33,13 @@ def rank_sites(
     report: bool = True,
     landing: Mapping[str, ArrayLike | None] | None = None,
 ) -> ReplayResult:
-    """Ranks landing sites on an elevation model and writes the results.
+    """Ranks landing sites on an elevation model (or its file, see `read_dem`) and writes the
+    results.
 
-    The domain is that of the model, its smallest cells are those between the posts, or of
-    several of them where a map would have more than 1024 x 1024. An area cuts the model to it.
-
-    Args:
-        dem: Model or its file (see `read_dem`).
-        out: Folder for the results as of `replay`; None writes nothing.
-        config: Of which ``lss`` matters, and ``lidar.range_noise`` as the posts' deviation.
-        report: Also draw figures and ``report.html``.
-        landing: By ``area``, ``keep_out`` (V, 2) and ``target`` (2,), map frame, m.
+    The domain is that of the model, its smallest cells are those between the posts, or of several
+    of them where a map would have more than 1024 x 1024. An area cuts the model to it. Of
+    ``config``, ``lss`` matters, and ``lidar.range_noise`` as the posts' deviation; ``out``,
+    ``report`` and ``landing`` are as of `replay.replay`.
 
     Raises:
         ExchangeError: the file is no elevation model.
@@ -72,6 +68,8 @@ def rank_sites(
     found = LandingSiteSelector(config).assess(cells, **wanted)
     lss_ms = 1e3 * (time.perf_counter() - asked)
     notes = (*found.doubts, *_notes(model, block))
+    heights = model.elevation[np.isfinite(model.elevation)]
+    upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
     summary = {
         **run_summary((), len(cells.level), config, 0.0, lss_ms),
         **dict.fromkeys(("scans_dropped", "points_dropped", "messages_rejected"), {}),
@@ -82,6 +80,8 @@ def rank_sites(
         "bag": name,
         "posts": [len(model.x), len(model.y)],
         "post_spacing": model.spacing,
+        "height_range": [float(heights.min()), float(heights.max())],
+        "median_slope_deg": float(np.degrees(np.arccos(upward))),
         "crs": model.crs,
         "duration": time.perf_counter() - began,
         "maps": 1,
@@ -119,11 +119,7 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
     """A map whose leaves are all of one level, and how many cells of the model a leaf has a side.
 
     A leaf's plane is the least-squares one through its posts; one that lacks a post is not
-    measured.
-
-    Args:
-        model: The heights.
-        deviation: Standard deviation of each, m.
+    measured. ``model``: the heights. ``deviation``: standard deviation of each, m.
     """
     block = 1
     count = max(len(model.x), len(model.y)) - 1

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.exchange.geojson import sites_geojson
-from quadtree_lss.desk.exchange.geotiff import reference, write_geotiff
+from quadtree_lss.desk.exchange.geotiff import check_place, reference, write_geotiff
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
@@ -19,6 +19,26 @@ from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED, UNSEEN
 from quadtree_lss.onboard.core.landing.raster import rasterise
+
+NO_DATA = 255
+"""Where ``safe.tif`` is of unseen ground."""
+LAYERS = {
+    "elevation": ("m", "the map's own height"),
+    "plane_elevation": ("m", "height of the plane at the lander's scale"),
+    "slope_deg": ("deg", "slope at the lander's scale"),
+    "hazard": (
+        "",
+        "bits that add up: 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain,"
+        " 64 seen but not yet mapped, 128 unseen",
+    ),
+    "safe": ("", f"1 landing centred here is allowed, 0 it is not, {NO_DATA} unseen"),
+    "score": ("1", "Eq. 59, lower is better"),
+    "risk": ("1", "that landing right there fails"),
+    "probability": ("1", "of a safe touchdown if the lander aims there"),
+    "map_height": ("m", "height of the map's finest cells"),
+    "map_deviation": ("m", "standard deviation of map_height"),
+}
+"""Unit and meaning."""
 
 
 def export_results(
@@ -29,31 +49,30 @@ def export_results(
     crs: str = "",
     origin: tuple[float, float] | None = None,
 ) -> list[Path]:
-    """Writes what a replay found in the forms of other programs.
+    """Writes what a replay found in the forms of other programs; returns what was written.
 
     Args:
         results: Results or their folder.
         out: Folder for the files, made if missing; by default ``exchange`` in the results.
-        formats: Names of `FORMATS`; none takes all.
+        formats: Names of `FORMATS`; none takes all, GeoJSON only with a place on the Earth.
         crs: Coordinate reference system of the map frame, as ``EPSG:32611``; by default that of the
             elevation model, if the results are of one that tells.
         origin: Instead, latitude and longitude of the map frame's origin, deg (x east, y north).
 
-    Returns:
-        What was written.
-
     Raises:
         ResultsError: the folder is none of results.
-        ExchangeError: a library is missing, the system is none, or nothing can be written.
+        ExchangeError: a library is missing, the system is none or not for that place, or nothing
+            can be written.
     """
     found = results if isinstance(results, Results) else load_results(results)
-    if origin is None:
-        crs = crs or str(found.summary.get("crs") or "")
-    system = reference(crs, origin)
+    told = "" if origin is not None else str(found.summary.get("crs") or "")
+    system = reference(crs or told, origin)
+    if crs:
+        check_place(found.grid.x[[0, -1]], found.grid.y[[0, -1]], system)
     folder = found.folder / "exchange" if out is None else Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        wanted = list(formats) or list(FORMATS)
+        wanted = list(formats) or [name for name in FORMATS if system or name != "geojson"]
         return [path for name in wanted for path in FORMATS[name](found, folder, system)]
     except OSError as error:
         msg = f"{error.filename or folder}: cannot be written: {error.strerror or error}"
@@ -72,12 +91,29 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     known = (np.where(raster.seen, values, np.nan) for values in (raster.elevation, deviation))
     names = ("map_height", "map_deviation")
     layers += [(name, v, x, y) for name, v in zip(names, known, strict=True)]
+    unseen = (grid["hazard"] & UNSEEN) > 0
+    looks = _looks()
     written = []
     for name, values, across, along in layers:
+        if name == "safe":
+            values = np.where(unseen, NO_DATA, values).astype(np.uint8)
         path = folder / f"{name}.tif"
-        write_geotiff(path, values, across, along, crs=crs, name=name)
+        unit, words = LAYERS.get(name, ("", ""))
+        look = looks.get(name, {})
+        how = {"crs": crs, "name": name, "unit": unit, "description": words, **look}
+        write_geotiff(path, values, across, along, **how)
         written.append(path)
     return written
+
+
+def _looks() -> dict[str, dict[str, Any]]:
+    """Colours of whole values, and which of them is no data, by layer; as those of the page."""
+    from quadtree_lss.desk.report import palette
+
+    safe = {0: palette.EXCLUDED_COLOUR, 1: palette.SAFE_COLOUR, NO_DATA: palette.UNSEEN_COLOUR}
+    kinds = (*palette.HAZARDS, (255, "", palette.CLEAR_COLOUR))
+    hazard = {v: next(c for bit, _, c in kinds if v & bit or bit == 255) for v in range(256)}
+    return {"safe": {"colours": safe, "nodata": NO_DATA}, "hazard": {"colours": hazard}}
 
 
 def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:
@@ -109,6 +145,9 @@ def _colours(results: Results) -> Bytes:
 
 def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
     lss, path = results.config.lss, folder / "sites.geojson"
+    if not crs:
+        msg = "GeoJSON is in longitude and latitude: --crs or --origin says where the map lies"
+        raise ExchangeError(msg)
     content = sites_geojson(results.sites, 0.5 * lss.vehicle.diameter + lss.margin, crs)
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return [path]

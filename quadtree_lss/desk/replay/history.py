@@ -86,10 +86,7 @@ class History:
 
     def arrays(self, *, probability: bool = True) -> dict[str, NDArray[Any]]:
         """The content of the file: S scans, A answers, K sites of all answers; map frame, m.
-
-        Args:
-            probability: Also of each grid point, which is most of the file.
-        """
+        ``probability``: also of each grid point, which is most of the file."""
         scans, answers = self._scans.all(), self._answers.all()
         sites = np.concatenate([a["sites"] for a in answers]) if answers else np.zeros((0, 6))
         return {

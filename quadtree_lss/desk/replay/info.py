@@ -36,16 +36,10 @@ TYPE_NAMES |= {7: "float32", 8: "float64"}
 class TopicInfo:
     """One topic; stamps are known for the topics that would be used.
 
-    Attributes:
-        name, type, count: As recorded.
-        rate: Messages per second between the first and the last one's stamps; of clouds and poses
-            that would not be used by their reception, of other topics unknown.
-        frames: Frame names and how many messages carry each.
-        first_stamp_ns, last_stamp_ns: Least and greatest stamp.
-        backward: Stamps smaller than the one before.
-        delay: Median of time of reception less stamp, s.
-        layout: Fields of a cloud with type and offset, size and organisation.
-        points: Median number of points of a cloud.
+    ``rate`` is by the stamps, Hz; of clouds and poses that would not be used by their reception, of
+    other topics unknown. ``frames`` counts the messages of each frame name, ``backward`` the stamps
+    smaller than the one before. ``delay`` is the median time of reception less stamp, s; ``layout``
+    a cloud's fields with type and offset, size and organisation; ``points`` their median number.
     """
 
     name: str
@@ -119,18 +113,8 @@ def inspect_bag(
     poses: str | Path | None = None,
     progress: Progress | None = None,
 ) -> BagInfo:
-    """Reads a bag as a replay would, without mapping.
-
-    Args:
-        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
-        config: As for the replay: frames, waiting times, mount.
-        scan_topic, pose_topic: Topics; by default found by name, then by type.
-        poses: File of poses for point clouds.
-        progress: See `run.Progress`.
-
-    Raises:
-        BagError: there is nothing to read.
-    """
+    """Reads a bag as a replay would, without mapping; the arguments are those of `replay.replay`.
+    Raises `BagError`: there is nothing to read."""
     with open_recording(bag, poses, config.frames.map) as opened:
         info = BagInfo(
             path=str(bag),

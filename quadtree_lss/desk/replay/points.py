@@ -10,12 +10,9 @@ from quadtree_lss.onboard.messages.lost_points import REASONS, domain_text, lost
 
 
 def points_line(points: int, dropped: Mapping[str, int]) -> str:
-    """``points 5.9 of 6.6 million used (10 % outside the domain)``.
-
-    Args:
-        points: Of all mapped scans.
-        dropped: Those of them that are not in the map, by the keys of `lost_points.REASONS`.
-    """
+    """``points 5.9 of 6.6 million used (10 % outside the domain)``. ``points``: of all mapped
+    scans. ``dropped``: those of them that are not in the map, by the keys of
+    `lost_points.REASONS`."""
     used = points - sum(dropped.values())
     text = f"points {used} of {points} used"
     if points >= 1e6:

@@ -173,11 +173,8 @@ def _why_nothing(run: Run) -> str:
 
 
 def _make_folder(folder: Path | None) -> Path | None:
-    """Before the work begins: a folder that cannot be written would waste it.
-
-    Returns:
-        The folder if it is new.
-    """
+    """Before the work begins: a folder that cannot be written would waste it. Returns the folder if
+    it is new."""
     if folder is None:
         return None
     fresh = not folder.exists()

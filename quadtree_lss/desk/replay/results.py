@@ -7,8 +7,6 @@ import contextlib
 import csv
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
@@ -45,9 +45,6 @@ SAME += ("exception_fraction", "feature", "low", "high")
 """Arrays of ``cells.npz`` that are the columns of a map of that name."""
 NEEDED = (*SAME[:-2], "nx", "ny", "nz", "covariance")
 NEEDED_ELSE = ("observed_cells", "domain", "stamp_ns", "offset")
-UNREADABLE = (OSError, ValueError, EOFError, AttributeError, TypeError)
-UNREADABLE += (zipfile.BadZipFile, zlib.error)
-"""What NumPy raises of an archive that is damaged."""
 
 
 class ResultsError(QuadtreeLssError):
@@ -58,10 +55,7 @@ def write_results(
     out: Path, result: ReplayResult, config: Config, report: bool, history: History | None = None
 ) -> None:
     """The files of a results folder, which is made if it is missing; ``report`` adds the page.
-
-    Raises:
-        ReplayError: they cannot be written.
-    """
+    Raises `ReplayError`: they cannot be written."""
     try:
         _write(out, result, config, report, history or History())
     except OSError as error:
@@ -140,12 +134,9 @@ def grid_arrays(assessment: LandingAssessment) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True, repr=False)
 class Grid:
-    """The landing grid: grid points and what is known at each.
-
-    Attributes:
-        x, y: (nx,), (ny,) of the grid points, m, ascending, evenly spaced.
-        layers: (ny, nx) arrays by the names in ``grid.npz``.
-    """
+    """The landing grid: grid points and what is known at each. ``x``, ``y``: (nx,), (ny,) of the
+    grid points, m, ascending, evenly spaced. ``layers``: (ny, nx) arrays by the names in
+    ``grid.npz``."""
 
     x: Array
     y: Array
@@ -237,11 +228,8 @@ class Results:
 
 
 def load_results(folder: str | os.PathLike[str]) -> Results:
-    """The results of a replay, for instance of ``results/latest``.
-
-    Raises:
-        ResultsError: the folder has no ``summary.json`` or no ``grid.npz``.
-    """
+    """The results of a replay, for instance of ``results/latest``. Raises `ResultsError`: the
+    folder has no ``summary.json`` or no ``grid.npz``."""
     path = Path(folder)
     if not path.is_dir():
         msg = f"{path} is not a results folder"
@@ -290,10 +278,9 @@ def _cell_map(path: Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except UNREADABLE as error:
-        raise _unreadable(path, error) from None
+        return read_arrays(path)
+    except ExchangeError as error:
+        raise ResultsError(error) from None
 
 
 def _read_table(path: Path) -> Table:

@@ -39,13 +39,12 @@ class Run:
     Args:
         config: Everything that can be set.
         progress: See `Progress`.
-        stop: Asked after each message; True ends the run there.
+        stop: Asked after each message; True ends the run there, which is then ``interrupted``.
         passes: Gets the maps as they come, or None.
         landing: Hears areas, keep-outs and targets as they come, or None.
         history: Notes where the lidar looked, or None.
 
     Attributes:
-        interrupted: True if ``stop`` ended it.
         done_ns: Time of reception up to which the bag was processed.
         timings: A row per mapped scan.
         points_dropped: Points of mapped scans that are not in the map, by reason.
@@ -78,12 +77,8 @@ class Run:
         self._shown_ns = 0
 
     def map_scans(self, bag: Bag, stream: Stream) -> CellMap:
-        """Maps every scan of the stream.
-
-        Raises:
-            ReplayError: there was none that could be mapped.
-            KeyboardInterrupt: stopped before there was one.
-        """
+        """Maps every scan of the stream. Raises `ReplayError`: there was none that could be mapped;
+        or KeyboardInterrupt: stopped before there was one."""
         self.intake = stream.intake(self.config)
         mapper = Mapper(self.config)
         for message in self._messages(bag, stream.topics, stream):
@@ -107,12 +102,8 @@ class Run:
         return mapper.snapshot()
 
     def read_maps(self, bag: Bag, stream: Stream, pairs: MapPairs) -> CellMap:
-        """The last map of a bag of maps; the landing passes get all of them.
-
-        Raises:
-            ReplayError: there is none that can be read.
-            KeyboardInterrupt: stopped before there was one.
-        """
+        """The last map of a bag of maps; the landing passes get all of them. Raises as
+        `map_scans`."""
         last: CellMap | None = None
         for message in self._messages(bag, pairs.topics, stream):
             try:

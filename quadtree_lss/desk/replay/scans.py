@@ -25,19 +25,8 @@ def scans(
     start: float = 0.0,
     duration: float | None = None,
 ) -> Iterator[ReadyScan]:
-    """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them.
-
-    Args:
-        bag: A bag, or the path of one or of point clouds (`cloud_files.open_recording`).
-        config: Of which ``pose``, ``frames`` and ``mount`` matter.
-        scan_topic, pose_topic: Topics; by default found by name, then by type.
-        poses: File of poses for point clouds.
-        start, duration: Part of the bag in s from its first message.
-
-    Raises:
-        BagError: the bag cannot be read or its topics are ambiguous.
-        ReplayError: the part lies outside the bag.
-    """
+    """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them; the
+    arguments are those of `replay.replay`. Raises `BagError` or `ReplayError` as that does."""
     stream = Stream(scan_topic, pose_topic, start, duration)
     given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
     with given as opened:

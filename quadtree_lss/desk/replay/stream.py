@@ -96,12 +96,8 @@ class Stream:
     _undecoded: dict[str, list[str]] = field(default_factory=dict, init=False)
 
     def resolve(self, bag: Bag, config: Config) -> None:
-        """Finds topics and limits in an open bag.
-
-        Raises:
-            BagError: a topic is missing or ambiguous.
-            ReplayError: the part lies outside the bag.
-        """
+        """Finds topics and limits in an open bag. Raises `BagError`: a topic is missing or
+        ambiguous; or `ReplayError`: the part lies outside the bag."""
         self.limit(bag)
         self.scans = choose_topic(bag, self.scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic")
         self.poses, self.pose_type = choose_pose_topic(bag, self.pose_topic, config.pose.source)
@@ -185,13 +181,9 @@ class Stream:
 
 
 class LandingTopics:
-    """Feeds `LandingWishes` from a bag.
-
-    Args:
-        wishes: What is fed; names that it holds fixed are not read.
-        bag: An open bag.
-        start_ns: What was said before is taken at once: these topics are latched.
-    """
+    """Feeds `LandingWishes` from a bag. ``wishes``: what is fed; names that it holds fixed are not
+    read. ``bag``: an open bag. ``start_ns``: what was said before is taken at once: these topics
+    are latched."""
 
     def __init__(self, wishes: LandingWishes, bag: Bag, start_ns: int) -> None:
         self.wishes = wishes
@@ -250,15 +242,10 @@ class MapPairs:
         return None if clouds - ours else pairs
 
     def take(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
-        """The map that this message completes, None if its other half is still missing.
-
-        Args:
-            bag, message: An open bag and one of its messages on ``topics``.
-            lss: How landing will be judged on the map, None if it will not.
-
-        Raises:
-            MessageError: a message is not what ``mapping_node`` sends.
-        """
+        """The map that this message completes, None if its other half is still missing. ``bag``,
+        ``message``: an open bag and one of its messages on ``topics``. ``lss``: how landing will be
+        judged on the map, None if it will not. Raises `MessageError`: a message is not what
+        ``mapping_node`` sends."""
         kind = SCAN_TYPE if message.topic == self.topics[0] else GRID_TYPE
         self._held[message.topic] = bag.decode(message.raw, kind)
         cells, observed = (self._held.get(topic) for topic in self.topics)

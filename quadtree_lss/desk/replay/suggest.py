@@ -37,13 +37,8 @@ LEVELS = 4
 
 @dataclass(frozen=True)
 class Suggestion:
-    """Values for a bag, and why.
-
-    Attributes:
-        values: By dotted key.
-        reasons: A line for each key that has one.
-        notes: What to know, a line each.
-    """
+    """Values for a bag, and why. ``values``: by dotted key. ``reasons``: a line for each key that
+    has one. ``notes``: what to know, a line each."""
 
     values: dict[str, Any]
     reasons: dict[str, str]
@@ -66,19 +61,9 @@ def suggest_config(
     poses: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Suggestion:
-    """Domain, range noise, cells and landing grid for a bag.
-
-    Args:
-        bag: A bag as of `bags.Bag`, or point clouds (`cloud_files.open_recording`).
-        config: The vehicle, and how scans find their poses; what is suggested is checked together
-            with it.
-        poses: File of poses for point clouds.
-        progress: See `run.Progress`.
-
-    Raises:
-        BagError: the bag cannot be read or its topics are ambiguous.
-        ReplayError: no scan has a pose, or none a return.
-    """
+    """Domain, range noise, cells and landing grid for a bag and the vehicle of ``config``; the
+    arguments are those of `replay.replay`. Raises `BagError` as that does, and `ReplayError`: no
+    scan has a pose, or none a return."""
     seen = _Seen()
     stream = Stream()
     with open_recording(bag, poses, config.frames.map) as opened:
@@ -186,12 +171,7 @@ class _Seen:
 
 def _scatter(rays: Array, ranges: Array, chosen: slice) -> Array:
     """Variance of ranges about a plane through each chosen return and its neighbours, m^2.
-
-    Args:
-        rays: (N, 3) unit vectors.
-        ranges: (N,) m.
-        chosen: Of the returns.
-    """
+    ``rays``: (N, 3) unit vectors. ``ranges``: (N,) m. ``chosen``: of the returns."""
     near = cKDTree(rays).query(rays[chosen], k=NEIGHBOURS)[1]
     middle = rays[chosen]
     first = np.cross(middle, np.where(np.abs(middle[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]]))

@@ -23,16 +23,8 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Content:
-    """A results folder; lengths m, map frame.
-
-    Attributes:
-        grid: Arrays of ``grid.npz``; ``probability`` where the file has it.
-        cells: Of ``cells.npz``, ``domain`` included.
-        history: Of ``history.npz``, empty without the file.
-        sites: Columns of ``sites.csv``, best first.
-        timing: Columns of ``timing.csv``.
-        summary: ``summary.json``; numbers that do not exist are None.
-    """
+    """A results folder, file by file; lengths m, map frame. ``history`` is empty without its file,
+    ``sites`` are best first, numbers of ``summary`` that do not exist are None."""
 
     grid: Arrays
     cells: Arrays

@@ -26,14 +26,9 @@ MAX_ANSWERS = 60
 
 @dataclass(frozen=True)
 class Layer:
-    """One more layer of the grid points, such as the truth.
-
-    Attributes:
-        name, title, unit: Of the layer.
-        values: (ny, nx) numbers with ``kind`` of ``palette.MAPS`` and ``limits``, or numbers of
-            ``classes``: pairs of name and colour.
-        note: What must be known to read it.
-    """
+    """One more layer of the grid points, such as the truth: ``values`` (ny, nx) are numbers with
+    ``kind`` of ``palette.MAPS`` and ``limits``, or numbers of ``classes``, pairs of name and
+    colour. ``note`` is what must be known to read it."""
 
     name: str
     title: str

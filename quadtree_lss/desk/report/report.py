@@ -47,14 +47,8 @@ def page(
     template: str = "desk/report/report.html",
     **values: Any,
 ) -> str:
-    """The page as text.
-
-    Args:
-        content: What it shows.
-        layers: Shown before those of the results.
-        template: One that extends ``report.html``, and
-        values: what it shows besides; ``title`` is by default of the bag's name.
-    """
+    """The page as text: ``layers`` are shown before those of the results; ``template`` extends
+    ``report.html`` and shows ``values`` besides; ``title`` is by default of the bag's name."""
     data, columns = page_data(content, layers)
     summary, config, sites = content.summary, content.config, content.sites
     answer, ground = headline(content)

@@ -36,6 +36,8 @@ has them look at their own stack a hundred times a second and keep what they saw
 LOOK_S = 0.5
 TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
 """One and the same from Python 3.11 on."""
+NO_WORKER_S = 60.0
+"""After so long without a worker nobody will come."""
 TURN = 20
 """Flights after which it is asked again whether an interval is narrow enough."""
 
@@ -207,12 +209,15 @@ def _fly_all(
     from dask.distributed import wait
 
     running: dict[Any, Case] = {}
-    began = time.monotonic()
+    seen = time.monotonic()
 
     def fill() -> None:
+        nonlocal seen
         threads = sum(client.nthreads().values())
-        if not threads and time.monotonic() - began > 60.0 and not running:
-            msg = "the scheduler has had no worker for a minute"
+        if threads:
+            seen = time.monotonic()
+        elif time.monotonic() - seen > NO_WORKER_S:
+            msg = f"the scheduler has had no worker for {NO_WORKER_S:.0f} s"
             raise CampaignError(msg)
         while len(running) < 2 * max(threads, 1):
             index = next(missing, None)
@@ -244,8 +249,9 @@ def _take(future: Any, case: Case, store: Store) -> Record:
     if isinstance(answer, str):
         return store.write(case, {}, answer)
     figures, timing = answer
+    record = store.write(case, figures)
     store.note_time(case.index, timing)
-    return store.write(case, figures)
+    return record
 
 
 @contextlib.contextmanager
@@ -288,8 +294,10 @@ def _client(where: Where) -> Iterator[Any]:
                 )
                 client = stack.enter_context(Client(stack.enter_context(cluster)))
                 deaf.close()
-        except (OSError, ValueError, *TIMED_OUT) as error:
-            msg = f"no scheduler: {one_line(str(error) or type(error).__name__)}"
+        except (OSError, ValueError, RuntimeError, *TIMED_OUT) as error:
+            there = where.scheduler_address or where.scheduler_file
+            which = "no scheduler" if there else "the workers could not be started"
+            msg = f"{which}: {one_line(str(error) or type(error).__name__)}"
             raise CampaignError(msg) from error
         yield client
 

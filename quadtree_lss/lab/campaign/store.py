@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The folder of a campaign: a file for each flight, which is the checkpoint.
 
-A flight's file holds what is the same whenever it is flown. Its name has the number of the flight
-and a key of all that decides it; it appears in one step. What a flight took is in ``times.csv``.
+A flight's file holds what is the same whenever it is flown, and its own checksum. Its name has the
+number of the flight and a key of all that decides it, as its content has; it appears in one step.
+What a flight took is in ``times.csv``.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import csv
 import fcntl
 import hashlib
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -22,6 +24,7 @@ from quadtree_lss.desk.replay.files import plain, write_bytes
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
 TIMES = "times.csv"
+MOST_FLIGHTS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,9 @@ class Record:
     labels: dict[str, Value]
     figures: dict[str, Value]
     error: str = ""
+    key: str = ""
+    version: str = ""
+    build: str = ""
 
 
 def key_of(case: Case) -> str:
@@ -84,14 +90,22 @@ class Store:
         return self._flights / f"{case.index:06d}-{key_of(case)}.json"
 
     def read(self, case: Case) -> Record | None:
-        """The record of a flight, None if it has not been flown."""
-        return read_record(self.path(case))
+        """The record of a flight, None if it has not been flown.
+
+        Raises:
+            CampaignError: what is there is no record of it.
+        """
+        path = self.path(case)
+        return read_record(path) if path.exists() else None
 
     def write(self, case: Case, figures: dict[str, Value], error: str = "") -> Record:
         """Keep what a flight gave."""
         labels = dict(case.labels)
-        record = Record(case.index, case.seed, case.scenario, labels, plain(figures), error)
-        text = json.dumps(plain(asdict(record)), indent=1, sort_keys=True, allow_nan=False)
+        of = (case.index, case.seed, case.scenario, labels)
+        made_by = (key_of(case), case.version, case.build)
+        record = Record(*of, plain(figures), error, *made_by)
+        content = plain(asdict(record))
+        text = json.dumps({**content, "checksum": _checksum(content)}, indent=1, allow_nan=False)
         write_bytes(self.path(case), (text + "\n").encode())
         return record
 
@@ -105,6 +119,9 @@ class Store:
         with (self.out / TIMES).open("a+", newline="", encoding="utf-8") as file:
             file.seek(0)
             names = next(csv.reader(file), None)
+            file.seek(max(file.seek(0, os.SEEK_END) - 1, 0))
+            if file.read() not in ("", "\n"):  # of a disk that was full
+                file.write("\n")
             how = {"extrasaction": "ignore", "lineterminator": "\n"}
             writer = csv.DictWriter(file, names or list(row), **how)
             if not names:
@@ -122,16 +139,36 @@ class Store:
     def added(self, more: int = 0) -> int:
         """Flights that were added to what the study says; ``more`` are added now."""
         path = self.out / "added"
-        before = int(path.read_text("utf-8")) if path.exists() else 0
+        text = path.read_text("utf-8", "replace").strip() if path.exists() else "0"
+        before = int(text) if text.isdecimal() and len(text) < 10 else MOST_FLIGHTS + 1
+        if before + more > MOST_FLIGHTS:
+            msg = f"{path}: {text!r} and {more} more are not from 0 to {MOST_FLIGHTS} flights"
+            raise CampaignError(msg)
         if more:
             write_bytes(path, f"{before + more}\n".encode())
         return before + more
 
 
-def read_record(path: Path) -> Record | None:
-    """A flight's file; None if it is none."""
+def read_record(path: Path) -> Record:
+    """A flight's file.
+
+    Raises:
+        CampaignError: it is none, or was changed or copied.
+    """
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
-        return Record(**content)
-    except (OSError, ValueError, TypeError):
-        return None
+        told = content.pop("checksum")
+        record = Record(**content)
+        name = f"{record.index:06d}-{record.key}.json"
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        why = "is no record of a flight"
+    else:
+        if told == _checksum(content) and name == path.name:
+            return record
+        why = f"is not as it was written, but of {name}" if name != path.name else "was changed"
+    msg = f"{path} {why}; with --rerun, or without the file, it is flown again"
+    raise CampaignError(msg)
+
+
+def _checksum(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()

@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss import build
 from quadtree_lss.desk.replay.result import versions
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, Value, kind_of
+from quadtree_lss.lab.campaign.store import MOST_FLIGHTS
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import values_from_config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 
-MOST_FLIGHTS = 1_000_000
 KEYS = (
     "name",
     "kind",
@@ -148,9 +149,12 @@ def _parameters(files: tuple[str, ...], overrides: str) -> dict[str, Any]:
 
 @cache
 def this_build() -> tuple[str, str]:
-    """Version and build of what runs here."""
+    """Version and build of what runs here, of all its sources."""
     found = versions()
-    return found["quadtree_lss"], found["build"]
+    files = sorted(build.PACKAGE.rglob("*.py"))
+    names = [path.relative_to(build.PACKAGE).as_posix() for path in files]
+    sources = {name: path.read_text("utf-8") for name, path in zip(names, files, strict=True)}
+    return found["quadtree_lss"], f"{build.digest(sources)[:8]}, {found['build']}"
 
 
 def read_study(path: str | Path) -> Study:

@@ -248,12 +248,12 @@ def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
     """Kind, and flights that did not fail, of a campaign's folder."""
     try:
         content = json.loads((out / "campaign.json").read_text("utf-8"))
-        kind, names = str(content["kind"]), content["files"]
+        kind, names = str(content["kind"]), list(content["files"])
     except (OSError, ValueError, KeyError, TypeError):
         msg = f"{out} is no folder of a campaign"
         raise CampaignError(msg) from None
-    records = (read_record(out / "flights" / name) for name in names)
-    return kind, {r.index: r for r in records if r is not None and not r.error}
+    records = [read_record(out / "flights" / str(name)) for name in names]
+    return kind, {r.index: r for r in records if not r.error}
 
 
 def _csv(records: Iterable[Record]) -> str:

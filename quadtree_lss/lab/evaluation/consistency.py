@@ -18,12 +18,8 @@ from quadtree_lss.onboard.core.sensing.register import register
 
 @dataclass(frozen=True)
 class Consistency:
-    """Prefit residuals of a bag.
-
-    Attributes:
-        counts: Residuals outside the 95 % intervals.
-        scans: Scans that were mapped; the first has nothing to be compared with.
-    """
+    """Prefit residuals of a bag. ``counts``: residuals outside the 95 % intervals. ``scans``: scans
+    that were mapped; the first has nothing to be compared with."""
 
     counts: Counts
     scans: int
@@ -49,15 +45,10 @@ def consistency(
     pose_topic: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Consistency:
-    """Map a bag; before each scan compare its points with the map as it is.
+    """Map a bag as ``replay`` would; before each scan compare its points with the map as it is.
 
-    Args:
-        bag: A bag as of `Bag`.
-        config: As for ``replay``.
-        results: Map only the scans that were mapped into these, and make sure that they are the
-            same.
-        scan_topic, pose_topic: By default found by name, then by type.
-        progress: Called with the number of scans mapped so far.
+    With ``results``, only the scans that were mapped into these, which must be the same.
+    ``progress`` is called with the number of scans mapped so far.
 
     Raises:
         BagError: the bag cannot be read or its topics are ambiguous.

@@ -23,11 +23,7 @@ if TYPE_CHECKING:
 def evaluation_page(
     folder: Path, truth: Truth, safety: SafetyField, result: EvaluationResult
 ) -> str:
-    """The page as text.
-
-    Raises:
-        KeyError: the results lack an array that a page shows.
-    """
+    """The page as text. Raises `KeyError`: the results lack an array that a page shows."""
     content = read(folder)
     grid = content.grid
     true = truth.elevation_at(*np.meshgrid(grid["x"], grid["y"]))

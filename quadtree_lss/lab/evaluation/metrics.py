@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt, label
 
-from quadtree_lss.lab.evaluation.results import Grid, Leaves, Truth
+from quadtree_lss.lab.evaluation.results import Leaves, ScoredGrid, Truth
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
 from quadtree_lss.onboard.arrays import Array, Mask
 
@@ -111,7 +111,7 @@ class MissedPlace:
     peak_y: float
 
 
-def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
+def seen_at(grid: ScoredGrid, x: Array, y: Array) -> Mask:
     """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
     u, v = (x - grid.x[0]) / grid.spacing, (y - grid.y[0]) / grid.spacing
 
@@ -127,7 +127,7 @@ def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
     return np.asarray(columns[j0] & columns[j1] & inside_y[:, None])
 
 
-def elevation_field(leaves: Leaves, grid: Grid, truth: Truth) -> ErrorField:
+def elevation_field(leaves: Leaves, grid: ScoredGrid, truth: Truth) -> ErrorField:
     """Compare leaf planes with the truth at points spread evenly over the finest cells."""
     domain = leaves.domain
     parts = max(2, int(np.ceil(domain.finest_size / _SAMPLE_STEP)))
@@ -172,7 +172,7 @@ def fill_holes(seen: Mask, spacing: float, width: float = 2.0) -> Mask:
     return np.asarray(binary_closing(padded, disc)[reach:-reach, reach:-reach]) | seen
 
 
-def safety_field(grid: Grid, truth: Truth) -> SafetyField:
+def safety_field(grid: ScoredGrid, truth: Truth) -> SafetyField:
     """Bring the map's verdict and the truth to the same grid points of the scanned box.
 
     Grid points that both have are compared. Where they share none, the contact simulation is run
@@ -342,16 +342,16 @@ def reliability(risk: Array, failed: Mask) -> Reliability | None:
 
     A risk of 1 is no prediction: there the lander would reach unseen ground.
     """
-    told = np.isfinite(risk) & (risk < 1.0)
-    if not told.any():
+    asked = np.isfinite(risk) & (risk < 1.0)
+    if not asked.any():
         return None
-    given, true = risk[told], failed[told]
+    given, true = risk[asked], failed[asked]
     bins = []
     for low, high in zip(EDGES, EDGES[1:], strict=False):
         here = (given >= low) & (given < high)
         shares = (given[here].mean(), true[here].mean()) if here.any() else (np.nan, np.nan)
         bins.append(RiskBin(low, high, int(here.sum()), float(shares[0]), float(shares[1])))
-    return Reliability(*scores(given, true), int(told.sum()), tuple(bins))
+    return Reliability(*scores(given, true), int(asked.sum()), tuple(bins))
 
 
 def reliability_of(safety: SafetyField) -> Reliability | None:

@@ -28,23 +28,13 @@ def recorded_bag(results: Results) -> Path | None:
 def check_truth(
     results: Results, results_dir: Path, truth: Truth, truth_path: Path, bag: Path | None = None
 ) -> str | None:
-    """Make sure that the truth is of the flight that was mapped.
+    """Make sure that the truth is of the flight that was mapped; what remains in doubt, in one
+    line.
 
     Every mapped scan must be one the truth knows by its stamp. Flights of several seeds have the
-    same stamps; they are told apart by the seed and by the bag that the truth names, as far as
-    the files tell. A bag of another name may be the same flight, moved or converted: where both
-    are at hand their first scans decide.
-
-    Args:
-        results: What was read of ``results_dir``.
-        truth: What was read of ``truth_path``.
-        bag: The bag of the results; by default the one they name.
-
-    Returns:
-        What remains in doubt, one line for people.
-
-    Raises:
-        EvaluationError: they are of different flights.
+    same stamps; they are told apart by the seed and by the bag that the truth names, as far as the
+    files tell. A bag of another name may be the same flight, moved or converted: where both are at
+    hand their first scans decide. Raises `EvaluationError`: they are of different flights.
     """
     _check_stamps(results, results_dir, truth, truth_path)
     seed = results.summary.get("seed")

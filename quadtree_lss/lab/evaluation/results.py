@@ -3,10 +3,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.replay import results as saved
 from quadtree_lss.desk.replay.result import ReplayResult
-from quadtree_lss.desk.replay.results import cells_arrays, grid_arrays
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
 from quadtree_lss.lab.simulation.terrain import bilinear
@@ -117,7 +115,7 @@ class Leaves:
 
 
 @dataclass(frozen=True)
-class Grid:
+class ScoredGrid:
     """Points of the landing grid (``grid.npz``): x (nx,), y (ny,), arrays (ny, nx)."""
 
     x: Array
@@ -151,7 +149,7 @@ class Results:
     """One results directory of ``replay``."""
 
     leaves: Leaves
-    grid: Grid
+    grid: ScoredGrid
     sites: Array
     """Positions (K, 3) of the ranked sites, best first."""
     map_ms: Array
@@ -216,19 +214,13 @@ def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) 
             msg += f"; did you mean {near[0]}?"
         raise EvaluationError(msg)
     try:
-        opened = np.load(path, allow_pickle=False)
-        if isinstance(opened, np.ndarray):
-            msg = f"{path} is a single array, no .npz file"
-            raise EvaluationError(msg)
-        with opened as file:
-            missing = [name for name in names if name not in file]
-            if missing:
-                msg = f"{path} lacks {', '.join(missing)}"
-                raise EvaluationError(msg)
-            return {name: file[name] for name in (*names, *optional) if name in file}
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        msg = f"{path} is not a readable .npz file: {error}"
-        raise EvaluationError(msg) from error
+        found = read_arrays(path, (*names, *optional))
+    except ExchangeError as error:
+        raise EvaluationError(error) from error
+    if missing := [name for name in names if name not in found]:
+        msg = f"{path} lacks {', '.join(missing)}"
+        raise EvaluationError(msg)
+    return found
 
 
 def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: str) -> None:
@@ -280,15 +272,17 @@ def _leaves(path: Path, a: dict[str, Any]) -> Leaves:
     )
 
 
-def load_grid(path: Path) -> Grid:
+def load_grid(path: Path) -> ScoredGrid:
     """Read ``grid.npz``."""
     return _grid(path, _arrays(path, _GRID, _GRID_EXTRA))
 
 
-def _grid(path: Path, a: dict[str, Any]) -> Grid:
+def _grid(path: Path, a: dict[str, Any]) -> ScoredGrid:
     extra = [name for name in _GRID_EXTRA if name in a]
     _check_shape(path, a, "x", "y", *_GRID[2:], *extra)
-    return Grid(**{**a, "safe": a["safe"].astype(bool), "hazard": a["hazard"].astype(np.uint8)})
+    return ScoredGrid(
+        **{**a, "safe": a["safe"].astype(bool), "hazard": a["hazard"].astype(np.uint8)}
+    )
 
 
 def load_truth(path: str | Path) -> Truth:
@@ -319,24 +313,10 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
     return Truth(**{**a, "safe": a["safe"].astype(bool)}, box=(xmin, xmax, ymin, ymax))
 
 
-def _columns(path: Path, names: tuple[str, ...], kind: type[int] | type[float]) -> NDArray[Any]:
-    """Columns of a CSV file by name: (rows, len(names))."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [[kind(row[name]) for name in names] for row in csv.DictReader(file)]
-    except FileNotFoundError as error:
-        msg = f"{path} does not exist"
-        raise EvaluationError(msg) from error
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        msg = f"{path} is not a table with the columns {', '.join(names)}"
-        raise EvaluationError(msg) from error
-    return np.array(rows, kind).reshape(-1, len(names))
-
-
 def results_of(replayed: ReplayResult) -> Results:
     """The results of a replay that wrote none: the same as of a folder."""
     where = Path(str(replayed.summary["bag"]))
-    cells, grid = cells_arrays(replayed.cells), grid_arrays(replayed.assessment)
+    cells, grid = saved.cells_arrays(replayed.cells), saved.grid_arrays(replayed.assessment)
     rows = [(row.points, row.points_used, row.leaves) for row in replayed.timings]
     return Results(
         leaves=_leaves(where, {name: cells[name] for name in (*_CELLS, *_CELLS_EXTRA)}),
@@ -352,38 +332,21 @@ def results_of(replayed: ReplayResult) -> Results:
 def load_results(directory: str | Path) -> Results:
     """Read a results directory of ``replay``; raises `EvaluationError` if a file is amiss."""
     folder = Path(directory)
-    if not folder.is_dir():
-        msg = f"{folder} is not a results folder"
-        raise EvaluationError(msg)
-    if not (folder / "summary.json").exists() and (folder / "latest" / "summary.json").exists():
-        msg = f"{folder} is not a folder that replay wrote; did you mean {folder / 'latest'}?"
-        raise EvaluationError(msg)
-    timing = folder / "timing.csv"
-    summary = _summary(folder / "summary.json")
-    return Results(
-        leaves=load_leaves(folder / "cells.npz"),
-        grid=load_grid(folder / "grid.npz"),
-        sites=_columns(folder / "sites.csv", ("x", "y", "z"), float),
-        map_ms=_columns(timing, ("map_ms",), float)[:, 0],
-        stamps_ns=_columns(timing, ("stamp_ns",), int)[:, 0],
-        counts=_columns(timing, ("points", "points_used", "leaves"), int),
-        summary=summary,
-    )
-
-
-def _summary(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        msg = f"{path} does not exist: {path.parent} is not a folder that replay wrote"
+        read = saved.load_results(folder)
+        timing, summary, sites = read.timing, read.summary, read.positions
+        counts = [timing[name] for name in ("points", "points_used", "leaves")]
+        return Results(
+            leaves=load_leaves(folder / "cells.npz"),
+            grid=load_grid(folder / "grid.npz"),
+            sites=sites,
+            map_ms=timing["map_ms"].astype(float),
+            stamps_ns=timing["stamp_ns"].astype(np.int64),
+            counts=np.column_stack(counts).astype(np.int64),
+            summary=summary,
+        )
+    except saved.ResultsError as error:
+        raise EvaluationError(str(error)) from error
+    except (KeyError, ValueError) as error:
+        msg = f"{folder}: sites.csv or timing.csv lack a column of numbers: {error}"
         raise EvaluationError(msg) from error
-    except OSError as error:
-        msg = f"{path} cannot be read: {error.strerror}"
-        raise EvaluationError(msg) from error
-    except ValueError as error:
-        msg = f"{path} is not JSON: {error}"
-        raise EvaluationError(msg) from error
-    if not isinstance(content, dict):
-        msg = f"{path} is not JSON of an object"
-        raise EvaluationError(msg)
-    return content

@@ -73,19 +73,14 @@ class Sample(NamedTuple):
 
 
 class Flight:
-    """One flight.
-
-    Args:
-        seed: Of ground, start, navigation and lidar.
-        settings: Everything else.
-        ground: Where this seed's ground was made before.
+    """One flight of a seed (of ground, start, navigation and lidar); ``ground`` where it was made
+    before.
 
     Attributes:
-        began: Position and velocity (3,) at the start.
+        began: Position and velocity (3,) at the start, m, m/s.
         time: s of flight.
         outcome: Empty in flight, then ``touchdown``, ``aborted`` or ``time``.
-        samples: Ten a second.
-        outlines: Edges of the field of view on the ground, two a second.
+        samples, outlines: Ten a second; edges of the field of view on the ground, two a second.
         active: Faults that hold now, by kind.
     """
 

@@ -26,10 +26,7 @@ PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "
 
 def write_flight(out: Path, flown: Flown, *, page: bool = True) -> None:
     """``touchdown.json``, ``flight.csv``, ``decisions.csv``; with ``page`` the picture and page.
-
-    Raises:
-        OSError: ``out`` cannot be written.
-    """
+    Raises `OSError`: ``out`` cannot be written."""
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(flown.figures, indent=2, allow_nan=False)
     (out / "touchdown.json").write_text(text + "\n", encoding="utf-8")

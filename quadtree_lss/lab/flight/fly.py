@@ -32,13 +32,8 @@ PAPER = {
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight that has ended.
-
-    Attributes:
-        flight: Its state at the end, with its record.
-        figures: See ``docs/closed_loop.md``.
-        last: What the nodes said last, None without them.
-    """
+    """A flight that has ended. ``flight``: its state at the end, with its record. ``figures``: see
+    ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -69,14 +64,9 @@ def flown(
     ground: Ground | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Flown:
-    """One flight with its record.
-
-    Args:
-        seed, settings: See `fly`.
-        reference: Compare with the least propellant there could be.
-        ground: Of this seed, if it is there already.
-        progress: Told the seconds flown, now and then.
-    """
+    """One flight with its record; with ``reference`` compared with the least propellant there could
+    be. ``ground`` is of this seed, if it is there already; ``progress`` is told the seconds
+    flown."""
     flight = Flight(seed, settings, ground)
     nodes = None
     if flight.looks:

@@ -39,16 +39,9 @@ def quaternion(rotation: Array) -> Array:
 
 @dataclass(frozen=True)
 class ScanPlan:
-    """How the lidar is led; m, s, degrees.
-
-    Attributes:
-        survey: Duration of a pass over all of the area.
-        closer: Duration of a pass about the target.
-        half: Half side of what a pass about the target covers, at most and at least.
-        overlap: Of neighbouring strips.
-        rate_deg: Greatest turn of the gimbal per second.
-        scan_rate: Scans per second.
-    """
+    """How the lidar is led: duration of a pass over all of the area (``survey``) and about the
+    target (``closer``), s; ``half`` side of what the latter covers, at most and at least, m;
+    ``overlap`` of neighbouring strips; greatest turn per second; scans per second."""
 
     survey: float = 8.0
     closer: float = 1.5
@@ -59,18 +52,8 @@ class ScanPlan:
 
 
 class Gimbal:
-    """Aims the boresight; knows navigation's position, the area and the target, and no more.
-
-    Args:
-        plan: How it is led.
-        field_of_view_deg: Of the lidar.
-        centre: (3,) middle of the candidate area.
-        half: Its half side, m.
-
-    Attributes:
-        boresight: (3,) unit vector, map frame by navigation.
-        passes: Begun so far.
-    """
+    """Aims the boresight, (3,) in the map frame; knows navigation's position, the area (``centre``
+    (3,), ``half`` its side, m) and the target, and no more."""
 
     def __init__(
         self, plan: ScanPlan, field_of_view_deg: float, centre: Array, half: float
@@ -92,16 +75,9 @@ class Gimbal:
         dt: float,
         aim: Array | None = None,
     ) -> None:
-        """Turns the boresight toward where it should look at ``now`` s.
-
-        Args:
-            now: Time of flight, s.
-            position, velocity: (3,) of the lidar by navigation.
-            target: (3,) to be looked at more closely, None while there is none.
-            dt: Since the last step, s.
-            aim: (3,) where it is going without a target: when it is too low for a pass over all of
-                the area, it looks about there.
-        """
+        """Turns the boresight, in ``dt`` s, toward where it should look at ``now`` s: at the
+        ``target`` (3,) more closely; without one over the area, or, too low for that, about ``aim``
+        (3,), where it is going. Position and velocity (3,) are navigation's."""
         if now >= self._ends:
             if self.passes:
                 self._begin(now, position, velocity, target, aim)

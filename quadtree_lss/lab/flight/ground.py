@@ -21,13 +21,8 @@ GRID = 0.25
 
 @dataclass(frozen=True)
 class Ground:
-    """Terrain, the planned point in its middle, and the candidate area about it.
-
-    Attributes:
-        terrain: The truth.
-        planned: (3,) on the ground.
-        half: Half side of the candidate area, m.
-    """
+    """Terrain, the planned point in its middle, and the candidate area about it. ``terrain``: the
+    truth. ``planned``: (3,) on the ground. ``half``: half side of the candidate area, m."""
 
     terrain: Terrain
     planned: Array
@@ -35,11 +30,8 @@ class Ground:
 
     @classmethod
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
-        """As the settings say; on a large DEM the planned point lies anywhere within 100 m.
-
-        Raises:
-            SimulationError: the terrain cannot be read.
-        """
+        """As the settings say; on a large DEM the planned point lies anywhere within 100 m. Raises
+        `SimulationError`: the terrain cannot be read."""
         if settings.terrain:
             terrain = load_terrain(settings.terrain)
             if settings.rock_abundance:

@@ -27,15 +27,9 @@ _AT = np.linspace(0.0, 1.0, 13)
 
 @dataclass(frozen=True)
 class Limits:
-    """What a path must keep.
-
-    Attributes:
-        thrust_share: Of the range between least and greatest thrust that is planned with, at both
-            ends: the rest is for errors.
-        tilt_deg: Greatest tilt that is planned.
-        glide_slope_deg: Least elevation seen from the end of the path.
-        floor: The path stays this much above its end, m; negative allows for errors.
-    """
+    """What a path must keep: the share of the range between least and greatest thrust that is
+    planned with, at both ends (the rest is for errors); greatest tilt; least elevation seen from
+    its end; and how far it stays above that, m; negative allows for errors."""
 
     thrust_share: float = 0.95
     tilt_deg: float = 40.0
@@ -45,13 +39,8 @@ class Limits:
 
 @dataclass(frozen=True)
 class Paths:
-    """Paths to K places with M times to go, (K, M).
-
-    Attributes:
-        propellant: What each burns, kg.
-        allowed: It keeps the limits.
-        times: (M,) s.
-    """
+    """Paths to K places with M times to go, (K, M). ``propellant``: what each burns, kg.
+    ``allowed``: it keeps the limits. ``times``: (M,) s."""
 
     propellant: Array
     allowed: np.ndarray

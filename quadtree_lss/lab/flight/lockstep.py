@@ -55,16 +55,8 @@ class _Assessments:
 
 
 class LockstepNodes:
-    """mapping_node and lss_node without transport.
-
-    Args:
-        config: Of both.
-        answer_delay: From a pass to its answer at the guidance, s.
-
-    Attributes:
-        last: The last answer that reached guidance.
-        scans: Mapped so far.
-    """
+    """mapping_node and lss_node of one configuration without transport. ``answer_delay`` is from a
+    pass to its answer at the guidance, s; ``last`` the last answer that reached it."""
 
     def __init__(self, config: Config, answer_delay: float) -> None:
         self._config = config

@@ -26,14 +26,8 @@ class NoReference(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Optimum:
-    """The cheapest descent.
-
-    Attributes:
-        propellant: kg.
-        time: s.
-        position, velocity: (N + 1, 3) m, m/s.
-        thrust: (N + 1,) N.
-    """
+    """The cheapest descent: propellant, kg; time, s; position and velocity (N + 1, 3), thrust (N +
+    1,), N."""
 
     propellant: float
     time: float
@@ -43,13 +37,8 @@ class Optimum:
 
 
 class Descent:
-    """Descents of one vehicle in N steps; only the time is not convex and is searched.
-
-    Args:
-        vehicle: Limits of the engine, mass at the start.
-        limits: Tilt and glide slope.
-        steps: N.
-    """
+    """Descents of one vehicle in N steps; only the time is not convex and is searched. ``vehicle``:
+    limits of the engine, mass at the start. ``limits``: tilt and glide slope. ``steps``: n."""
 
     def __init__(self, vehicle: Vehicle, limits: Limits, steps: int = 30) -> None:
         self.vehicle, self.limits, self.steps = vehicle, limits, steps

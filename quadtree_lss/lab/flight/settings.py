@@ -111,10 +111,8 @@ class FlightSettings:
 def flight_settings(values: Mapping[str, Any]) -> FlightSettings:
     """From plain values by name, as a study's file holds them.
 
-    ``faults`` are texts as of `Fault.read`; ``vehicle``, ``rules`` and ``plan`` mappings.
-
-    Raises:
-        FlightError: a name that does not exist, or a value that cannot be used.
+    ``faults`` are texts as of `Fault.read`; ``vehicle``, ``rules`` and ``plan`` mappings. Raises
+    `FlightError`: a name that does not exist, or a value that cannot be used.
     """
     base = FlightSettings()
     known = {item.name for item in fields(FlightSettings)}

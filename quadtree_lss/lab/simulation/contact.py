@@ -8,26 +8,31 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 
-if not cython.compiled:  # otherwise from the .pxd
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, ceil, sqrt
+else:
     from math import ceil, sqrt
-
-    INFINITY = float("inf")
+    from math import inf as INFINITY
 
 #: m: a post on the very rim of a pad or of the circle is under it.
-TOLERANCE = 1e-9
+TOLERANCE = cython.declare(cython.double, 1e-9)
 
 
 @cython.boundscheck(False)
+@cython.locals(elevation=cython.double[:, ::1], frame=cython.double[::1])
+@cython.locals(points=cython.double[:, ::1], heading=cython.double[:, ::1])
+@cython.locals(worst=cython.double[:, ::1])
 def stand(
     elevation: Array,
     frame: Array,
     points: Array,
     heading: Array,
-    radius: cython.double,
-    pad_radius: cython.double,
+    radius: float,
+    pad_radius: float,
     worst: Array,
 ) -> None:
-    """Steepest resting plane, and how far the ground rises above any of them.
+    """Steepest resting plane, and how far the ground rises above any of them, to ``worst`` (K, 2):
+    tangent of the slope, and rise in m.
 
     Args:
         elevation: (ny, nx) posts, m.
@@ -35,14 +40,9 @@ def stand(
         points: (K, 2) centres of landers, all of each over the posts, m.
         heading: (4 yaws, 2) cosine and sine of the pads' directions, once round the circle.
         radius, pad_radius: Of the circle on which the pads stand and of a pad, m.
-        worst: (K, 2), set: tangent of the slope, and rise in m.
     """
-    k: cython.Py_ssize_t
-    p: cython.Py_ssize_t
-    q: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    r: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, p=cython.Py_ssize_t, q=cython.Py_ssize_t)
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, r=cython.Py_ssize_t)
     pads: cython.Py_ssize_t = heading.shape[0]
     yaws: cython.Py_ssize_t = pads // 4
     ny: cython.Py_ssize_t = elevation.shape[0]
@@ -63,14 +63,8 @@ def stand(
             x, y = points[k, 0], points[k, 1]
             mean, tilt_x, tilt_y = 0.0, 0.0, 0.0
             for p in range(pads):
-                z = under_pad(
-                    elevation,
-                    frame,
-                    x + radius * heading[p, 0],
-                    y + radius * heading[p, 1],
-                    pad_radius,
-                )
-                height[p] = z
+                east, north = x + radius * heading[p, 0], y + radius * heading[p, 1]
+                height[p] = z = under_pad(elevation, frame, east, north, pad_radius)
                 mean += z / pads
                 tilt_x += 2.0 * z * heading[p, 0] / (pads * radius)
                 tilt_y += 2.0 * z * heading[p, 1] / (pads * radius)
@@ -124,16 +118,13 @@ def stand(
 
 
 @cython.boundscheck(False)
-def under_pad(
-    elevation: Array,
-    frame: Array,
-    x: cython.double,
-    y: cython.double,
-    radius: cython.double,
-) -> cython.double:
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(elevation=cython.double[:, ::1], frame=cython.double[::1])
+def under_pad(elevation: Array, frame: Array, x: float, y: float, radius: float) -> cython.double:
     """Highest ground under a pad: posts within its radius, the surface under its centre."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     ny: cython.Py_ssize_t = elevation.shape[0]
     nx: cython.Py_ssize_t = elevation.shape[1]
     reach: cython.double = radius + TOLERANCE
@@ -159,8 +150,9 @@ def under_pad(
     return highest
 
 
-def first_post(
-    place: cython.double, reach: cython.double, origin: cython.double, step: cython.double
-) -> cython.Py_ssize_t:
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def first_post(place: float, reach: float, origin: float, step: float) -> cython.Py_ssize_t:
     """Index of the first post that can lie within reach of a place along an axis."""
     return cython.cast(cython.Py_ssize_t, ceil((place - reach - TOLERANCE - origin) / step - 1e-7))

@@ -13,16 +13,21 @@ import cython
 
 from quadtree_lss.onboard.arrays import Array
 
-if not cython.compiled:  # otherwise from the .pxd
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, NAN, fabs, sqrt
+else:
     from math import fabs, sqrt
-
-    INFINITY, NAN = float("inf"), float("nan")
+    from math import inf as INFINITY
+    from math import nan as NAN
 
 #: Posts past the edge of a cell, so that the next position is in the next cell.
-NUDGE = 1e-7
+NUDGE = cython.declare(cython.double, 1e-7)
 
 
 @cython.boundscheck(False)
+@cython.locals(elevation=cython.double[:, ::1], far=cython.double[:, ::1])
+@cython.locals(middle=cython.double[:, ::1], near=cython.double[:, ::1], box=cython.double[::1])
+@cython.locals(start=cython.double[::1], speed=cython.double[:, ::1], ranges=cython.double[::1])
 def march(
     elevation: Array,
     far: Array,
@@ -43,23 +48,13 @@ def march(
         speed: (N, 3) what a ray covers per unit of its range: posts, posts, m.
         ranges: (N,), set.
     """
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    axis: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    cython.declare(axis=cython.Py_ssize_t, entering=cython.bint)
+    cython.declare(x=cython.double, y=cython.double, z=cython.double)
+    cython.declare(vx=cython.double, vy=cython.double, vz=cython.double)
+    cython.declare(t=cython.double, end=cython.double, low=cython.double, high=cython.double)
     ny: cython.Py_ssize_t = elevation.shape[0]
     nx: cython.Py_ssize_t = elevation.shape[1]
-    entering: cython.bint
-    x: cython.double
-    y: cython.double
-    z: cython.double
-    vx: cython.double
-    vy: cython.double
-    vz: cython.double
-    t: cython.double
-    end: cython.double
-    low: cython.double
-    high: cython.double
     with cython.nogil:
         for k in range(ranges.shape[0]):
             ranges[k] = NAN
@@ -119,9 +114,10 @@ def march(
                 t = min(t + (step + NUDGE * min(per_post, 1.0)), end)
 
 
-def free_way(
-    clear: cython.double, window: cython.double, per_post: cython.double, per_height: cython.double
-) -> cython.double:
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def free_way(clear: float, window: float, per_post: float, per_height: float) -> cython.double:
     """Range that a ray can travel ``clear`` above the highest post of its window."""
     if clear <= 0.0:
         return 0.0
@@ -129,9 +125,10 @@ def free_way(
     return min((window - 1.0) * per_post, clear * per_height)
 
 
-def ahead_in_cell(
-    f0: cython.double, f1: cython.double, f2: cython.double, cross: cython.double
-) -> cython.double:
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def ahead_in_cell(f0: float, f1: float, f2: float, cross: float) -> cython.double:
     """First root of f0 + f1 s + f2 s^2 up to ``cross``, infinite if none; 0 if f0 is below 0."""
     if f0 <= 0.0:
         return 0.0

@@ -22,13 +22,9 @@ _FLOAT32 = 7  # sensor_msgs/PointField
 
 
 class Messages:
-    """Makes messages of arrays.
-
-    Args:
-        types: Class by name, such as ``geometry_msgs/msg/Point``; by default those of rosbags.
-        pack: What the classes take as an array of uint8.
-        frame: Of the map.
-    """
+    """Makes messages of arrays. ``types``: class by name, such as ``geometry_msgs/msg/Point``; by
+    default those of rosbags. ``pack``: what the classes take as an array of uint8. ``frame``: of
+    the map."""
 
     def __init__(
         self,

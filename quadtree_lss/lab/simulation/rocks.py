@@ -7,11 +7,15 @@ import cython
 
 from quadtree_lss.onboard.arrays import Array, Index
 
-if not cython.compiled:  # otherwise from the .pxd
+if cython.compiled:
+    from cython.cimports.libc.math import sqrt
+else:
     from math import sqrt
 
 
 @cython.boundscheck(False)
+@cython.locals(rocks=cython.double[:, ::1], axis=cython.double[::1])
+@cython.locals(posts=cython.Py_ssize_t[:, ::1], stones=cython.double[:, ::1])
 def lay(rocks: Array, axis: Array, posts: Index, stones: Array, heaped: cython.bint) -> None:
     """Raise the posts under rocks, one after the other, to the highest rock there.
 
@@ -23,19 +27,12 @@ def lay(rocks: Array, axis: Array, posts: Index, stones: Array, heaped: cython.b
         heaped: Whether each lies on those below its centre, 0.6 of their height and 0.6 m up at
             the most.
     """
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     base = 0.0
     with cython.nogil:
         for k in range(stones.shape[0]):
-            x, y, height, long, short = (
-                stones[k, 0],
-                stones[k, 1],
-                stones[k, 2],
-                stones[k, 3],
-                stones[k, 4],
-            )
+            x, y, height = stones[k, 0], stones[k, 1], stones[k, 2]
+            long, short = stones[k, 3], stones[k, 4]
             cos, sin = stones[k, 5], stones[k, 6]
             if heaped and posts[k, 0] < posts[k, 1] and posts[k, 2] < posts[k, 3]:
                 i = posts[k, 0] + (posts[k, 1] - posts[k, 0]) // 2

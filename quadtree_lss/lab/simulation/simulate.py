@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import shutil
-import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.lab.simulation.recording import SCAN_TOPIC, BagRecorder
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulation import Leg, Simulation
@@ -22,12 +23,9 @@ TRUTH_NAME = "truth.npz"
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """What was written.
-
-    ``starts`` are the seconds after the bag's first message at which each flight is sure to be
-    still to come (the first: 0), as ``replay --start`` takes them. ``interrupted`` says that it was
-    stopped before the end of what was to be flown.
-    """
+    """What was written. ``starts`` are the seconds after the bag's first message at which each
+    flight is still to come, for ``replay --start``; ``interrupted`` says that it was stopped before
+    the end."""
 
     scenario: str
     seed: int
@@ -82,18 +80,16 @@ def simulate(
     stop: Callable[[], bool] | None = None,
     **conditions: Any,
 ) -> SimulationResult:
-    """Simulate ``scenario`` (morpheus, parabola, descent or drone) into a ROS 2 bag.
+    """Simulate ``scenario`` (see `scenarios`) into a ROS 2 bag; the same arguments
+    give the same messages.
 
     Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
     lidar's estimated pose in frame ``map``, with covariance). ``truth.npz`` goes into the bag's
-    parent directory; one of another bag that is there is replaced with ``overwrite`` only, as is a
-    bag. Its ``bag_name`` and ``seed`` tell which flight it is of. ``flights`` > 1 flies
-    again over the same ground with new navigation errors, into the same bag.
-    ``progress(done, total)`` is called after every scan. The same arguments give the same
-    messages. ``lander`` is whose safety is in the truth; ``conditions``, such as ``duration``,
-    ``terrain`` and ``range_noise``, are those of `scenarios.Conditions`.
-    ``stop`` is asked before every message; once it answers True, bag and truth are of what was
-    flown so far.
+    parent directory, with the bag's name and the seed; one of another bag that is there is replaced
+    with ``overwrite`` only, as is a bag. ``flights`` > 1 flies again over the same ground with new
+    navigation errors, into the same bag. ``lander`` is whose safety is in the truth; ``conditions``
+    are those of `scenarios.Conditions`. ``progress(done, total)`` is called after every scan,
+    ``stop`` asked before every message: True ends it there.
 
     Raises `SimulationError` for options that make no sense and for what would be overwritten,
     KeyboardInterrupt if it is stopped before the first scan.
@@ -157,9 +153,8 @@ def _spare_truth(path: Path, bag_name: str) -> None:
     if not path.exists():
         return
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            owner = str(arrays["bag_name"])
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
+        owner = str(read_arrays(path, ("bag_name",))["bag_name"])
+    except (ExchangeError, KeyError):
         owner = ""
     if owner != bag_name:
         whose = f"of the bag '{owner}'" if owner else "of a bag it does not name"

@@ -61,20 +61,11 @@ class Leg:
 
 
 class Simulation:
-    """A scenario as a stream of messages; the same arguments give the same messages.
+    """A scenario as a stream of messages; the same arguments (as of `simulate`) give the same
+    messages.
 
-    Args:
-        scenario: ``morpheus``, ``parabola``, ``descent`` or ``drone``.
-        seed: Of terrain, navigation and noise.
-        flights: How many, over the same ground with other navigation errors.
-        conditions: As of `scenarios.Conditions`.
-
-    Attributes:
-        legs: The flights, and what has been flown.
-        stopped: Whether `messages` was stopped.
-
-    Raises:
-        SimulationError: options that make no sense.
+    ``legs`` are the flights, and what has been flown; ``stopped`` tells whether `messages` was
+    stopped. Raises `SimulationError`: options that make no sense.
     """
 
     def __init__(self, scenario: str, seed: int, *, flights: int = 1, **conditions: Any) -> None:

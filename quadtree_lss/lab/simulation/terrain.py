@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -181,24 +181,14 @@ def load_terrain(path: str | Path) -> Terrain:
         msg = f"terrain file {file} does not exist"
         raise SimulationError(msg)
     try:
-        with np.load(file, allow_pickle=False) as arrays:
-            return Terrain(arrays["x"], arrays["y"], arrays["elevation"])
+        arrays = read_arrays(file, ("x", "y", "elevation"))
+        return Terrain(arrays["x"], arrays["y"], arrays["elevation"])
     except KeyError as error:
         msg = f"terrain file {file}: no array {error.args[0]!r}; needed are x, y, elevation"
         raise SimulationError(msg) from error
     except SimulationError as error:
         msg = f"terrain file {file}: {str(error).removeprefix('terrain: ')}"
         raise SimulationError(msg) from error
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        msg = (
-            f"terrain file {file} is not a DEM in .npz form with arrays of numbers x, y, elevation"
-        )
+    except (ExchangeError, ValueError, TypeError) as error:
+        msg = f"terrain is no .npz with arrays of numbers x, y, elevation: {error}"
         raise SimulationError(msg) from error

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from quadtree_lss.onboard.config.sections import LssConfig
 
+DEADLINE = 1.0
+"""``landing/selected`` is said again within this, s: what is said is as old as the last pass."""
 LONGEST = 60.0
 """A landing site pass may take this at the worst, s."""
 MOST_MEMORY = 2.0e9
@@ -20,6 +22,8 @@ MOST_LEVELS = 11
 """Level of the finest cells that a map may have."""
 MOST_LEAVES = 1_000_000
 """That a map may have; each takes up to 1.5 kB while it is updated, copied and sent."""
+LEAST_SIDE = 1e-3
+"""Of the finest cells, m: no lidar knows less, and a lander would be on millions of them."""
 MOST_GRID_POINTS = 4096
 """Along a side of the domain."""
 YAWS = 12
@@ -35,6 +39,8 @@ def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
         finest: Finest cells along it.
         lss: How landing is judged.
     """
+    if size / finest < LEAST_SIDE:
+        return f"the finest cells are {size / finest:.3g} m wide; {LEAST_SIDE:g} is the least"
     points = size / lss.spacing
     if points > MOST_GRID_POINTS:
         return (
@@ -55,6 +61,21 @@ def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
             f" take {seconds:.0f} s for a landing site pass; {LONGEST:g} is the most"
         )
     return None
+
+
+def slow(size: float, finest: int, lss: LssConfig) -> str:
+    """That what ``landing/selected`` says may be older than its deadline; empty if it is not.
+
+    Args as for `why_too_much`.
+    """
+    seconds = pass_seconds(size, finest, lss)
+    if seconds <= DEADLINE:
+        return ""
+    return (
+        f"a landing site pass may take {seconds:.1f} s: landing/selected is said again within"
+        f" {DEADLINE:g} s, but a new hazard or keep-out moves it only after the pass; coarser cells"
+        " (domain.max_level), a smaller domain.size or fewer lss.sites make it shorter"
+    )
 
 
 def pass_seconds(size: float, finest: int, lss: LssConfig) -> float:

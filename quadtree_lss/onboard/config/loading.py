@@ -134,18 +134,9 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
     Raises:
         ConfigError: not readable, no YAML, not in the form of a parameter file.
     """
-    try:
-        with open(path, encoding="utf-8") as file:
-            content = parse_yaml(file.read(MOST_BYTES + 1))
-    except (OSError, UnicodeDecodeError) as error:
-        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise ConfigError(msg) from None
-    except YamlError as error:
-        msg = f"{path}: {error}"
-        raise ConfigError(msg) from None
     values: dict[str, object] = {}
     sections = 0
-    for name, section in _sections(content if isinstance(content, Mapping) else {}):
+    for name, section in _sections(_content(path)):
         try:
             if not _is_ours(name):
                 continue
@@ -160,6 +151,41 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
         msg = f"{path}: no section '/**:' with 'ros__parameters:' (or one of {', '.join(NODES)})"
         raise ConfigError(msg)
     return {key: value for key, value in values.items() if not ROS_OWN.fullmatch(key)}
+
+
+def check_reaches(path: str | os.PathLike[str], node: str) -> None:
+    """See that something in a parameter file is for a node.
+
+    Args:
+        path: The file.
+        node: Full name, with its namespace.
+
+    Raises:
+        ConfigError: not readable, or ROS would give the node nothing of it.
+    """
+    names = [name for name, _ in _sections(_content(path))]
+    # As rcl has it: /** stands for any namespaces, /* for one of them or a name.
+    wildcards = {r"/\*\*": r"(/\w+)*", r"/\*": r"/\w+"}
+    patterns = [re.escape(name) for name in names]
+    for sign, stands_for in wildcards.items():
+        patterns = [pattern.replace(sign, stands_for) for pattern in patterns]
+    if not any(re.fullmatch(pattern, node) for pattern in patterns):
+        found = ", ".join(f"'{name}'" for name in names) or "none"
+        msg = f"{path}: no section is for '{node}', which would run on the defaults: it has {found}"
+        raise ConfigError(msg)
+
+
+def _content(path: str | os.PathLike[str]) -> Mapping[Any, Any]:
+    try:
+        with open(path, encoding="utf-8") as file:
+            content = parse_yaml(file.read(MOST_BYTES + 1))
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise ConfigError(msg) from None
+    except YamlError as error:
+        msg = f"{path}: {error}"
+        raise ConfigError(msg) from None
+    return content if isinstance(content, Mapping) else {}
 
 
 def _sections(content: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -74,11 +74,11 @@ def checked_value(row: Parameter, value: object) -> Value:
     if not isinstance(value, kinds[row.type]) or (row.type is not bool and isinstance(value, bool)):
         msg = f"{row.name} must be {row.type.__name__}, got {value!r}"
         raise ConfigError(msg)
-    checked = row.type(value)
-    if row.type in (int, float) and not (math.isfinite(checked) and row.low <= checked <= row.high):
+    if row.type in (int, float) and not row.low <= value <= row.high:  # type: ignore[operator]
         unit = f" {row.unit}" if row.unit else ""
-        msg = f"{row.name} = {checked} is outside [{row.low:g}, {row.high:g}]{unit}"
+        msg = f"{row.name} = {value} is outside [{row.low:g}, {row.high:g}]{unit}"
         raise ConfigError(msg)
+    checked = row.type(value)
     if row.choices and checked not in row.choices:
         msg = f"{row.name} = {checked!r} is not one of {', '.join(row.choices)}"
         raise ConfigError(msg)

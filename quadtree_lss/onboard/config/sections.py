@@ -382,3 +382,72 @@ class CheckpointConfig:
 
     path: str = _p("", "file of the checkpoints; empty = none are written or taken up")
     interval: float = _live(2.0, "least time between two checkpoints", (0.05, 86400.0), "s")
+
+
+@dataclass(frozen=True)
+class AutopilotConfig:
+    """How autopilot_node lands by a MAVLink autopilot."""
+
+    connection: str = _p(
+        "udpin:0.0.0.0:14550",
+        "the autopilot's MAVLink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, tcp:ADDRESS:PORT, or a"
+        " serial device",
+    )
+    baud: int = _p(921600, "of a serial device", (1200, 10_000_000), "Bd")
+    may_command: str = _p(
+        "nothing",
+        "beside set-points: nothing; modes: guided or offboard on ~/land, land mode once on the "
+        "ground (ArduPilot); arming: these, and disarming once on the ground",
+        choices=("nothing", "modes", "arming"),
+    )
+    odometry: bool = _p(
+        True,
+        "send the autopilot's pose on nav/odometry; false where that has another publisher, whose"
+        " map must be the autopilot's local frame in east, north, up",
+    )
+    gate_height: float = _live(
+        8.0, "of the gate over the target, to which a wave-off climbs", (0.5, 1e3), "m"
+    )
+    commit_height: float = _live(
+        2.0, "below it the vehicle comes down for good, at touchdown_speed", (0.1, 1e3), "m"
+    )
+    transit_speed: float = _live(3.0, "to the gate, and up", (0.1, 50.0), "m/s")
+    descent_speed: float = _live(1.0, "from the gate to the commit height", (0.05, 20.0), "m/s")
+    touchdown_speed: float = _live(0.4, "from there to the ground", (0.05, 5.0), "m/s")
+    max_offset: float = _live(
+        0.5,
+        "farther beside the target the vehicle does not descend, and farther than that a target is"
+        " another one; it commits within half of this",
+        (0.02, 100.0),
+        "m",
+    )
+    reach: float = _live(
+        50.0,
+        "targets farther from where the pilot handed over are not flown to; sent as landing/area"
+        " where nobody else sends one",
+        (1.0, 1e5),
+        "m",
+    )
+    control_sigma: float = _live(
+        0.1,
+        "what the autopilot's control adds to navigation's deviation in landing/dispersion",
+        (0.0, 100.0),
+        "m",
+    )
+    max_heartbeat_age: float = _live(
+        2.5, "older heartbeats say nothing of the mode: silence, then hold", (0.1, 60.0), "s"
+    )
+    max_pose_age: float = _live(
+        0.5, "by its stamp, by a pose that is older nothing but holding", (0.02, 60.0), "s"
+    )
+    max_target_age: float = _live(
+        1.0, "a target that was not said for longer is none", (0.1, 60.0), "s"
+    )
+    max_map_age: float = _live(
+        3.0, "a target on a map that is older is none, until the vehicle commits", (0.1, 1e3), "s"
+    )
+    max_jump: float = _live(
+        0.5, "by which navigation may depart from its own velocity", (0.01, 1e3), "m"
+    )
+    max_wave_offs: int = _live(3, "after more the pilot is asked to take over", (0, 1000))
+    patience: float = _live(60.0, "so long it waits for a target before that", (1.0, 1e5), "s")

@@ -87,6 +87,7 @@ class Config:
     files: sections.FilesConfig = field(default_factory=sections.FilesConfig)
     map_file: sections.MapFileConfig = field(default_factory=sections.MapFileConfig)
     checkpoint: sections.CheckpointConfig = field(default_factory=sections.CheckpointConfig)
+    autopilot: sections.AutopilotConfig = field(default_factory=sections.AutopilotConfig)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lss", dataclasses.replace(self.lss, vehicle=self.vehicle))
@@ -219,6 +220,9 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     if (mount.gimbal or mount.tf) and mount != elsewhere:
         name, topic = ("gimbal", "lidar/gimbal") if mount.gimbal else ("tf", "/tf_static")
         yield f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
+    gate, commit = config.autopilot.gate_height, config.autopilot.commit_height
+    if commit >= gate:
+        yield f"autopilot.commit_height = {commit:g} m is not below gate_height = {gate:g} m"
     lss = dataclasses.replace(config.lss, vehicle=config.vehicle)
     reason = why_too_much(domain.size, 1 << domain.max_level, lss)
     if reason is not None:

@@ -34,11 +34,7 @@ MAX_ANGLE = 2.0 * np.pi + 1e-3
 
 
 class MessageError(QuadtreeLssError):
-    """A message cannot be used.
-
-    Attributes:
-        reason: Short key under which it is counted.
-    """
+    """A message cannot be used. ``reason``: short key under which it is counted."""
 
     def __init__(self, reason: str, text: str) -> None:
         super().__init__(text)
@@ -86,21 +82,14 @@ class _Layout:
 def points_from_cloud(msg: Any) -> Points:
     """Points of a cloud in lidar axes, m; NaN where a coordinate is missing: no return.
 
-    The fields are x, y, z or range, azimuth, elevation (m, rad; Eq. 14: z boresight, x right,
-    y down), each float32 or float64, at any offset, in either byte order, with any padding of
-    points and rows. Infinite coordinates are no returns either. Single coordinates beyond
-    ``MAX_DISTANCE`` are limited to it, so that the range gate counts them. Points that lie in the
-    message as the core takes them are not copied: the answer is then a view of its data.
-
-    Args:
-        msg: Like ``sensor_msgs/PointCloud2``.
-
-    Returns:
-        (H, W, 3) float32 or float64 for an organised cloud (height > 1), otherwise (N, 3).
-
-    Raises:
-        MessageError: with reason ``size``, ``fields``, ``field_type``, ``layout``,
-            ``too_large``, ``units`` or ``absurd``.
+    The fields are x, y, z or range, azimuth, elevation (m, rad; Eq. 14: z boresight, x right, y
+    down), each float32 or float64, at any offset, in either byte order, with any padding of points
+    and rows. Infinite coordinates are no returns either. Single coordinates beyond ``MAX_DISTANCE``
+    are limited to it, so that the range gate counts them. Points that lie in the message as the
+    core takes them are not copied: the answer is then a view of its data. ``msg``: like
+    ``sensor_msgs/PointCloud2``. Returns (H, W, 3) float32 or float64 for an organised cloud (height
+    > 1), otherwise (N, 3). Raises `MessageError`: with reason ``size``, ``fields``, ``field_type``,
+    ``layout``, ``too_large``, ``units`` or ``absurd``.
     """
     height, width = _count(msg, "height"), _count(msg, "width")
     data = _bytes(msg.data)
@@ -128,14 +117,9 @@ def points_from_cloud(msg: Any) -> Points:
 
 
 def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
-    """(height, width) values of one field of a cloud that `points_from_cloud` has taken.
-
-    Args:
-        kind: NumPy's word for the field's type, without byte order.
-
-    Raises:
-        MessageError: ``layout`` if the field lies outside a point or is no single value.
-    """
+    """(height, width) values of one field of a cloud that `points_from_cloud` has taken. ``kind``:
+    NumPy's word for the field's type, without byte order. Raises `MessageError`: ``layout`` if the
+    field lies outside a point or is no single value."""
     if int(field.count) != 1 or not 0 <= int(field.offset) <= msg.point_step - int(kind[1]):
         text = f"cloud field '{field.name}' is not a single value within a point"
         raise MessageError("layout", text)
@@ -149,11 +133,8 @@ def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
 
 
 def stamp_ns(header: Any) -> int:
-    """Stamp of a ``std_msgs/Header`` in integer nanoseconds.
-
-    Raises:
-        MessageError: ``stamp`` if its nanoseconds are no fraction of a second.
-    """
+    """Stamp of a ``std_msgs/Header`` in integer nanoseconds. Raises `MessageError`: ``stamp`` if
+    its nanoseconds are no fraction of a second."""
     seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
     if not 0 <= nanoseconds < 1_000_000_000:
         text = f"stamp {seconds} s + {nanoseconds} ns: the nanoseconds exceed a second"

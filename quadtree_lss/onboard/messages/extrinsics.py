@@ -10,16 +10,17 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import cloud_turn, fixed_mount
 from quadtree_lss.onboard.core.sensing.transforms import FixedTransforms
+from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.poses import mount_from_message
+
+#: Names of frames that are shown together, and the longest name of one.
+SHOWN, LONGEST = 50, 1000
 
 
 class Extrinsics:
     """Knows the frames of body and scans, and with ``mount.tf`` the way from one to the other.
-
-    Args:
-        config: Of which ``mount`` and ``frames.body`` matter.
-    """
+    ``config``: of which ``mount`` and ``frames.body`` matter."""
 
     def __init__(self, config: Config) -> None:
         self.tf = config.mount.tf
@@ -45,12 +46,13 @@ class Extrinsics:
         Raises:
             MessageError: ``child_frame`` if it is another one.
         """
-        frame = str(frame).lstrip("/")
+        frame = _usable(frame, "child_frame")
         if not self._body and frame:
             self._body = frame
             self._look()
         if frame != self._body:
-            text = f"odometry is of '{frame}', expected '{self._body}' (parameter frames.body)"
+            text = f"odometry is of '{_shown(frame)}', expected '{_shown(self._body)}'"
+            text += " (parameter frames.body)"
             raise MessageError("child_frame", text)
 
     def check_lidar(self, frame: str) -> None:
@@ -59,11 +61,13 @@ class Extrinsics:
         Raises:
             MessageError: ``frame`` if it is another one than before.
         """
-        frame = str(frame).lstrip("/")
-        if not self.tf or frame == self._lidar:
+        if not self.tf:
+            return
+        frame = _usable(frame, "frame")
+        if frame == self._lidar:
             return
         if self._lidar:
-            text = f"cloud is in frame '{frame}', those before were in '{self._lidar}'"
+            text = f"cloud is in frame '{_shown(frame)}', those before in '{_shown(self._lidar)}'"
             raise MessageError("frame", text)
         self._lidar = frame
         self._look()
@@ -72,17 +76,21 @@ class Extrinsics:
         """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``.
 
         Raises:
-            MessageError: ``stamp``, ``position`` or ``quaternion`` of a transform; the others hold.
+            MessageError: ``stamp``, ``position``, ``quaternion`` or ``frame`` of a transform; the
+                others hold.
         """
         wrong: MessageError | None = None
         new = False
         for item in msg.transforms:
             try:
                 held = mount_from_message(item, "transform")
+                frames = [
+                    _usable(of, "frame") for of in (item.header.frame_id, item.child_frame_id)
+                ]
             except MessageError as error:
                 wrong = wrong or error
             else:
-                new |= self._tree.add(item.header.frame_id, item.child_frame_id, held)
+                new |= self._tree.add(*frames, held)
         if new:
             self._look()
         if wrong is not None:
@@ -92,13 +100,30 @@ class Extrinsics:
         """Why the mount is not known yet."""
         if not self._body:
             return "the body's frame is not known (frames.body, or the child frame of an odometry)"
-        told = ", ".join(self._tree.frames()) or "none"
+        told = ", ".join(map(_shown, self._tree.frames()[:SHOWN])) or "none"
         return (
-            f"/tf_static has no chain from '{self._body}' to '{self._lidar}' (mount.tf);"
-            f" frames heard of: {told}"
+            f"/tf_static has no chain from '{_shown(self._body)}' to '{_shown(self._lidar)}'"
+            f" (mount.tf); frames heard of: {told}"
         )
 
     def _look(self) -> None:
         found = self._tree.between(self._body, self._lidar) if self._body and self._lidar else None
         if found is not None:
             self._found = self.turned(found)
+
+
+def _usable(frame: object, reason: str) -> str:
+    """Name of a frame without its slash.
+
+    Raises:
+        MessageError: it is so long that it was hardly meant.
+    """
+    name = str(frame).lstrip("/")
+    if len(name) > LONGEST:
+        text = f"frame '{_shown(name)}' has a name of more than {LONGEST} characters"
+        raise MessageError(reason, text)
+    return name
+
+
+def _shown(frame: str) -> str:
+    return one_line(frame, 80)

@@ -70,20 +70,11 @@ class Intake:
     """Decodes messages, lets scans wait for poses, counts what cannot be used.
 
     Call `on_pose`, `on_cloud`, `on_gimbal`, `on_transforms` with each message as it comes, then
-    `ready`. No call raises on bad input: it is counted in ``rejected`` or ``queue.dropped`` and
-    told by `notices`.
-
-    Args:
-        config: Of which ``pose``, ``frames``, ``mount`` and ``lidar.deskew`` matter: with a
-            mount, poses are the body's; with ``mount.gimbal`` the mount comes by `on_gimbal`, with
-            ``mount.tf`` by `on_transforms`.
-        scan_topic, pose_topic, gimbal_topic: Names for messages to the user.
-
-    Attributes:
-        rejected: Unusable messages by reason, ``cloud_<reason>``, ``pose_<reason>``, …; as
-            ``times_<reason>`` clouds that were taken as of one time.
-        scans, poses_taken: Usable messages.
-        queue: The waiting scans; ``queue.dropped`` counts those given up.
+    `ready`. No call raises on bad input: it is counted in ``rejected`` (``cloud_<reason>``,
+    ``pose_<reason>``, …; as ``times_<reason>`` clouds that were taken as of one time) or
+    ``queue.dropped`` and told by `notices`. Of ``config``, ``pose``, ``frames``, ``mount`` and
+    ``lidar.deskew`` matter: with a mount, poses are the body's; with ``mount.gimbal`` the mount
+    comes by `on_gimbal`, with ``mount.tf`` by `on_transforms`.
     """
 
     def __init__(
@@ -125,11 +116,8 @@ class Intake:
         return {**clouds, **self.queue.dropped}
 
     def on_pose(self, msg: Any) -> None:
-        """Takes a pose of the lidar, or of the body with a mount.
-
-        Args:
-            msg: ``PoseWithCovarianceStamped``, or ``Odometry``, whose child frame is then checked.
-        """
+        """Takes a pose of the lidar, or of the body with a mount. ``msg``:
+        ``PoseWithCovarianceStamped``, or ``Odometry``, whose child frame is then checked."""
         limits = self._pose_config
         try:
             if hasattr(msg, "child_frame_id"):
@@ -185,11 +173,8 @@ class Intake:
             self._mounted.mount = self._extrinsics.mount
 
     def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
-        """Takes a ``PointCloud2``; ``arrival_ns`` is of any steady clock, see `ready`.
-
-        Returns:
-            The scan's stamp, or None if it cannot be used.
-        """
+        """Takes a ``PointCloud2``; ``arrival_ns`` is of any steady clock, see `ready`. Returns the
+        scan's stamp, or None if it cannot be used."""
         try:
             points, stamp = points_from_cloud(msg), stamp_ns(msg.header)
             self._extrinsics.check_lidar(msg.header.frame_id)
@@ -217,10 +202,7 @@ class Intake:
 
     def ready(self, now_ns: int) -> list[ReadyScan]:
         """Scans whose pose is known, oldest first; gives up those that have waited too long.
-
-        Args:
-            now_ns: Present time on the clock of ``arrival_ns``.
-        """
+        ``now_ns``: present time on the clock of ``arrival_ns``."""
         scans = self.queue.pop_ready()
         drops = self.queue.expire(now_ns)
         while drops:
@@ -273,11 +255,8 @@ class Intake:
 
 def noise_notice(ratio: float, config: Config) -> Notice | None:
     """Warning if the observed range noise is not the configured one; the leaf count hangs on it.
-
-    Args:
-        ratio: Observed over configured, as in ``ScanReport.noise_ratio``; NaN if unknown.
-        config: Of which ``lidar.range_noise`` matters.
-    """
+    ``ratio``: observed over configured, as in ``ScanReport.noise_ratio``; NaN if unknown.
+    ``config``: of which ``lidar.range_noise`` matters."""
     agrees = 1.0 / NOISE_RATIO_LIMIT <= ratio <= NOISE_RATIO_LIMIT
     if math.isnan(ratio) or agrees:
         return None
@@ -296,11 +275,8 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
 
 def pose_notices(errors: PoseErrors | None, config: Config) -> list[Notice]:
     """Warnings where poses err otherwise than they claim; the map's covariance hangs on it.
-
-    Args:
-        errors: Of ``Mapper.pose_errors``.
-        config: Of which ``pose.correlation_time`` matters.
-    """
+    ``errors``: of ``Mapper.pose_errors``. ``config``: of which ``pose.correlation_time``
+    matters."""
     if errors is None:
         return []
     time, seen, size = config.pose.correlation_time, errors.seen, errors.size

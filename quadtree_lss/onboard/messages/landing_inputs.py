@@ -80,14 +80,15 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
     """
     check_frame(msg.header.frame_id, map_frame, "dispersion")
     covariance = np.asarray(msg.pose.covariance, dtype=np.float64)
-    variance = covariance[[0, 7]]
+    variance = covariance[[0, 7]] if covariance.size == 36 else np.full(2, -1.0)
     if np.isnan(variance).all():
         return None
     if not ((variance >= 0.0) & (variance <= WIDEST**2)).all():
         text = f"variances {variance.tolist()} m^2 are not those of at most {WIDEST:g} m"
         raise MessageError("dispersion", text)
     q, known = msg.pose.pose.orientation, 0.0 <= covariance[35] <= KNOWN_HEADING**2
-    turned = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    x, y, z, w = (float(of) for of in (q.x, q.y, q.z, q.w))
+    turned = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return np.append(np.sqrt(variance), turned if known and np.isfinite(turned) else [])
 
 

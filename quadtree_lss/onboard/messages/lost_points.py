@@ -38,10 +38,7 @@ def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str
     """Why not one point of a scan entered the map, in one line; None if one did.
 
     For the one notice `NO_POINTS_USED` that a flight may need: the domain is named with the scan's
-    middle if points missed it.
-
-    Args:
-        why: Of `likely_reason`.
+    middle if points missed it. ``why``: of `likely_reason`.
     """
     if report.points_used:
         return None
@@ -67,10 +64,7 @@ def overruled_text(report: ScanReport) -> str | None:
 
 def lost_points_text(lost: Mapping[str, int]) -> str:
     """``16384 outside the domain, 3 without a return``: counts by reason, the largest first.
-
-    Args:
-        lost: By the keys of `REASONS`.
-    """
+    ``lost``: by the keys of `REASONS`."""
     told = sorted(((n, key) for key, n in lost.items() if n), reverse=True)
     return ", ".join(f"{n} {REASONS[key]}" for n, key in told)
 
@@ -92,11 +86,8 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
     """What would bring a scan into the domain that misses it with all points; empty if unknown.
 
     Each usual mistake about axes and frames is mended on some of the points: which of them lie in
-    the domain then, and below the lidar, decides.
-
-    Args:
-        points_lidar: (..., 3) as they were mapped, m.
-        pose: As they were mapped with, ``mount.axes`` included.
+    the domain then, and below the lidar, decides. ``points_lidar``: (..., 3) as they were mapped,
+    m. ``pose``: as they were mapped with, ``mount.axes`` included.
     """
     points = points_lidar.reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=1)]

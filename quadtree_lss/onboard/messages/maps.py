@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
-from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
 from quadtree_lss.onboard.core.geometry.bounds import bounded
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.cell_map import MOST, MOST_HEIGHT, CellMap, sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -135,8 +135,7 @@ def decode_cells(
 
     Args:
         records: (M,) of ``record_dtype(CELL_FIELDS)``, or without the bounds.
-        observed: (n, n) [iy, ix] of ``map/observed``.
-        xmin, ymin: Origin of ``map/observed``, m.
+        observed: (n, n) [iy, ix] of ``map/observed``, of origin ``xmin``, ``ymin``, m.
         stamp_ns: Stamp that both messages carry.
         lss: How landing will be judged on it; None if it will not.
         known: (n, n) where ``map/observed`` does not say that the ground is not yet mapped; None
@@ -168,9 +167,11 @@ def decode_cells(
         raise MessageError("tiling", msg)
     size = float(records["size"][0]) * float(1 << int(level[0]))
     domain = Domain(float(xmin), float(ymin), size, int(records["min_level"][0]), max_level)
-    if not (np.isfinite([xmin, ymin, size]).all() and 0.0 < size < 1e9):
-        msg = f"map/cells lies at ({xmin}, {ymin}) with size {size} m"
-        raise MessageError("domain", msg)
+    try:
+        checked_values({f"domain.{name}": value for name, value in vars(domain).items()})
+    except ConfigError as error:
+        msg = f"map/cells is of a domain that none can be: {error}"
+        raise MessageError("domain", msg) from None
     reason = None if lss is None else why_too_much(size, n, lss)
     if reason is not None:
         msg = f"map of {size:g} m: {reason}"
@@ -219,21 +220,13 @@ def decode_cells(
 
 
 def _check(cells: CellMap) -> None:
-    """Refuse estimates that none can be.
-
-    Raises:
-        MessageError: reason ``values``.
-    """
+    """Refuse estimates that none can be. Raises `MessageError`: reason ``values``."""
     known = cells.estimated
-    with np.errstate(invalid="ignore"):
-        sound = np.abs(np.sum(cells.normal**2, axis=1) - 1.0) < 1e-6
-        sound &= (cells.normal[:, 2] > 0.0) & (np.abs(cells.z) < 1e7)
-        for part in (cells.covariance_range, cells.covariance_pose):
-            sound &= (np.diagonal(part, axis1=1, axis2=2) >= 0.0).all(axis=1)
-            sound &= np.isfinite(part).all(axis=(1, 2))
-        sound &= ~cells.measured | (np.isfinite(cells.roughness) & (cells.roughness >= 0.0))
+    parts = cells.covariance_range, cells.covariance_pose
+    sound = sound_planes(cells.z, cells.normal, parts, cells.feature)
+    sound &= ~cells.measured | ((cells.roughness >= 0.0) & (cells.roughness < MOST))
     off = (cells.offset_z, cells.offset_variance)
-    sound_offset = np.isnan(off).all() or (abs(off[0]) < 1e7 and 0.0 <= off[1] < np.inf)
+    sound_offset = np.isnan(off).all() or (abs(off[0]) < MOST_HEIGHT and 0.0 <= off[1] < MOST)
     if not sound_offset:
         msg = f"map/cells has an impossible offset: {off[0]} m of variance {off[1]}"
         raise MessageError("values", msg)
@@ -241,7 +234,7 @@ def _check(cells: CellMap) -> None:
         msg = "map/cells has a leaf with an impossible plane (normal, elevation, covariance)"
         raise MessageError("values", msg)
     bounds = np.stack([cells.low, cells.high])
-    if (np.abs(bounds) >= 1e7).any() or (cells.low > cells.high).any():
+    if (np.abs(bounds) >= MOST_HEIGHT).any() or (cells.low > cells.high).any():
         msg = "map/cells has a leaf with impossible bounds (low, high)"
         raise MessageError("values", msg)
 
@@ -290,12 +283,8 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
 
 
 def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]:
-    """The one record (1,) of ``record_dtype(STATUS_FIELDS)``.
-
-    Args:
-        assessment: The answer.
-        age: Of its map when it is sent, s; NaN if unknown.
-    """
+    """The one record (1,) of ``record_dtype(STATUS_FIELDS)``. ``assessment``: the answer. ``age``:
+    of its map when it is sent, s; NaN if unknown."""
     selected = assessment.selected
     out = np.zeros(1, dtype=record_dtype(STATUS_FIELDS))
     for axis, name in enumerate("xyz"):

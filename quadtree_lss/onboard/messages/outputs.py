@@ -79,11 +79,8 @@ def point_layout(fields: Fields) -> list[tuple[str, int, int]]:
 
 
 def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
-    """Records (M,) of a PointCloud2 that has exactly the layout of `MessageMaker.cloud`.
-
-    Raises:
-        MessageError: other fields, offsets, types or sizes (``layout``).
-    """
+    """Records (M,) of a PointCloud2 that has exactly the layout of `MessageMaker.cloud`. Raises
+    `MessageError`: other fields, offsets, types or sizes (``layout``)."""
     kinds = record_dtype(fields)
     found = [(item.name, item.offset, item.datatype) for item in cloud.fields]
     count = cloud.width * cloud.height
@@ -103,17 +100,10 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
 
 
 def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> CellMap:
-    """The map of one stamp from ``map/cells`` and ``map/observed``.
-
-    Args:
-        cloud, grid: The messages.
-        lss: How landing will be judged on it: a map too large for that is refused before anything
-            is made of it. None if it will not be judged.
-
-    Raises:
-        MessageError: a message is not what ``mapping_node`` sends, or the two are not of one
-            frame (``frame``).
-    """
+    """The map of one stamp from ``map/cells`` and ``map/observed``. ``cloud``, ``grid``: the
+    messages. ``lss``: how landing will be judged on it: a map too large for that is refused before
+    anything is made of it. None if it will not be judged. Raises `MessageError`: a message is not
+    what ``mapping_node`` sends, or the two are not of one frame (``frame``)."""
     frames = (str(cloud.header.frame_id), str(grid.header.frame_id))
     if frames[0].lstrip("/") != frames[1].lstrip("/"):
         shown = [one_line(frame, 80) for frame in frames]
@@ -135,13 +125,9 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
 
 
 class MessageMaker:
-    """Builds the output messages.
-
-    Args:
-        types: Message class by name, such as ``nav_msgs/msg/OccupancyGrid``.
-        pack: What the classes take as an array of uint8, int8 or float32.
-        frame: Frame of the map.
-    """
+    """Builds the output messages in the map's frame of classes by name, as
+    ``nav_msgs/msg/OccupancyGrid``; ``pack`` makes what they take as an array of uint8, int8 or
+    float32."""
 
     def __init__(
         self,
@@ -242,14 +228,8 @@ class MessageMaker:
     def grid(
         self, values: NDArray[np.int8], corner: tuple[float, float], side: float, stamp: int
     ) -> Any:
-        """OccupancyGrid of values (ny, nx), row of least y first.
-
-        Args:
-            values: int8.
-            corner: South-western corner of the first cell, m.
-            side: Side of a cell, m.
-            stamp: Of the map, ns.
-        """
+        """OccupancyGrid of values (ny, nx), row of least y first; ``corner`` is the south-western
+        one, ``side`` that of a cell, m."""
         info = self._make(
             "nav_msgs/msg/MapMetaData",
             map_load_time=self._time(stamp),

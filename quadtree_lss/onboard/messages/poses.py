@@ -44,20 +44,12 @@ def pose_from_message(
 ) -> Pose:
     """Pose of the lidar (or body) in the map frame.
 
-    A covariance of zeros alone says "unknown" by convention; the two sigmas then take its place
-    (see `has_unknown_covariance`).
-
-    Args:
-        msg: Like ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which
-            the velocity is not used; covariance of (x, y, z, rotation
-            about the fixed axes X, Y, Z of the header's frame), m and rad.
-        map_frame: Name the header's frame must have; a leading slash does not matter.
-        unknown_position_sigma: m, each axis.
-        unknown_attitude_sigma_deg: degrees, each axis.
-
-    Raises:
-        MessageError: with reason ``frame``, ``stamp``, ``position``, ``quaternion``,
-            ``covariance`` or ``attitude``.
+    A covariance of zeros alone says "unknown" by convention; the two sigmas (m and degrees, each
+    axis) then take its place (see `has_unknown_covariance`). ``msg`` is like
+    ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which the velocity is
+    not used; its header's frame must be ``map_frame``, a leading slash aside; its covariance is of
+    (x, y, z, rotation about that frame's fixed axes), m and rad. Raises `MessageError`: reason
+    ``frame``, ``stamp``, ``position``, ``quaternion``, ``covariance`` or ``attitude``.
     """
     check_frame(msg.header.frame_id, map_frame, "pose")
     position = _position(msg.pose.pose.position, "pose position")
@@ -86,10 +78,8 @@ def mount_from_message(msg: Any, what: str = "gimbal") -> Pose:
     """Pose of the lidar in body axes from a ``geometry_msgs/TransformStamped`` body to lidar.
 
     The transform is ROS's: header frame the body, child frame the lidar, translation the lidar's
-    origin in body axes, rotation taking lidar to body axes. The covariance is zero.
-
-    Raises:
-        MessageError: with reason ``stamp``, ``position`` or ``quaternion``.
+    origin in body axes, rotation taking lidar to body axes. The covariance is zero. Raises
+    `MessageError`: with reason ``stamp``, ``position`` or ``quaternion``.
     """
     position = _position(msg.transform.translation, f"{what} translation")
     rotation = _rotation(msg.transform.rotation, f"{what} rotation")
@@ -110,20 +100,13 @@ def _content(covariance: Any) -> bytes:
 
 @lru_cache(maxsize=8)  # most publishers repeat theirs, and poses come at hundreds a second
 def _covariance(content: bytes) -> Array | None:
-    """A covariance (6, 6), symmetric and without negative eigenvalues, read-only.
+    """A covariance (6, 6) of 36 float64 row by row, symmetric and without negative eigenvalues,
+    read-only; None if all are zero.
 
-    Rounding is mended, more is refused. Asymmetry and eigenvalues are judged after scaling to
-    unit diagonal, since metres and radians differ by orders of magnitude.
-
-    Args:
-        content: 36 float64, row by row.
-
-    Returns:
-        None if all are zero.
-
-    Raises:
-        MessageError: ``covariance`` if it has another length, is not finite, not symmetric or
-            has a negative eigenvalue.
+    Rounding is mended, more is refused. Asymmetry and eigenvalues are judged after scaling to unit
+    diagonal, since metres and radians differ by orders of magnitude. Raises `MessageError`:
+    ``covariance`` if it is of another length, not finite, not symmetric, or has a negative
+    eigenvalue.
     """
     if content == _UNKNOWN:
         return None

@@ -31,20 +31,15 @@ MAX_OFFSET_NS = 1_000_000_000
 def offsets_from_cloud(
     msg: Any, stamp_ns: int, points: Points
 ) -> tuple[NDArray[np.int32], tuple[int, int]] | None:
-    """Times of a cloud's points, and the first and last of them with the stamp among them.
-
-    Args:
-        msg: Like ``sensor_msgs/PointCloud2``.
-        stamp_ns: Of its header.
-        points: Of `points_from_cloud`; times of points that are no returns do not matter.
+    """Times of a cloud's points, and the first and last of them with the stamp among them. ``msg``:
+    like ``sensor_msgs/PointCloud2``. ``stamp_ns``: of its header. ``points``: of
+    `points_from_cloud`; times of points that are no returns do not matter. Raises `MessageError`:
+    ``type`` or ``layout`` of the field; ``unreasonable`` if times are not finite or too far from
+    the stamp.
 
     Returns:
         (N,) ns from the stamp and their span; None if the cloud has no times, or the same for all,
         which says no more than its stamp.
-
-    Raises:
-        MessageError: ``type`` or ``layout`` of the field; ``unreasonable`` if times are not finite
-            or too far from the stamp.
     """
     field = next((f for name in FIELDS for f in msg.fields if f.name == name), None)
     if field is None:

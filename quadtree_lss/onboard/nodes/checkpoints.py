@@ -26,19 +26,13 @@ PREVIOUS, REFUSED = ".previous", ".refused"
 
 
 class Checkpoints:
-    """Keeps a file in step with the map; the writing is done beside the node's own work.
+    """Keeps a file, below ``root``, in step with the map; the writing is done beside the node's own
+    work.
 
     Each is verified before it replaces the one before, which is kept as ``<name>.previous`` for
     when the newest cannot be read. A file that was there from the start and could not be read may
-    hold a good map: it is not replaced. Nor is one that another node keeps.
-
-    Args:
-        path: The file; its folder must exist.
-        root: ``files.root``.
-
-    Attributes:
-        written: How often it was written.
-        foreign: Why nothing is read or written here for good, empty if it is.
+    hold a good map: it is not replaced. Nor is one that another node keeps: ``foreign`` says why
+    nothing is read or written here for good. ``written`` counts.
     """
 
     def __init__(self, path: Path, root: str = "") -> None:
@@ -54,13 +48,9 @@ class Checkpoints:
         self._due = time.monotonic()
 
     def take_up(self, mapper: Mapper) -> str:
-        """Continue from the file if there is one; what became of it, for the log.
-
-        Raises:
-            MapFileError: the file cannot be used. The one before is taken up then, or the mapper is
-                unchanged. A file of wrong content is set aside, one that cannot be read is left
-                alone.
-        """
+        """Continue from the file if there is one; what became of it, for the log. Raises
+        `MapFileError`: the file cannot be used. The one before is taken up then, or the mapper is
+        unchanged. A file of wrong content is set aside, one that cannot be read is left alone."""
         target = self._claimed()
         troubles = []
         for path in (target, sibling(target, PREVIOUS)):
@@ -84,11 +74,8 @@ class Checkpoints:
         return f"no checkpoint at {self.path} yet: starting with an empty map"
 
     def _claimed(self) -> Path:
-        """The file, which no other node keeps.
-
-        Raises:
-            MapFileError: another does, or it can be none.
-        """
+        """The file, which no other node keeps. Raises `MapFileError`: another does, or it can be
+        none."""
         try:
             target = regular_file(self.path, self._root)
             self._keeper.claim(target)
@@ -133,11 +120,8 @@ class Checkpoints:
         return error
 
     def forget(self) -> None:
-        """Remove the file and the one before: the map was reset.
-
-        Raises:
-            MapFileError: they cannot be removed.
-        """
+        """Remove the file and the one before: the map was reset. Raises `MapFileError`: they cannot
+        be removed."""
         if self.foreign:
             return
         if not self._join():

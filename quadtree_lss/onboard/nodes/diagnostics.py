@@ -5,6 +5,7 @@ went wrong, at a level that its data's age sets."""
 from __future__ import annotations
 
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
@@ -16,6 +17,7 @@ from rclpy.qos import QoSProfile
 
 from quadtree_lss import build
 from quadtree_lss.onboard.config.settings import DiagnosticsConfig
+from quadtree_lss.onboard.errors import one_line
 
 
 class Logger(Protocol):
@@ -25,16 +27,8 @@ class Logger(Protocol):
 
 
 class Problems:
-    """Counts by reason; of each reason the first goes to the log, then one per interval.
-
-    Args:
-        logger: Where the lines go.
-        interval: Least time between two lines of one reason, s.
-
-    Attributes:
-        counts: Number by reason since the start.
-        latest: Text of the last one.
-    """
+    """Counts by reason; of each reason the first goes to the log, then one per ``interval`` s;
+    ``latest`` is the text of the last one."""
 
     def __init__(self, logger: Logger, interval: float = 5.0) -> None:
         self.counts: Counter[str] = Counter()
@@ -57,12 +51,35 @@ class Problems:
         self._told[reason] = (now, self.counts[reason])
 
 
-class Arrivals:
-    """Messages of one kind: how many, how often, and how long ago the last one came.
+def failure(what: str, error: Exception, logger: Logger) -> str:
+    """What to say of an error that should not be; the log gets where it arose."""
+    logger.warning("".join(traceback.format_exception(error)))
+    return f"{what} failed: {one_line(repr(error), 200)}"
 
-    Attributes:
-        count: Number since the start.
+
+class Waiting:
+    """Says in the log what a node waits for before it has given anything out: after five seconds,
+    then each time after twice as long.
+
+    Args:
+        logger: Where the lines go.
     """
+
+    def __init__(self, logger: Logger) -> None:
+        self._logger = logger
+        self._told, self._period = time.monotonic(), 5.0
+
+    def tell(self, what: str) -> None:
+        """Call it often; nothing is said of nothing."""
+        now = time.monotonic()
+        if what and now - self._told >= self._period:
+            self._logger.warning(f"waiting for {what}")
+            self._told, self._period = now, 2.0 * self._period
+
+
+class Arrivals:
+    """Messages of one kind: how many, how often, and how long ago the last one came. ``count``:
+    number since the start."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -102,11 +119,7 @@ class Span(NamedTuple):
 
 
 class Durations:
-    """Durations since they were last asked for.
-
-    Attributes:
-        last: The last one, ms.
-    """
+    """Durations since they were last asked for. ``last``: the last one, ms."""
 
     def __init__(self) -> None:
         self.last = 0.0
@@ -180,14 +193,8 @@ class Status:
 
 
 class Diagnostics:
-    """Publishes one status of a node at a set rate, on a steady clock.
-
-    Args:
-        node: Publishes; its full name is the status's.
-        rate: Hz.
-        problems: Its counters are appended; a new problem since the last status is a warning.
-        collect: Fills in a fresh status whenever one is due.
-    """
+    """Publishes one status of a node at a ``rate`` in Hz, on a steady clock: what ``collect`` fills
+    in, and the counters of ``problems``, of which a new one is a warning."""
 
     def __init__(
         self, node: Node, rate: float, problems: Problems, collect: Callable[[Status], None]

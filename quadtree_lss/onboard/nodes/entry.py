@@ -70,6 +70,11 @@ def lss_node() -> int:
     return _run("lss_node")
 
 
+def autopilot_node() -> int:
+    """Console script ``autopilot_node``."""
+    return _run("autopilot_node")
+
+
 def _run(name: str) -> int:
     _early.append(StopOnSignal())
     try:
@@ -77,4 +82,8 @@ def _run(name: str) -> int:
     except QuadtreeLssError as error:  # the core is not compiled, or of other sources
         print(f"error: {error}", file=sys.stderr)
         return 1
-    return main()
+    try:
+        return main()
+    finally:  # Python ends, and gives signals back that would kill it on its way
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)

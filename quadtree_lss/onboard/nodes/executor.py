@@ -16,11 +16,8 @@ from quadtree_lss.onboard.config.settings import ConfigError
 
 
 def transforms_type() -> Any:
-    """``tf2_msgs/TFMessage``, which comes with ROS, not with its wheels.
-
-    Raises:
-        ConfigError: it cannot be imported.
-    """
+    """``tf2_msgs/TFMessage``, which comes with ROS, not with its wheels. Raises `ConfigError`: it
+    cannot be imported."""
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:
@@ -33,10 +30,7 @@ class WhenWanted(CallbackGroup):
     """Subscriptions that wake the node only while their messages are wanted.
 
     A scan takes along what arrived before it, so only one that waits needs the next pose at once;
-    each wake-up costs as much as taking several messages.
-
-    Attributes:
-        wanted: True while they are.
+    each wake-up costs as much as taking several messages. ``wanted``: True while they are.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:
@@ -90,11 +84,8 @@ class OneNodeExecutor(SingleThreadedExecutor):
         super().wake()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Runs one callback that is due, or waits until one is, at most so long.
-
-        Raises:
-            ExternalShutdownException: the context was shut down.
-        """
+        """Runs one callback that is due, or waits until one is, at most so long. Raises
+        `ExternalShutdownException`: the context was shut down."""
         work = next(self._ready, None)
         if work is None:
             self._ready = self._wait(-1 if timeout_sec is None else round(1e9 * timeout_sec))
@@ -170,11 +161,7 @@ def _is_due(timer: Any) -> bool:
 
 
 def _finish(callback: Coroutine[Any, Any, None]) -> None:
-    """Runs what rclpy wraps a callback in.
-
-    Raises:
-        RuntimeError: the callback waits for something.
-    """
+    """Runs what rclpy wraps a callback in. Raises `RuntimeError`: it waits for something."""
     try:
         callback.send(None)
     except StopIteration:

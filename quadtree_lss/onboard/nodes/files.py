@@ -33,16 +33,10 @@ def is_below(path: Path, root: str) -> bool:
 
 
 def regular_file(path: Path, root: str = "") -> Path:
-    """The file a path means, links followed; it need not exist yet.
-
-    Args:
-        path: If relative, from ``root``.
-        root: ``files.root``: the folder in which the file must lie; empty = anywhere.
-
-    Raises:
-        MapFileError: there is something that is no regular file (a folder, a device, a pipe), it
-            lies elsewhere, or it cannot be looked at.
-    """
+    """The file a path means, links followed; it need not exist yet. ``path``: if relative, from
+    ``root``. ``root``: ``files.root``: the folder in which the file must lie; empty = anywhere.
+    Raises `MapFileError`: there is something that is no regular file (a folder, a device, a pipe),
+    it lies elsewhere, or it cannot be looked at."""
     try:
         target = Path(os.path.realpath(root / path))
         if root and not is_below(path, root):
@@ -72,11 +66,8 @@ def error_text(path: Path, done: str, error: Exception) -> str:
 
 
 def read_file(path: Path, root: str, most: int) -> bytes:
-    """Content of a regular file, of which no more than ``most`` bytes.
-
-    Raises:
-        MapFileError: it is none or cannot be read.
-    """
+    """Content of a regular file, of which no more than ``most`` bytes. Raises `MapFileError`: it is
+    none or cannot be read."""
     target = regular_file(path, root)
     try:
         with open(os.open(target, READ), "rb") as file:
@@ -155,11 +146,8 @@ class Keeper:
         self._held: int | None = None
 
     def claim(self, target: Path) -> None:
-        """Have the right to a `regular_file`, if there is one yet.
-
-        Raises:
-            InUseError: another process has it.
-        """
+        """Have the right to a `regular_file`, if there is one yet. Raises `InUseError`: another
+        process has it."""
         try:
             found = os.open(target, READ)
         except OSError:
@@ -176,10 +164,7 @@ class Keeper:
 
     def hold(self, descriptor: int) -> None:
         """Have the right to an open file, which is closed with it, instead of the one before.
-
-        Raises:
-            InUseError: another process has it.
-        """
+        Raises `InUseError`: another process has it."""
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

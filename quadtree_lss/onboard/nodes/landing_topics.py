@@ -44,15 +44,8 @@ class LandingTopics:
 
     Each is subscribed to twice: latched, to get back after a restart what was sent before, and
     volatile, which matches publishers that keep nothing. Both ways end with the newest message.
-
-    Args:
-        node: Owner.
-        problems: Where unusable messages are told.
-        changed: Called after each change, and when `settled` has become true.
-        required: ``lss.required_input``: those without which `settled` stays false.
-
-    Attributes:
-        wishes: What holds.
+    ``changed`` is called after each change, and when `settled` has become true, which it is not
+    before those of ``required`` (``lss.required_input``) came.
     """
 
     def __init__(

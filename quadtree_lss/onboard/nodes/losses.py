@@ -10,17 +10,8 @@ from quadtree_lss.onboard.nodes.diagnostics import Durations, Problems
 
 
 class Publishers:
-    """Counts the publishers of a topic and tells when there is more than one.
-
-    Args:
-        topic: Full name.
-        reason: Under which it is counted.
-        effect: What comes of it.
-        problems: Where it is told.
-
-    Attributes:
-        number: Publishers that match at present.
-    """
+    """Counts the publishers of a topic that match at present (``number``); of more than one it
+    tells ``problems`` the ``reason`` and the ``effect``."""
 
     def __init__(self, topic: str, reason: str, effect: str, problems: Problems) -> None:
         self.number = 0
@@ -41,12 +32,9 @@ class Publishers:
 class ScanGaps:
     """Looks for gaps in the numbers that a publisher gives its messages.
 
-    Two publishers number theirs apart, and a message does not say whose it is: while there are
-    two, gaps cannot be found, and that there are two is a problem of its own.
-
-    Args:
-        topic: Full name.
-        problems: Where losses are counted as ``scan_lost``.
+    Two publishers number theirs apart, and a message does not say whose it is: while there are two,
+    gaps cannot be found, and that there are two is a problem of its own. ``topic``: full name.
+    ``problems``: where losses are counted as ``scan_lost``.
     """
 
     def __init__(self, topic: str, problems: Problems) -> None:
@@ -83,11 +71,8 @@ LEAST_S = 0.1
 
 def allowance(config: Config, work_ms: float) -> float:
     """How long a scan may have waited, s, for the map to stay younger than ``warn_age``.
-
-    Args:
-        config: Of which ``diagnostics.warn_age`` and ``publish.rate`` matter.
-        work_ms: What it takes to map a scan and publish the map; it may have to wait for as much.
-    """
+    ``config``: of which ``diagnostics.warn_age`` and ``publish.rate`` matter. ``work_ms``: what it
+    takes to map a scan and publish the map; it may have to wait for as much."""
     young = config.diagnostics.warn_age
     return max(young - min(1.0 / config.publish.rate, 0.5 * young) - 2e-3 * work_ms, LEAST_S)
 
@@ -97,15 +82,8 @@ class Overload:
 
     A short hold-up leaves nothing out: a scan may wait as long as the map stays young enough. Once
     one has waited longer the node is overloaded, and only scans that have waited for a quarter of
-    that are mapped: the map is much younger than it need be, and what is left out lies scattered.
-
-    Args:
-        topic: Full name.
-        problems: Where scans that are left out are counted as ``overload``.
-
-    Attributes:
-        dropped: Scans left out.
-        waits: How long the others had waited.
+    that are mapped: the map is much younger than it need be, and what is left out (``dropped``)
+    lies scattered. ``waits`` holds how long the others had waited.
     """
 
     def __init__(self, topic: str, problems: Problems) -> None:
@@ -115,13 +93,8 @@ class Overload:
         self._overloaded_until = 0.0
 
     def takes(self, received_ns: int, config: Config, work_ms: float) -> bool:
-        """True if a scan is to be mapped.
-
-        Args:
-            received_ns: When the middleware received it, by the system's clock; 0 if it does not
-                say.
-            config, work_ms: As of `allowance`.
-        """
+        """True if a scan is to be mapped. ``received_ns``: when the middleware received it, by the
+        system's clock; 0 if it does not say. ``config``, ``work_ms``: as of `allowance`."""
         waited = max(1e-9 * (time.time_ns() - received_ns), 0.0) if received_ns > 0 else 0.0
         now = time.monotonic()
         limit = allowance(config, work_ms)

@@ -25,6 +25,8 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Durations,
     Problems,
     Status,
+    Waiting,
+    failure,
 )
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
@@ -69,7 +71,9 @@ class LssNode(Node):
         )
         subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._map_publishers.changed)
         subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
+        self._waiting = Waiting(self.get_logger())
         self._result: LandingAssessment | None = None
+        self._failed = ""
         self._assessed: CellMap | None = None
         self._withheld = ""
         self._asked = False
@@ -143,9 +147,19 @@ class LssNode(Node):
         return "; ".join(reason for reason in reasons if reason)
 
     def _look_around(self) -> None:
-        """Withdraws the sites when the map has become too old."""
+        """Withdraws the sites when the map has become too old; says what it waits for."""
+        self._waiting.tell(self._lacks())
         if self._result is not None and self._withhold() != self._withheld:
             self._output.now()
+
+    def _lacks(self) -> str:
+        """What there is not yet of all that the first answer takes, empty after it."""
+        if self._result is not None:
+            return ""
+        if lack := self._map.lacks():
+            number = self._map_publishers.number
+            return f"{lack} (publishers known on '{self._map_topic}': {number})"
+        return " and ".join(f"landing/{name}" for name in self._inputs.unheard())
 
     def _assess(self) -> None:
         self._map.take()
@@ -162,8 +176,19 @@ class LssNode(Node):
         self._assessed, self._withheld, self._asked = cells, withheld, False
         start = time.perf_counter()
         restrictions = {**self._inputs.wishes.arguments(), "withheld": withheld}
-        result = self._selector.assess(cells, **restrictions)
+        try:
+            self._failed = ""
+            with self._target.held_up():
+                result = self._selector.assess(cells, **restrictions)
+            self._give(result, new)
+        except Exception as error:
+            self._failed = failure("the landing site pass", error, self.get_logger())
+            self._problems.report("pass_failed", self._failed)
+            self._give(self._selector.withhold(cells, self._failed), new)
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
+
+    def _give(self, result: LandingAssessment, new: bool) -> None:
+        """Send an answer; ``new`` if it is of another map than the one before."""
         self._target.send(result, self._map.frame)
         for topic, message in message_maker(self._map.frame).of_ground(result):
             self._landing[topic].publish(message)
@@ -217,14 +242,15 @@ class LssNode(Node):
         )
         status.add({f"landing.{name}": state for name, state in self._inputs.states().items()})
         withheld = self._withhold()
+        if self._failed:
+            status.note(ERROR, f"no site is given out: {self._failed}")
         if withheld:
             status.note(ERROR, f"no site is given out: {withheld}")
         elif self._map.refused:
             status.note(ERROR, f"{self._map.refused}; the one before it holds")
         result = self._result
-        if result is None and self._map.cells is not None:
-            names = " and ".join(f"landing/{name}" for name in self._inputs.unheard())
-            status.note(WARN, f"no site is given out yet: waiting for {names}")
+        if lack := self._lacks():
+            status.note(WARN, f"no site is given out yet: waiting for {lack}")
         if result is None or self._map.cells is None:
             return
         count = len(result.sites.score)
@@ -238,7 +264,7 @@ class LssNode(Node):
                 "explanation": result.explanation,
             }
         )
-        if withheld:
+        if withheld or self._failed:
             return
         for line in result.doubts:
             status.note(WARN, line)

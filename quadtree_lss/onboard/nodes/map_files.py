@@ -24,11 +24,7 @@ class WrongContentError(MapFileError):
 
 
 def save(path: Path, mapper: Mapper, root: str = "") -> None:
-    """Write the mapper's state.
-
-    Raises:
-        MapFileError: see `writer`.
-    """
+    """Write the mapper's state. Raises `MapFileError`: see `writer`."""
     writer(path, mapper, root)()
 
 
@@ -36,15 +32,9 @@ def writer(path: Path, mapper: Mapper, root: str = "", **how: Any) -> Callable[[
     """What replaces the file by the mapper's present state, to be called beside its own work.
 
     The state is read back from the disk first, and must be one that a mapper can go on from.
-
-    Args:
-        path, root: As of `write_atomically`.
-        mapper: Its state is copied now.
-        how: Further arguments of `write_atomically`.
-
-    Raises:
-        MapFileError: (when called) not writable, or no state to go on from; the old file is then
-            untouched.
+    ``path``, ``root``: as of `write_atomically`. ``mapper``: its state is copied now. ``how``:
+    further arguments of `write_atomically`. Raises `MapFileError`: (when called) not writable, or
+    no state to go on from; the old file is then untouched.
     """
     state, domain, cells = mapper.export_state(), mapper.domain, mapper.config.mapping.max_cells
 
@@ -82,15 +72,9 @@ def load(path: Path, mapper: Mapper, root: str = "") -> None:
 
 
 class MapServices:
-    """Answers with ``success`` and one line; a failure leaves the map as it was.
-
-    Args:
-        node: Owner.
-        mapper: Whose map it is.
-        path, root: Parameters ``map_file.path`` and ``files.root``.
-        changed: Called after a map was loaded.
-        reset: Called after the map was emptied.
-    """
+    """Answers with ``success`` and one line; a failure leaves the map as it was. ``path`` and
+    ``root`` are ``map_file.path`` and ``files.root``; ``changed`` is called after a map was loaded,
+    ``reset`` after it was emptied."""
 
     def __init__(
         self,

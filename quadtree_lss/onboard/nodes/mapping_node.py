@@ -19,6 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
+from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError
 from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
 from quadtree_lss.onboard.messages.lost_points import (
     MAP_OVERRULED,
@@ -29,6 +30,7 @@ from quadtree_lss.onboard.messages.lost_points import (
 )
 from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
 from quadtree_lss.onboard.nodes.diagnostics import (
+    ERROR,
     OK,
     WARN,
     Arrivals,
@@ -36,6 +38,8 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Durations,
     Problems,
     Status,
+    Waiting,
+    failure,
 )
 from quadtree_lss.onboard.nodes.executor import WhenWanted, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
@@ -104,7 +108,11 @@ class MappingNode(Node):
         )
         self._stamps = MapStamps()
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
-        self._checkpoints = self._take_up_checkpoint()
+        self._waiting, self._failed = Waiting(self.get_logger()), ""
+        self._checkpoints: Checkpoints | None = None
+        if config.checkpoint.path:
+            self._checkpoints = Checkpoints(Path(config.checkpoint.path), config.files.root)
+            self._take_up_checkpoint(self._checkpoints)
         self._map_services = MapServices(
             self,
             self._mapper,
@@ -145,18 +153,13 @@ class MappingNode(Node):
             kept.depth = 100
             subscribe(self, transforms_type(), TRANSFORMS, self._on_transforms, kept)
 
-    def _take_up_checkpoint(self) -> Checkpoints | None:
-        config = self._settings.config
-        if not config.checkpoint.path:
-            return None
-        checkpoints = Checkpoints(Path(config.checkpoint.path), config.files.root)
+    def _take_up_checkpoint(self, checkpoints: Checkpoints) -> None:
         try:
             self.get_logger().info(checkpoints.take_up(self._mapper))
         except MapFileError as error:
             self._problems.report("checkpoint", str(error))
         if self._mapper.stamp_ns:
             self._output.changed()
-        return checkpoints
 
     def _on_scan(self, message: Any, info: dict[str, int]) -> None:
         arrival_ns = time.monotonic_ns()
@@ -207,25 +210,59 @@ class MappingNode(Node):
         """What is due though nothing arrives that wakes the node."""
         self._take_ahead()
         self._work()
+        if not self._scans:
+            self._waiting.tell(self._lacks())
         if self._checkpoints is not None:
             interval = self._settings.config.checkpoint.interval
             error = self._checkpoints.work(self._mapper, interval)
             if error is not None:
                 self._problems.report("checkpoint", error)
 
+    def _lacks(self) -> str:
+        """What the first scan to be mapped takes and has not come."""
+        topics = [self._topics[SCANS], self._topics[POSES]]
+        lack = [
+            f"'{topic}' (publishers known: {self.count_publishers(topic)})"
+            for topic, what in zip(topics, ("scan", "pose"), strict=True)
+            if not self._arrived[what].count
+        ]
+        return " and ".join(lack)
+
     def _work(self) -> None:
         """Map every scan whose pose is there; say what could not be used."""
-        for scan in self._intake.ready(time.monotonic_ns()):
-            self._map(scan)
+        try:
+            for scan in self._intake.ready(time.monotonic_ns()):
+                self._map(scan)
+        except Exception as error:
+            self._fail(error)
         for notice in self._intake.notices():
             self._problems.report(notice.reason, notice.text)
+
+    def _fail(self, error: Exception) -> None:
+        """A scan ended in an error, which may have left the map half changed: it goes on from its
+        checkpoint, or if there is none as it is, provided that it is sound."""
+        failed, state = failure("a scan", error, self.get_logger()), self._mapper.export_state()
+        self._mapper.reset()
+        if self._checkpoints is not None:
+            self._take_up_checkpoint(self._checkpoints)
+        how = "the map is that of the checkpoint"
+        if not self._mapper.stamp_ns:
+            try:
+                self._mapper.import_state(state)
+                how = "the map is sound and goes on"
+            except CheckpointError:
+                how = "the map begins anew"
+        self._failed = f"{failed}; {how}"
+        self._problems.report("scan_failed", self._failed)
+        self._report = None
+        self._map_changed()
 
     def _map(self, scan: ReadyScan) -> None:
         start = time.perf_counter()
         report = self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         self._map_ms.add(1e3 * (time.perf_counter() - start))
         self._scans += 1
-        self._report = report
+        self._report, self._failed = report, ""
         if report.points_used and not self._first_told:
             self._first_told = True
             self.get_logger().info(
@@ -313,6 +350,8 @@ class MappingNode(Node):
             status.add({"checkpoints": self._checkpoints.written})
             if self._checkpoints.foreign:
                 status.note(WARN, self._checkpoints.foreign)
+        if self._failed:
+            status.note(ERROR, self._failed)
         if report is None:
             status.note(OK, "no scan mapped since the start, a reset or load")
             return

@@ -90,12 +90,8 @@ OTHER_COLOUR = ColorRGBA(r=0.2, g=0.6, b=1.0, a=1.0)
 
 class MarkerPublisher:
     """Publishes what is for viewers on a slow timer, while somebody subscribes and it changed.
-
-    Args:
-        node: Owner of the timer.
-        publisher: Of a ``MarkerArray`` or another message.
-        build: The message, or its bytes.
-    """
+    ``node``: owner of the timer. ``publisher``: of a ``MarkerArray`` or another message. ``build``:
+    the message, or its bytes."""
 
     def __init__(
         self,

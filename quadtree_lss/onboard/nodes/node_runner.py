@@ -43,7 +43,7 @@ TRANSPORTS = "UDPv4?sockets_size=16MB"
 
 What a killed process leaves behind in shared memory can keep its successor, which gets the same
 port, from hearing the sensors for ten seconds or for good. The kernel cuts the size to what
-net.core.rmem_max allows; docs/onboard.md says what was measured.
+net.core.rmem_max allows; docs/evidence.md says what was measured.
 """
 
 
@@ -56,12 +56,9 @@ class Finishing(Protocol):
 
 
 def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | None = None) -> int:
-    """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown.
-
-    Args:
-        make_node: Called once ROS is initialised.
-        description: What ``--help`` prints first.
-        args: Command line with the program's name, ``sys.argv`` by default.
+    """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown. ``make_node``: called once ROS is
+    initialised. ``description``: what ``--help`` prints first. ``args``: command line with the
+    program's name, ``sys.argv`` by default.
 
     Returns:
         Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong usage,
@@ -119,12 +116,8 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
 
 
 def _made(make_node: Callable[[], Node]) -> Node:
-    """The node.
-
-    Raises:
-        ConfigError: it cannot be made of these parameters, names and overrides.
-        QuadtreeLssError: the middleware fails.
-    """
+    """The node. Raises `ConfigError`: it cannot be made of these parameters, names and overrides;
+    or `QuadtreeLssError`: the middleware fails."""
     try:
         return make_node()
     except (NameValidationException, ParameterException) as error:
@@ -180,12 +173,8 @@ def announce(node: Node, config: Config) -> None:
 
 
 def configuration_text(config: Config, arguments: Sequence[str]) -> str:
-    """What differs from the defaults, each with the file that sets it.
-
-    Args:
-        config: What holds.
-        arguments: Of the command line; what stands in none of its files came otherwise.
-    """
+    """What differs from the defaults, each with the file that sets it. ``config``: what holds.
+    ``arguments``: of the command line; what stands in none of its files came otherwise."""
     values = values_from_config(config)
     changed = [row.name for row in parameters() if values[row.name] != row.default]
     files = [path for option, path in _pairs(arguments) if option == "--params-file"]

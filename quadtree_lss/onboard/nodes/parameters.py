@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
+from quadtree_lss.onboard.config.loading import check_reaches
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -67,15 +70,10 @@ def descriptor(row: Parameter) -> ParameterDescriptor:
 
 
 def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Topics, each with ``publisher`` or ``subscription``, whose QoS is overridden.
-
-    Args:
-        values: Parameters by name: those that begin with ``qos_overrides.`` are looked at.
-
-    Raises:
-        ConfigError: not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an unknown policy
-            (names the nearest one) or an impossible value.
-    """
+    """Topics, each with ``publisher`` or ``subscription``, whose QoS is overridden. ``values``:
+    parameters by name: those that begin with ``qos_overrides.`` are looked at. Raises
+    `ConfigError`: not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an unknown policy
+    (names the nearest one) or an impossible value."""
     found = []
     for name, value in values.items():
         topic, _, ending = name.removeprefix(QOS).partition(".")
@@ -116,10 +114,13 @@ class NodeParameters:
 
     Raises:
         ConfigError: unknown key (names the nearest one), wrong type or range, values that
-            contradict one another.
+            contradict one another, a parameter file of the command line that is for other nodes.
     """
 
     def __init__(self, node: Node, changed: Callable[[Config], None] | None = None) -> None:
+        for option, path in itertools.pairwise(sys.argv):
+            if option == "--params-file":
+                check_reaches(path, node.get_fully_qualified_name())
         given = node.get_parameters_by_prefix("")
         # Declared anew, with descriptors, by whoever they belong to.
         for name in given:
@@ -186,11 +187,8 @@ class _UnknownParameterError(ParameterNotDeclaredException):
 
 
 def _converted(changes: list[RosParameter]) -> list[RosParameter]:
-    """New values before rclpy looks at names and types: whole numbers serve as floats.
-
-    Raises:
-        _UnknownParameterError: a name is neither in the table nor ROS's own.
-    """
+    """New values before rclpy looks at names and types: whole numbers serve as floats. Raises
+    `_UnknownParameterError`: a name is neither in the table nor ROS's own."""
     types = {row.name: row.type for row in parameters()}
     result = []
     for item in changes:
@@ -203,11 +201,7 @@ def _converted(changes: list[RosParameter]) -> list[RosParameter]:
 
 
 def _checked(config: Config) -> Config:
-    """The same, if paths are those of files below ``files.root``.
-
-    Raises:
-        ConfigError: one is not.
-    """
+    """The same, if paths are those of files below ``files.root``; else raises `ConfigError`."""
     root = config.files.root
     if "\0" in root:
         msg = f"files.root = {root!r} is not the name of a folder"

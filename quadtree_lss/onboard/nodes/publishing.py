@@ -20,11 +20,6 @@ class ChangePublisher:
     than an older one at that time. Whatever no further change follows is published by a timer, on a
     steady clock: the last state goes out even if ``/clock`` has stopped. Without changes there is
     no timer.
-
-    Args:
-        node: Owner of the timer.
-        rate: Hz.
-        publish: Sends the present state.
     """
 
     def __init__(self, node: Node, rate: float, publish: Callable[[], None]) -> None:
@@ -66,9 +61,7 @@ class MapStamps:
 
     After a late scan or the loading of a file a map may differ from the last one while its newest
     scan is the same: it is a nanosecond later then. Only the empty map has stamp 0.
-
-    Attributes:
-        content_changed: Set it whenever the map is another than the one published last.
+    ``content_changed``: set it whenever the map is another than the one published last.
     """
 
     def __init__(self) -> None:

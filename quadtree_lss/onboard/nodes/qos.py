@@ -68,12 +68,9 @@ def subscribe(
     matched: Callable[[int], None] | None = None,
     group: CallbackGroup | None = None,
 ) -> Subscription:
-    """Subscription that warns by name when a publisher's QoS cannot be matched.
-
-    Args:
-        matched: Called with the number of publishers whenever it changes.
-        group: Callback group, the node's default one if None.
-    """
+    """Subscription that warns by name when a publisher's QoS cannot be matched. ``matched``: called
+    with the number of publishers whenever it changes. ``group``: callback group, the node's default
+    one if None."""
     name = node.resolve_topic_name(topic)
 
     def incompatible(event: Any) -> None:

@@ -17,20 +17,10 @@ from quadtree_lss.onboard.nodes.diagnostics import Arrivals, Problems
 class ReceivedMap:
     """Joins the two messages of a map and decodes them when asked to.
 
-    A map that cannot be used has not been received: the one before is kept, and its age runs on.
-
-    Args:
-        problems: Where refused maps are told.
-        frame: Map frame of the configuration.
-        lss: How landing is judged at present: maps too large for that are refused.
-        binding: True if maps of any other frame are refused.
-
-    Attributes:
-        cells: The newest map that could be used, None before the first.
-        frame: Its frame, or the configuration's.
-        arrivals: Maps that could be used, by the time at which they came.
-        refused: Why the newest that came cannot be used, empty if it can.
-        refusals: How many could not be used.
+    A map that cannot be used has not been received: the one before (``cells``, None before the
+    first, in its ``frame``) is kept, and its age runs on; ``refused`` says why, empty if the newest
+    was used. ``lss`` is how landing is judged at present: maps too large for that are refused, and,
+    if ``binding``, maps of another frame than the configuration's.
     """
 
     def __init__(
@@ -70,6 +60,15 @@ class ReceivedMap:
         self._whole = (cells, observed, self.arrivals.now())
         return True
 
+    def lacks(self) -> str:
+        """What is not there yet of a first map, empty once there is one."""
+        if self.cells is not None:
+            return ""
+        came = " and ".join(f"map/{half}" for half in sorted(self._halves))
+        rest = "both halves" if len(self._halves) == 2 else "the other half"
+        heard = f"{came} came, {rest} of one stamp did not" if came else "nothing came"
+        return f"a map: {self.refused or heard}"
+
     def take(self) -> None:
         """Decodes the newest complete map if that was not done yet."""
         if self._whole is None:
@@ -90,11 +89,8 @@ class ReceivedMap:
             self.arrivals.add(arrival)
 
     def too_old(self, limit: float) -> str:
-        """Why sites on the map are to be withdrawn, empty if they are not.
-
-        Args:
-            limit: ``lss.max_map_age``, s; 0 is none.
-        """
+        """Why sites on the map are to be withdrawn, empty if they are not. ``limit``:
+        ``lss.max_map_age``, s; 0 is none."""
         if self.cells is None or not limit or self.arrivals.age() <= limit:
             return ""
         self.take()  # one that waits for its turn counts if it can be used

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -12,6 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
+from quadtree_lss.onboard.config.limits import LONGEST
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
 from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
@@ -22,12 +25,8 @@ if TYPE_CHECKING:
 
 class TargetOutput:
     """Publishes the target with every assessment, and between them while there is no new one.
-
-    Args:
-        node: Owner; a change of the target goes to its log.
-        age: Age of a map by its stamp, s; NaN if unknown.
-        release: Called when somebody asks for another target.
-    """
+    ``node``: owner; a change of the target goes to its log. ``age``: age of a map by its stamp, s;
+    NaN if unknown. ``release``: called when somebody asks for another target."""
 
     def __init__(
         self, node: Node, age: Callable[[int], float], release: Callable[[], None]
@@ -55,6 +54,28 @@ class TargetOutput:
         self._chosen = self._chosen or not result.undecided
         self._again.reset()
         self._say()
+
+    @contextmanager
+    def held_up(self) -> Iterator[None]:
+        """Within it a thread says the target again: a pass may take longer than the deadline.
+
+        It ends after the longest that a pass may be configured to take: that one is stuck.
+        """
+        over = threading.Event()
+
+        def say() -> None:
+            for _ in range(int(LONGEST / (0.4 * TARGET_S))):
+                if over.wait(0.4 * TARGET_S):
+                    return
+                self._say()
+
+        thread = threading.Thread(target=say, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
 
     def _say(self) -> None:
         result = self._result

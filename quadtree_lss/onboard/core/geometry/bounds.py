@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array
 
 
-def within(z: float, low: float, high: float) -> float:
+@cython.ccall
+@cython.exceptval(check=False)
+def within(z: float, low: float, high: float) -> cython.double:
     """The height nearest to z from low to high; a bound that is NaN is none, and NaN stays."""
     z = low if z < low else z
     return high if z > high else z
@@ -31,6 +33,7 @@ def bounded(z: ArrayLike, low: ArrayLike, high: ArrayLike) -> Array:
 
 
 @cython.boundscheck(False)
+@cython.locals(z=cython.double[::1], low=cython.double[::1], high=cython.double[::1])
 def keep_within(z: Array, low: Array, high: Array) -> None:
     """Set heights (K,) to those within bounds (K,)."""
     k: cython.Py_ssize_t

@@ -67,10 +67,8 @@ def order(keys: ArrayLike) -> Index:
 def sort_packed(packed: Keys, spare: Keys) -> cython.bint:
     """Sort numbers (N,) by their key, the bits from ``PLACE_BITS`` on, stable, digit by digit.
 
-    Digits are cut from the bits that differ between the keys.
-
-    Returns:
-        True if the sorted numbers are in ``spare`` (N,), False if they are in ``packed``.
+    Digits are cut from the bits that differ between the keys. Returns True if the sorted numbers
+    are in ``spare`` (N,), False if they are in ``packed``.
     """
     i: cython.Py_ssize_t
     low: cython.longlong = PLACE_BITS

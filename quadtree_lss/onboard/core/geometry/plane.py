@@ -288,16 +288,12 @@ def covariance_about(
 
 @cython.boundscheck(False)
 def pose_part(normal: Vector, arm: Vector, sigma: Array, out: Vector) -> None:
-    """J Sigma_pose J^T (9): how a scan's pose error moves one of its planes.
+    """J Sigma_pose J^T (9): how a scan's pose error, ``sigma`` (6, 6) of (dm, dw), moves one of its
+    planes.
 
-    A rigid motion (dm, dw) about map axes turns n by dw x n and carries the plane's point at the
-    origin along by dm + dw x arm, so dphi = B^T (dw x n) and dd = n.dm + (arm x n).dw.
-
-    Args:
-        normal: (3) of the plane.
-        arm: (3) plane's origin minus the lidar's position, m.
-        sigma: (6, 6) covariance of (dm, dw), m and rad.
-        out: Written.
+    A rigid motion (dm, dw), m and rad, about map axes turns n by dw x n and carries the plane's
+    point at the origin along by dm + dw x arm, ``arm`` (3) from the lidar to it, m, so dphi = B^T
+    (dw x n) and dd = n.dm + (arm x n).dw.
     """
     basis = cython.declare(cython.double[6])
     turn = cython.declare(cython.double[3])

@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
 
-if not cython.compiled:  # otherwise from the .pxd
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, sqrt
+else:
     from math import inf as INFINITY
     from math import sqrt
 
@@ -18,15 +20,10 @@ FARTHEST = 1e12
 
 
 def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
-    """Distance in m of points from a polygon's edge, positive inside.
-
-    Args:
-        polygon: (V, 2) or (V, 3) vertices in order, V >= 3; the third column is not used.
-        x, y: Coordinates of any one shape.
-
-    Raises:
-        ValueError: fewer than three vertices, or one not finite or farther out than ``FARTHEST``.
-    """
+    """Distance in m of points from a polygon's edge, positive inside. ``polygon``: (V, 2) or (V, 3)
+    vertices in order, V >= 3; the third column is not used. ``x``, ``y``: coordinates of any one
+    shape. Raises `ValueError`: fewer than three vertices, or one not finite or farther out than
+    ``FARTHEST``."""
     corners = np.asarray(polygon, dtype=np.float64)
     if corners.ndim != 2 or len(corners) < 3 or corners.shape[1] < 2:
         msg = f"a polygon needs three or more (x, y) vertices, got shape {corners.shape}"
@@ -37,13 +34,13 @@ def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
         raise ValueError(msg)
     edges = np.hstack([corners, np.roll(corners, -1, axis=0)])
     out = np.empty(x.shape)
-    set_distances(
-        edges, *(np.ascontiguousarray(c, dtype=np.float64).ravel() for c in (x, y)), out.ravel()
-    )
+    set_distances(edges, *(np.array(c, dtype=np.float64).ravel() for c in (x, y)), out.ravel())
     return out
 
 
 @cython.boundscheck(False)
+@cython.locals(edges=cython.double[:, ::1], x=cython.double[::1], y=cython.double[::1])
+@cython.locals(out=cython.double[::1])
 def set_distances(edges: Array, x: Array, y: Array, out: Array) -> None:
     """`signed_distance` of points (N,) from a polygon's edges (V, 4): x, y of both ends, m."""
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, inside=cython.bint)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small matrices and lengths, to the same bits on every processor.
+"""Small matrices, lengths and the normal distribution's tail, to the same bits on every processor.
 
 BLAS and LAPACK have code of their own for each processor, and so has the C library's ``hypot``:
 sums in another order, products and sums fused or not. Their last bits are those of one computer.
@@ -14,12 +14,14 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array
 
 if not cython.compiled:
-    from math import fabs, sqrt
+    from math import exp, fabs, sqrt
 
 #: What a correlation is taken for that is less than this: none.
 LEAST = cython.declare(cython.double, 1e-17)
 #: Rounds at most; seven do for six rows.
 ROUNDS = cython.declare(cython.int, 30)
+#: So many deviations out the tail is less than the least number.
+FAR = cython.declare(cython.double, 38.5)
 
 
 def length(x: float, y: float) -> cython.double:
@@ -106,3 +108,27 @@ def diagonalise(a: Array, v: Array) -> cython.void:
                 a[i, i] -= tangent * both
                 a[j, j] += tangent * both
                 a[i, j] = a[j, i] = 0.0
+
+
+def above(deviations: float) -> cython.double:
+    """P(N(0, 1) > deviations), to a relative 3e-15 up to six deviations, 1e-13 beyond.
+
+    Without the C library's ``erfc``, which fuses products and sums where the processor can:
+    exp(-x^2 / 2) times the ratio of two polynomials in x, fitted to exp(x^2 / 2) P(N(0, 1) > x)
+    over x >= 0 for the least greatest relative error, 4e-16. All of their terms are positive.
+    """
+    x = fabs(deviations)
+    if x >= FAR:
+        return 0.0 if deviations > 0.0 else 1.0
+    over = 4.935102247533579e-05 + x * 1.940160298828003e-06
+    over = 0.004972004988295803 + x * (0.0006205945575359533 + x * over)
+    over = 0.11085399056893214 + x * (0.0277063276120961 + x * over)
+    over = 0.6338500637350406 + x * (0.31819811776052176 + x * over)
+    over = 0.5 + x * (0.8018813915680824 + x * over)
+    under = 0.00012370466831862175 + x * 4.863260662358805e-06
+    under = 0.012586672953265831 + x * (0.0015604631256661244 + x * under)
+    under = 0.2900853047594523 + x * (0.07099533754870209 + x * under)
+    under = 1.8430063482387424 + x * (0.8639913388908103 + x * under)
+    under = 2.401647343938967 + x * (2.683937463694092 + x * under)
+    tail = exp(-0.5 * x * x) * over / (1.0 + x * under)
+    return tail if deviations > 0.0 else 1.0 - tail

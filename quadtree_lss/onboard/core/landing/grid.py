@@ -73,10 +73,7 @@ class GridSampler:
     """Values on the finest lattice seen from the user's grid.
 
     A grid point that coincides with one of the lattice takes its value; one between them is judged
-    by all (up to four) around it.
-
-    Attributes:
-        x, y: (nx,), (ny,) of the grid points, m.
+    by all (up to four) around it. ``x``, ``y``: (nx,), (ny,) of the grid points, m.
     """
 
     def __init__(self, domain: Domain, x: Array, y: Array) -> None:

@@ -65,12 +65,8 @@ def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
 @dataclass(frozen=True)
 class GroundPlanes:
     """Least-squares plane of the map over a disc about each grid point: arrays (n + 1, n + 1).
-
-    Attributes:
-        elevation: Height at the grid point, m.
-        slope_x, slope_y: dz/dx, dz/dy.
-        slope: Angle to the horizontal, rad.
-    """
+    ``elevation``: height at the grid point, m. ``slope_x``, ``slope_y``: dz/dx, dz/dy. ``slope``:
+    angle to the horizontal, rad."""
 
     elevation: Array
     slope_x: Array
@@ -110,12 +106,8 @@ def touching(cells: Bytes) -> Bytes:
 
 def distance_from(marked: Mask, side: float, limit: float = np.inf) -> Array:
     """Distance in m of each point to the nearest marked one, infinite if none is marked.
-
-    Args:
-        marked: (ny, nx).
-        side: Of the lattice, m.
-        limit: What is farther than this may be said to be infinitely far, m.
-    """
+    ``marked``: (ny, nx). ``side``: of the lattice, m. ``limit``: what is farther than this may be
+    said to be infinitely far, m."""
     return _lengths(marked, lambda steps: steps * side, limit / side)
 
 
@@ -152,10 +144,8 @@ def _lengths(marked: Mask, length: Callable[[Array], Array], limit: float) -> Ar
 def nearest_marked(marked: Mask) -> Ints:
     """Flat index (ny, nx) of the marked point nearest to each; of two alike the southern one.
 
-    SciPy's distance transform finds the same ones and takes six times as long.
-
-    Args:
-        marked: (ny, nx), somewhere True.
+    SciPy's distance transform finds the same ones and takes six times as long. ``marked``: (ny,
+    nx), somewhere True.
     """
     place = np.empty(marked.shape, dtype=np.int32)
     find_nearest(np.ascontiguousarray(marked).view(np.uint8), place)
@@ -262,11 +252,8 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
     """Nearest marked points in two sweeps (Meijster, Roerdink and Hesselink 2000).
 
     First the nearest marked point in each column; then along each row the lower envelope of the
-    parabolas (x - column)^2 + (distance in the column)^2.
-
-    Args:
-        marked: (ny, nx).
-        place: (ny, nx), set to flat indices; one outside the lattice if none is marked.
+    parabolas (x - column)^2 + (distance in the column)^2. ``marked``: (ny, nx). ``place``: (ny,
+    nx), set to flat indices; one outside the lattice if none is marked.
     """
     cython.declare(i=cython.int, j=cython.int, k=cython.int, top=cython.int, last=cython.int)
     cython.declare(x=cython.int, first=cython.int)

@@ -202,7 +202,9 @@ def normal_weights(sigma: float, side: float) -> Array:
     reach = ceil(TAIL * sigma / side)
     if not reach:
         return np.ones(1)
-    weights = np.array([exp(-0.5 * (k * side / sigma) ** 2) for k in range(-reach, reach + 1)])
+    # Beyond forty deviations there is nothing, and their square may be no number.
+    away = [min(abs(k) * side / sigma, 40.0) for k in range(-reach, reach + 1)]
+    weights = np.array([exp(-0.5 * of**2) for of in away])
     return np.asarray(weights / weights.sum())
 
 
@@ -274,8 +276,11 @@ def remaining_risks(
         side: Between grid points, m.
         dispersion: Of the touchdown about the aim.
     """
-    across, along = normal_weights(dispersion.y, side), normal_weights(dispersion.x, side)
-    up, right = len(across) // 2, len(along) // 2
+    across, along = (
+        _middle(normal_weights(sigma, side), count)
+        for sigma, count in zip((dispersion.y, dispersion.x), risk.shape, strict=True)
+    )
+    up, right, within = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
     found = []
     for at_row, at_column in zip(*(of.tolist() for of in places), strict=True):
         south, west = max(at_row - up, 0), max(at_column - right, 0)
@@ -294,8 +299,14 @@ def remaining_risks(
         elif inside and unmapped[here]:
             kind = "unmapped"
         away, bearing = float(np.hypot(x, y)), float(np.arctan2(y, x))
-        found.append(Remainder(1.0 - float(share.sum()), away, bearing, kind).words())
+        found.append(Remainder(within - float(share.sum()), away, bearing, kind).words())
     return found
+
+
+def _middle(weights: Array, count: int) -> Array:
+    """Of `normal_weights` those of points of a lattice of so many, as seen from any of them."""
+    beyond = max(len(weights) // 2 - count, 0)
+    return weights[beyond : len(weights) - beyond]
 
 
 @cython.boundscheck(False)

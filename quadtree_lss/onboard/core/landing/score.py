@@ -86,12 +86,10 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
 
 @dataclass(frozen=True)
 class PointAssessment:
-    """What the assessment finds at the grid points of the finest lattice, (n + 1, n + 1).
+    """What the assessment finds at the grid points of the finest lattice, (n + 1, n + 1): ``risk``
+    is P(unsafe) of landing there, NaN if nobody asked, ``worst`` contacts None likewise.
 
     Attributes:
-        raster, around: The map, and what lies about each.
-        worst: The lander's worst contacts; None if nobody asked for them.
-        risk: P(unsafe) of landing there; NaN if nobody asked for it.
         hazard: Bits of ``hazards``.
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
@@ -121,15 +119,9 @@ def assess_points(
     table: RiskTable | None,
     lss: LssConfig,
 ) -> PointAssessment:
-    """Risk, safety and score on the finest lattice.
-
-    Args:
-        raster, around: The map, and what lies about the grid points.
-        worst: The lander's worst contacts; the paper's rules need none.
-        check: Whose limits decide if ``lss.assessment`` is ``touchdown``.
-        table: Fit of the risk; None if nobody asks for it.
-        lss: Limits and weights.
-    """
+    """Risk, safety and score on the finest lattice. The paper's rules need no contacts; the limits
+    of ``check`` decide if ``lss.assessment`` is ``touchdown``; without ``table`` nobody asks for
+    the risk."""
     cells, n, side = raster.cells, raster.domain.finest_count, raster.domain.finest_size
     vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, zone_radius(lss)
     cap = DISTANCE_CAP * vehicle.size
@@ -195,18 +187,12 @@ def unknown_bits(raster: TerrainRaster) -> Bytes:
 def zones_about(
     points: PointAssessment, centre: tuple[Index, Index], place: Array, lss: LssConfig
 ) -> tuple[Array, Array, Array]:
-    """What is in the landing zones about some places, and how far these may move.
+    """What is in the landing zones about places (K, 2), nearest to rows and columns of the lattice
+    ``centre`` (K,), m, and how far these may move.
 
-    Args:
-        points: The map.
-        centre: Rows and columns (K,) of the lattice.
-        place: (K, 2) x and y that they are nearest to, m.
-        lss: The lander.
-
-    Returns:
-        (K,) each, m: greatest roughness; greatest height of a subscale feature; how far the zone
-        may move in any direction until it touches a hazard (or, with the touchdown check, until
-        the lander fails within the margin), unseen ground or the domain's border, 0 where it does.
+    Returns (K,) each, m: greatest roughness; greatest height of a subscale feature; how far the
+    zone may move in any direction until it touches a hazard (or, with the touchdown check, until
+    the lander fails within the margin), unseen ground or the domain's border, 0 where it does.
     """
     raster, domain, zone = points.raster, points.raster.domain, zone_radius(lss)
     side, last = domain.finest_size, domain.finest_count - 1
@@ -231,25 +217,19 @@ def zones_about(
 def lower_room(
     marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, room: Array
 ) -> None:
-    """How far a zone at each of some places may move until it comes too near to what is marked.
-
-    Args:
-        marked: (ny, nx) cells, or points of the lattice.
-        half: Half the side of those, in steps: 0.5 for cells and 0 for points.
-        x, y: (K,) of the places, from the lattice's first point, m.
-        side: Of the lattice, m.
-        reach: How near the zone's centre may come, m.
-        room: (K,) m, lowered.
-    """
+    """How far a zone at each of some places may move until it comes nearer than ``reach`` m to what
+    is marked (ny, nx): cells (``half`` = 0.5) or points of a lattice of ``side`` m (0). ``x``,
+    ``y`` (K,) are m from its first point; ``room`` (K,), m, is lowered."""
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    farthest: cython.Py_ssize_t = max(marked.shape[0], marked.shape[1])
     with cython.nogil:
         for k in range(x.shape[0]):
             u, v = x[k] / side, y[k] / side
             column, row = cython.cast(cython.Py_ssize_t, u), cython.cast(cython.Py_ssize_t, v)
             ring = 0
             # What lies beyond a ring of places is at least as many steps away.
-            while (ring - 1) * side - reach < room[k]:
+            while (ring - 1) * side - reach < room[k] and ring <= farthest:
                 for i in range(row - ring, row + ring + 1):
                     if not 0 <= i < marked.shape[0]:
                         continue

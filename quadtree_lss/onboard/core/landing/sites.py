@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.geometry.heights import height_by_error
@@ -123,7 +123,8 @@ class LandingSiteSelector:
         self._target.heed(wanted, self._reach(), lss)
         raster = rasterise(cells, lss)
         if not raster.seen.any():
-            return self._nothing_mapped(raster, at, withheld)
+            reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
+            return self._nothing(cells, at, reason, unknown_bits(raster))
         around = look_around(raster, lss)
         worst = None
         if self._check is not None:
@@ -134,16 +135,23 @@ class LandingSiteSelector:
         aims = aim(points, at, spread, wanted, lss)
         return self._choose_sites(points, aims, spread, wanted)
 
-    def _nothing_mapped(
-        self, raster: TerrainRaster, at: GridSampler, withheld: str
+    def withhold(self, cells: CellMap, why: str) -> LandingAssessment:
+        """Neither site nor target, because a map could not be assessed."""
+        self._number += 1
+        self.configure(self.config)  # what was found by half is forgotten
+        at = users_grid(cells.domain, self.config.lss.spacing)
+        unseen = np.full((cells.domain.finest_count,) * 2, hazards.UNSEEN, dtype=np.uint8)
+        nothing = self._nothing(cells, at, Reason.WITHHELD, unseen)
+        return replace(nothing, explanation=f"no site is given out: {why}")
+
+    def _nothing(
+        self, cells: CellMap, at: GridSampler, reason: Reason, bits: Bytes
     ) -> LandingAssessment:
-        reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
         nowhere = np.full((len(at.y), len(at.x)), np.nan)
         self._choose(
             Candidates(at.x, at.y, np.isfinite(nowhere), nowhere), lambda *_: reason, reason
         )
-        bits = at.any(touching(unknown_bits(raster)))
-        return nothing_mapped(raster.cells, self._number, reason, at.x, at.y, bits)
+        return nothing_mapped(cells, self._number, reason, at.x, at.y, at.any(touching(bits)))
 
     def _choose_sites(
         self, points: PointAssessment, aims: Aims, spread: Dispersion, wanted: Restrictions
@@ -309,11 +317,7 @@ def ground_covariance(raster: TerrainRaster, x: float, y: float, radius: float) 
     are 0. Height and tilt are those of the least-squares plane over the leaves' planes in a disc
     (see `lattice.ground_planes`). Range noise is another one in each leaf; the error of the poses
     is common to all of the map nearby, and enters as that of one plane. Slopes are taken for small.
-
-    Args:
-        raster: The map.
-        x, y: The place, map frame, m.
-        radius: Of the disc, m.
+    ``raster``: the map. ``x``, ``y``: the place, map frame, m. ``radius``: of the disc, m.
     """
     cells, domain = raster.cells, raster.domain
     side, last = domain.finest_size, domain.finest_count - 1

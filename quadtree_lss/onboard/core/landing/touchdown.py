@@ -56,11 +56,8 @@ NAN = cython.declare(cython.double, float("nan"))
 @dataclass(frozen=True)
 class Limits:
     """Between which worst contacts of a lander are found: beyond, less or more is the same.
-
-    Attributes:
-        rise: Least and greatest rise of ground over a resting plane, m.
-        slope: Least and greatest slope of a resting plane, rise over run.
-    """
+    ``rise``: least and greatest rise of ground over a resting plane, m. ``slope``: least and
+    greatest slope of a resting plane, rise over run."""
 
     rise: tuple[float, float]
     slope: tuple[float, float]
@@ -68,13 +65,9 @@ class Limits:
 
 @dataclass(frozen=True)
 class WorstContact:
-    """How badly the lander stands at its worst heading, (n + 1, n + 1), within `Limits`.
-
-    Attributes:
-        rise: Greatest rise of ground under the lander over a resting plane, m; NaN where nobody
-            asked.
-        slope: Of the steepest resting plane, rise over run; NaN where nobody asked.
-    """
+    """How badly the lander stands at its worst heading, (n + 1, n + 1), within `Limits`. ``rise``:
+    greatest rise of ground under the lander over a resting plane, m; NaN where nobody asked.
+    ``slope``: of the steepest resting plane, rise over run; NaN where nobody asked."""
 
     rise: Single
     slope: Single
@@ -84,11 +77,8 @@ class TouchdownCheck:
     """Sets the lander down on maps of a growing terrain.
 
     How it stands in a block of grid points depends on the cells that its landers can meet alone, so
-    blocks where none of them changed are as before, bit for bit.
-
-    Args:
-        config: The lander.
-        limits: Between which contacts are found; by default the touchdown limits alone.
+    blocks where none of them changed are as before, bit for bit. ``config``: the lander.
+    ``limits``: between which contacts are found; by default the touchdown limits alone.
     """
 
     def __init__(self, config: LssConfig, limits: Limits | None = None) -> None:

@@ -15,14 +15,17 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.mapping.departure import BEYOND, FLOOR, Departure
-from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
-if not cython.compiled:
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
+    from cython.cimports.quadtree_lss.onboard.core.tree.leaves import HINTS, LeafTable
+else:
     from math import exp, fabs, sqrt
     from math import inf as INFINITY
 
-    HINTS = 1
+    from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
+    HINTS = 1
 
 #: A cell that departs from the others by more than this many deviations counts less.
 HUBER = cython.declare(cython.double, 2.0)
@@ -78,13 +81,9 @@ def offset_of(
     all error is news. If n^2 = b^2 / max(S, M, R) is more than `JUMP`^2, too, and the map is of
     several scans, this one's pose is worse than it claims: S counts (n / `JUMP`)^6 times, but
     `BEYOND`^2 times at most. So the map follows five deviations by less than a tenth, and an exact
-    pose stays where it is.
-
-    Args:
-        cells: (6, M) of `ScanUpdate.compare`.
-        now: Time of the scan, s.
-        correlation_time: s; 0 if the error is another one in each scan.
-        metre: What the constants above have for one (``VehicleConfig.height``).
+    pose stays where it is. ``cells``: (6, M) of `ScanUpdate.compare`. ``now``: time of the scan, s.
+    ``correlation_time``: s; 0 if the error is another one in each scan. ``metre``: what the
+    constants above have for one (``VehicleConfig.height``).
     """
     i: cython.Py_ssize_t
     column = cython.declare(cython.double[:, :], cells)
@@ -135,7 +134,7 @@ def offset_of(
 @cython.boundscheck(False)
 def weighted_median(values: Array, weights: Array) -> float:
     """The value of (N,), one at least, up to which in their order half of the weights (N,) lie."""
-    i: cython.Py_ssize_t
+    i: cython.Py_ssize_t = 0
     order = cython.declare(cython.Py_ssize_t[::1], np.argsort(values))
     value = cython.declare(cython.double[:], values)
     weight = cython.declare(cython.double[:], weights)
@@ -161,16 +160,13 @@ def lower(points: Array, found: Departure) -> None:
 
 
 @cython.boundscheck(False)
+@cython.locals(table=LeafTable)
 def lift(table: LeafTable, height: float, since: float) -> None:
     """Lift the leaves, as far as they share the map's error where a scan was compared with it.
 
     Their errors are means over scans; of the scans from ``first_time`` to ``last_time`` of a leaf,
-    those from ``since`` on are in the ground that was compared, too.
-
-    Args:
-        table: The leaves.
-        height: m.
-        since: s.
+    those from ``since`` on are in the ground that was compared, too. ``table``: the leaves.
+    ``height``: m. ``since``: s.
     """
     row: cython.Py_ssize_t
     leaf = table.leaf

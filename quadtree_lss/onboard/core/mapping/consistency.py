@@ -16,7 +16,15 @@ from quadtree_lss.onboard.core.geometry.morton import squeezed
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-if not cython.compiled:
+if cython.compiled:
+    from cython.cimports.libc.math import fabs, sqrt
+    from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
+    from cython.cimports.quadtree_lss.onboard.core.mapping.division import mahalanobis_factor
+    from cython.cimports.quadtree_lss.onboard.core.mapping.measure import (
+        pose_variance,
+        range_variance,
+    )
+else:
     from math import fabs, sqrt
 
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
@@ -46,13 +54,9 @@ class Fractions(NamedTuple):
 
 @dataclass(frozen=True)
 class Counts:
-    """How many residuals lie outside the 95 % interval, which can be added up.
-
-    Attributes:
-        points: Residuals.
-        below, above: Of the one-degree test.
-        below_3, above_3: Of the paper's three-degree test.
-    """
+    """How many residuals lie outside the 95 % interval, which can be added up. ``points``:
+    residuals. ``below``, ``above``: of the one-degree test. ``below_3``, ``above_3``: of the
+    paper's three-degree test."""
 
     points: int = 0
     below: int = 0
@@ -127,13 +131,9 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
 
     The residual e = n.(r - c) - d has the variance n^T Sigma_r n + a^T Sigma_P a with Sigma_r of
     Eq. 17 (range and pose) and a = (B^T (r - c), -1). Measured and predicted point lie on one ray
-    u, so Eq. 61's residual is e u / (n.u): it is one-dimensional and its d_M (Eq. 46) is a
-    multiple of |e|.
-
-    Args:
-        cells: The map.
-        scan: Points (N, 3) about the lidar with their finest cells.
-        lidar: Of which the range noise matters.
+    u, so Eq. 61's residual is e u / (n.u): it is one-dimensional and its d_M (Eq. 46) is a multiple
+    of |e|. ``cells``: the map. ``scan``: points (N, 3) about the lidar with their finest cells.
+    ``lidar``: of which the range noise matters.
     """
     column, row = squeezed(scan.key)
     of_point = cells.leaf_raster()[row, column]
@@ -157,6 +157,10 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
 
 
 @cython.boundscheck(False)
+@cython.locals(points=cython.double[:, ::1], leaf=cython.Py_ssize_t[::1])
+@cython.locals(centre=cython.double[:, ::1], normal=cython.double[:, ::1])
+@cython.locals(covariance=cython.double[:, ::1], sigma=cython.double[:, ::1])
+@cython.locals(out=cython.double[:, ::1])
 def residuals(
     points: Array,
     leaf: Index,
@@ -169,17 +173,10 @@ def residuals(
     divergence: float,
     out: Array,
 ) -> None:
-    """Residual, its deviation, m, and the paper's d_M of each point: rows of ``out`` (3, N).
-
-    Args:
-        points: (N, 3) about the lidar, m, of leaves (N,).
-        leaf: Which of the M leaves each lies in.
-        centre: (M, 3) of the planes about the lidar, m; normal: (M, 3).
-        covariance: (M, 9) of (dphi, dd).
-        sigma: (6, 6) pose covariance.
-        range_noise, per_metre, divergence: See `lidar.range_variance`.
-        out: Written.
-    """
+    """Residual, its deviation, m, and the paper's d_M of each point (N, 3) about the lidar, m: rows
+    of ``out`` (3, N). ``leaf`` (N,) is which of the M leaves, of ``centre`` about the lidar and
+    ``normal`` (M, 3), ``covariance`` (M, 9) of (dphi, dd), each lies in; ``sigma`` (6, 6) is the
+    pose's, the noise as of `lidar.range_variance`."""
     basis = cython.declare(cython.double[6])
     n = cython.declare(cython.double[3])
     r = cython.declare(cython.double[3])

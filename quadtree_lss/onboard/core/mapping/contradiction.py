@@ -31,13 +31,8 @@ class Verdict(Enum):
 
 @dataclass
 class Contradiction:
-    """The scans refused in a row.
-
-    Attributes:
-        count: How many.
-        height, variance: Of the last one's ground over the map's, m, and how well its pose knows
-            that, m^2.
-    """
+    """The scans refused in a row. ``count``: how many. ``height``, ``variance``: of the last one's
+    ground over the map's, m, and how well its pose knows that, m^2."""
 
     count: int = 0
     height: float = 0.0
@@ -49,11 +44,7 @@ class Contradiction:
         Rocks, shadows and edges are in few cells, and wrong ground in the map is in some: only
         where a height or an attitude is beyond what is claimed do most cells, or all in common,
         depart. `AGREEING` refused scans whose heights are the same but for what their own poses
-        claim win.
-
-        Args:
-            cells: (12, M) of `ScanUpdate.compare`.
-            found: Of `departure`.
+        claim win. ``cells``: (12, M) of `ScanUpdate.compare`. ``found``: of `departure`.
         """
         if not departs(found):
             self.count = 0

@@ -14,7 +14,10 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 
-if not cython.compiled:
+if cython.compiled:
+    from cython.cimports.libc.math import exp, fabs, sqrt
+    from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+else:
     from math import exp, fabs, sqrt
 
     from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
@@ -70,7 +73,12 @@ class Departure:
     deviations: float
 
 
-def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
+@cython.boundscheck(False)
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(cells=cython.double[:, :], out=cython.p_double)
+def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.void:
     """J_i (6): by how much a scan's pose error lifts its ground in a cell."""
     x, y, z = cells[6, i], cells[7, i], cells[8, i]
     out[0] = -cells[9, i]
@@ -82,6 +90,7 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> None:
 
 
 @cython.boundscheck(False)
+@cython.locals(cells=cython.double[:, :], sigma=cython.double[:, ::1])
 def departure(
     cells: Array,
     sigma: Array,

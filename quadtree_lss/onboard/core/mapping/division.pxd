@@ -3,7 +3,7 @@ from libc.math cimport fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport inverse_symmetric
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, partial, pose_variance, record
-from quadtree_lss.onboard.core.mapping.bell cimport feature_height
+from quadtree_lss.onboard.core.mapping.features cimport feature_height
 from quadtree_lss.onboard.core.tree.leaves cimport MEASURED, Leaf, leaf_at
 
 cdef double mean_distance(double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* normal, double* through) noexcept nogil

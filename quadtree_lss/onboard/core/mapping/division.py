@@ -17,7 +17,7 @@ if not cython.compiled:
 
     from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.mapping.bell import feature_height
+    from quadtree_lss.onboard.core.mapping.features import feature_height
     from quadtree_lss.onboard.core.mapping.measure import partial, pose_variance, record
     from quadtree_lss.onboard.core.tree.leaves import leaf_at
 
@@ -113,19 +113,13 @@ def judge(
     origin: Vector,
     sigma: Array,
 ) -> None:
-    """The division statistic of a run, before its fit is fused.
+    """The division statistic of a run, before its fit is fused, to ``run.statistic``.
 
-    ``lack_of_fit``: mean residual about the run's own fit over range noise, with
-    sqrt(N / (N - 3)), of expectation E[chi_1] on planar ground. ``mahalanobis``: the paper's
-    mean d_M of prefit residuals; a measured leaf is judged by the plane it had, a new one by
-    its fit ("the fit quality between measurements and the initial estimate").
-
-    Args:
-        rules: Which of the two.
-        leaf, run: Records of types `LEAF` and `RUN`; ``run.statistic`` is written.
-        points: (N, 3) about the lidar, m; the run is ``begin`` to ``end``.
-        origin: (3) lidar in the map, m.
-        sigma: (6, 6) pose covariance.
+    ``lack_of_fit``: mean residual about the run's own fit over range noise, with sqrt(N / (N - 3)),
+    of expectation E[chi_1] on planar ground. ``mahalanobis``: the paper's mean d_M of prefit
+    residuals; a measured leaf is judged by the plane it had, a new one by its fit ("the fit quality
+    between measurements and the initial estimate"). ``points`` (N, 3) are about the lidar,
+    ``origin`` (3) is that in the map, m.
     """
     basis = cython.declare(cython.double[6])
     through = cython.declare(cython.double[3])

@@ -89,12 +89,8 @@ class Mapper:
     """Keeps the quadtree; ``update`` takes a scan and its pose, ``snapshot`` gives the map.
 
     Not thread-safe. A scan either enters whole or, if none of its points is sound or it contradicts
-    the map, changes nothing.
-
-    Attributes:
-        leaves: The table of leaves.
-        stamp_ns: Stamp of the newest scan since time last jumped back (a looping bag, a clock set
-            right); leaves may be of scans with later stamps then. 0 if nothing is mapped.
+    the map, changes nothing. ``stamp_ns`` is that of the newest scan since time last jumped back (a
+    looping bag, a clock set right; leaves may then be of later stamps), 0 if nothing is mapped.
     """
 
     def __init__(self, config: Config) -> None:
@@ -126,14 +122,9 @@ class Mapper:
         self._steps = Steps()
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
-        """Map one scan.
-
-        Args:
-            points_lidar: (H, W, 3) organised or (N, 3), lidar axes (z boresight), m; rows that
-                are not finite are no returns.
-            pose: Lidar pose at the scan's stamp.
-            sweep: How the lidar moved while it took the scan; None if at once.
-        """
+        """Map one scan of points (H, W, 3) organised or (N, 3), lidar axes (z boresight), m, of
+        which rows that are not finite are no returns, from the lidar's pose at its stamp; ``sweep``
+        is how the lidar moved while it took the scan, None if at once."""
         scan, dropped = register(points_lidar, pose, self.config.lidar, self.config.domain, sweep)
         used = len(scan.key)
         divisions = refused = 0
@@ -218,12 +209,8 @@ class Mapper:
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         """Let the scan and the map meet at one height; by how much it lay over the map, m.
-
-        Args:
-            change: The scan.
-            cells: (6, M) of `ScanUpdate.compare`.
-            now: Time of the scan, s.
-        """
+        ``change``: the scan. ``cells``: (6, M) of `ScanUpdate.compare`. ``now``: time of the scan,
+        s."""
         cells[0] -= self._owed
         time, metre = self.config.pose.correlation_time, self.config.vehicle.height
         offset: Offset | None = offset_of(cells, now, time, metre)
@@ -320,11 +307,8 @@ class Mapper:
         return checkpoint.identified(state, self.domain)
 
     def import_state(self, state: State) -> None:
-        """Go on from `export_state` of a mapper of the same domain.
-
-        Raises:
-            CheckpointError: it is none; the mapper is then unchanged.
-        """
+        """Go on from `export_state` of a mapper of the same domain. Raises `CheckpointError`: it is
+        none; the mapper is then unchanged."""
         like = self.export_state()
         checkpoint.check(state, like, self.domain, self.config.mapping.max_cells)
         leaves = state["leaves"]

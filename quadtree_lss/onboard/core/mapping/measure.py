@@ -196,7 +196,8 @@ def _bias(
     least = 0.01 * deviation * deviation
     flat = ray_x * ray_x + ray_y * ray_y
     along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
-    thin = deviation * flat / sqrt(12.0 * along + least * flat)
+    # Of a vertical ray, or nearly, it is 0.
+    thin = deviation * flat / sqrt(max(12.0 * along + least * flat, 1e-300))
     run.bias[0] = run.bias[2] = 0.0
     run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
     if sloped:
@@ -368,16 +369,12 @@ def fit(
 
 @cython.boundscheck(False)
 def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
-    """What the parts of leaves that were never seen add to their covariance.
+    """What the parts of leaves (M,) that were never seen add to their covariance (M, 9) of (dphi,
+    dd).
 
     However often a part is seen, it says nothing of the rest, whose slope may differ by
     `UNSEEN_TILT`: a tilt about the middle of the finest cells in which a point fell, by as much of
     the leaf's width as these leave out.
-
-    Args:
-        table: The leaves.
-        rows: (M,) of them.
-        out: (M, 9) covariances of (dphi, dd), m and rad; written.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])

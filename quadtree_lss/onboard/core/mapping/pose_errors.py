@@ -27,12 +27,11 @@ class PoseErrors:
     """How far poses' heights err, as seen and as claimed.
 
     Attributes:
-        seen: Deviation of the white errors that make the steps which were seen, m.
-        claimed: The same as poses and ``pose.correlation_time`` claim it, m.
+        seen, claimed: Deviation of the white errors that make the steps which were seen, and as
+            poses and ``pose.correlation_time`` claim it, m.
         size: Deviation of a scan's height as its pose claims it, m.
-        map_says: Deviation of the map's height from pose error as it is claimed, m.
-        white_says: What that would be of white errors, or of errors that persist where they are
-            claimed to be white, m.
+        map_says, white_says: Deviation of the map's height from pose error as it is claimed; of
+            white errors, or of errors that persist where they are claimed to be white, m.
         white: Errors claimed to persist look white.
         persist: Errors claimed to be white look as if they persisted.
         too_small: Errors look larger than the poses' covariances.
@@ -65,15 +64,8 @@ class Steps:
         since: float,
         correlation_time: float,
     ) -> None:
-        """One scan that was compared with the map.
-
-        Args:
-            time: s.
-            height: Of the scan over the ground as it was before anything was lifted, m.
-            claimed, mapped, noise: Variances as of `departure.Departure`, m^2.
-            since: When the ground was first seen, s.
-            correlation_time: s.
-        """
+        """One scan that was compared with the map, of ``height`` m over the ground as it was before
+        anything was lifted; times in s, variances in m^2, as of `departure.Departure`."""
         if self._last is not None:
             then, before, unsure = self._last
             after = abs(time - then)

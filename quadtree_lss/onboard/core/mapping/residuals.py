@@ -13,8 +13,8 @@ from quadtree_lss.onboard.core.tree.leaves import Record
 if not cython.compiled:
     from math import fabs, sqrt
 
+    from quadtree_lss.onboard.core.geometry.portable import above
     from quadtree_lss.onboard.core.mapping.measure import partial
-    from quadtree_lss.onboard.core.mapping.tail import above
 
 #: E[chi_1] = sqrt(2 / pi).
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
@@ -74,16 +74,11 @@ def rest(
     end: cython.Py_ssize_t,
     origin: Vector,
 ) -> None:
-    """Add a run to the running statistics of the leaf it came to rest in.
+    """Add a run, two points at least, to the running statistics of the leaf it came to rest in.
 
-    Residuals are n.(r - mean): without the scan's common offset in the cell, which pose error
-    and not the ground explains; it takes one degree of freedom.
-
-    Args:
-        rules: Limits.
-        leaf, run: Records of types `LEAF` and `RUN`.
-        points: (N, 3) about the lidar, m; the run is ``begin`` to ``end``, two points at least.
-        residual: (N,) written there, m.
+    Residuals (N,), written from ``begin`` to ``end``, m, are n.(r - mean): without the scan's
+    common offset in the cell, which pose error and not the ground explains; it takes one degree of
+    freedom.
     """
     i: cython.Py_ssize_t
     count = run.points

@@ -7,7 +7,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys
-from quadtree_lss.onboard.core.mapping.bell import Heights
+from quadtree_lss.onboard.core.mapping.features import Heights
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record

@@ -21,15 +21,10 @@ AXES = {"same": np.eye(3), "flu_to_optical": OPTICAL_FROM_FLU, "optical_to_flu":
 
 
 class MountedPoses:
-    """Lidar poses from body poses and the lidar's mount on the body, fixed or moving.
-
-    Args:
-        body: Poses of the body in the map frame (``rotation_map_lidar`` is then map from body).
-        mount: Pose of the lidar in body axes, or a buffer of such poses (a gimbal); None until
-            it is known.
-        gimbal_topic: Where the latter come from, for texts.
-        lack: Says why it is not known.
-    """
+    """Lidar poses from those of the body (``rotation_map_lidar`` is then map from body) and the
+    lidar's mount on it: its pose in body axes, or a buffer of such poses (a gimbal); None until it
+    is known. ``gimbal_topic`` and ``lack`` are for texts: where it comes from, why it is not
+    known."""
 
     def __init__(
         self,

@@ -113,13 +113,9 @@ def reach_beyond(points: Points, limit: float) -> cython.bint:
 
 @cython.boundscheck(False)
 def find_runs(codes: Ints, runs: Keys, begins: Ints) -> cython.Py_ssize_t:
-    """Points of one code (N,) that follow one another are a run; how many runs there are.
-
-    Args:
-        runs: (N,) for the code and the number of each run, packed as `morton.sort_packed` needs
-            them.
-        begins: (N + 1,) for the first point of each run, and the end of the last.
-    """
+    """Points of one code (N,) that follow one another are a run; how many runs there are. ``runs``:
+    (N,) for the code and the number of each run, packed as `morton.sort_packed` needs them.
+    ``begins``: (N + 1,) for the first point of each run, and the end of the last."""
     i: cython.Py_ssize_t
     run: cython.Py_ssize_t = -1
     code: cython.longlong
@@ -145,17 +141,12 @@ def arrange(
     keys: Keys,
     count: cython.Py_ssize_t,
 ) -> cython.void:
-    """Copy points run by run to ``arranged``, the key of each to ``keys``.
+    """Copy points run by run to ``arranged`` (M + 3, 3), the key of each to ``keys``; ``count`` is
+    M.
 
     How long a run is, nobody could foretell: four points of each are copied, the next run replaces
-    what is too much.
-
-    Args:
-        points: (N + 3, 3), the last three of them anything.
-        runs, begins: As of `find_runs`, ``runs`` sorted; those of points in no cell, the last,
-            are left.
-        arranged, keys: (M + 3, 3), (M + 3,) at least.
-        count: M, points in a cell.
+    what is too much, and the last three of ``points`` (N + 3, 3) are anything. ``runs`` are sorted;
+    those of points in no cell, the last, are left.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
     cython.declare(k=cython.int, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)

@@ -34,14 +34,9 @@ def interpolate(before: Pose, after: Pose, stamp_ns: int) -> Pose:
 class PoseBuffer:
     """The poses of the last ``span_ns``, in the order of their stamps.
 
-    A pose older than the newest by more than ``jump_ns`` starts anew (a looping bag): everything
-    before is forgotten and ``jumps`` counts it.
-
-    Args:
-        span_ns: Poses older than the newest by more than this are forgotten.
-        max_gap_ns: Poses farther apart than this are not interpolated between.
-        jump_ns: Steps back by at most this are late messages and sorted in.
-        what: Word for one of them in texts.
+    Those farther apart than ``max_gap_ns`` are not interpolated between; steps back by ``jump_ns``
+    at most are late messages and sorted in. A greater one starts anew (a looping bag): everything
+    before is forgotten and ``jumps`` counts it. ``what``: word for one of them in texts.
     """
 
     def __init__(

@@ -25,13 +25,8 @@ class PoseGate:
     """Lets poses pass in the order of their stamps; one that leaps waits for the next.
 
     If the next pose is where the leap led, both are believed: navigation has jumped. If it is where
-    the poses before lead, the one that leapt is dropped.
-
-    Args:
-        max_gap_ns: Poses farther apart say nothing of each other.
-
-    Attributes:
-        dropped: Poses that were.
+    the poses before lead, the one that leapt is ``dropped``, and counted. Poses farther apart than
+    ``max_gap_ns`` say nothing of each other.
     """
 
     def __init__(self, max_gap_ns: int) -> None:
@@ -60,7 +55,9 @@ class PoseGate:
     def _take(self, poses: list[Pose]) -> list[Pose]:
         self.dropped += len(self._doubtful) + 1 - len(poses)
         self._doubtful = []
-        self._last = [*self._last, *poses][-2:]
+        # Of the same stamp, two say nothing of the way from one to the other.
+        newest = {pose.stamp_ns: pose for pose in (*self._last, *poses)}
+        self._last = [newest[stamp_ns] for stamp_ns in sorted(newest)[-2:]]
         return poses
 
 

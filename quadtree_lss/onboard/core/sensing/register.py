@@ -12,8 +12,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Keys, Points
 from quadtree_lss.onboard.config.settings import DomainConfig, LidarConfig
 from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
-from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image
-from quadtree_lss.onboard.core.sensing.isolated_points import isolated_in_space
+from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.onboard.core.sensing.points import arrange, find_runs, turn
 from quadtree_lss.onboard.core.sensing.sweep import Sweep, still
@@ -57,14 +56,11 @@ def register(
         points_lidar: (H, W, 3) organised or (N, 3), float32 or float64, lidar axes, m; not
             finite = no return.
         pose: Of the lidar at the scan's stamp.
-        sweep: How the lidar moved while it took the scan, if it did.
+        sweep: How the lidar moved while it took the scan, if it did; of as many points.
 
     Returns:
         The scan and how many points were dropped, by reason: ``no_return``, ``range``,
         ``isolated``, ``outside`` (of the domain).
-
-    Raises:
-        ValueError: the sweep is of another number of points.
     """
     flat = points_lidar.reshape(-1, 3)
     if flat.dtype not in (np.float32, np.float64):

@@ -64,17 +64,9 @@ class ScanQueue:
     A scan never overtakes one that waits before it. Scans are dropped, counted in ``dropped`` and
     reported by `expire`: ``no_pose`` (waited ``max_wait_ns`` since arrival), ``before_poses``,
     ``pose_gap`` (no later pose can help), each with ``gimbal_`` in front if that is what lacks,
-    ``queue_full`` (the oldest goes), ``duplicate`` (the stamp of the scan before) and
-    ``time_jump`` (waiting when stamps jumped back).
-
-    Attributes:
-        poses: Where poses come from; the caller adds to it.
-        max_scans: Scans that may wait.
-        max_wait_ns: How long each may wait after its arrival.
-        scan_topic, pose_topic: Names for messages.
-        jump_ns: A scan older than the last by more than this is a jump back.
-        dropped: Number of dropped scans by reason.
-        jumps: Backward jumps of scan stamps.
+    ``queue_full`` (the oldest goes), ``duplicate`` (the stamp of the scan before) and ``time_jump``
+    (waiting when stamps jumped back by more than ``jump_ns``, which ``jumps`` counts). The caller
+    adds to ``poses``.
     """
 
     poses: PoseSource
@@ -98,11 +90,8 @@ class ScanQueue:
     def push_scan(
         self, stamp_ns: int, scan: Any, arrival_ns: int, span_ns: tuple[int, int] = (0, 0)
     ) -> None:
-        """Takes a scan that arrived at ``arrival_ns`` (any steady clock).
-
-        Args:
-            span_ns: Times of its first and last point, from the stamp, which lies between.
-        """
+        """Takes a scan that arrived at ``arrival_ns`` (any steady clock). ``span_ns``: times of its
+        first and last point, from the stamp, which lies between."""
         self._follow_pose_jump()
         last = self._last_ns
         if last is not None and stamp_ns == last:
@@ -136,11 +125,9 @@ class ScanQueue:
         return ready
 
     def expire(self, now_ns: int) -> list[Drop]:
-        """Drops scans that have waited too long; all drops since the last call, oldest first.
-
-        Call after `pop_ready`, and `pop_ready` again if anything was dropped: what waited behind
-        may be ready.
-        """
+        """Drops scans that have waited too long; all drops since the last call, oldest first. Call
+        after `pop_ready`, and that again if anything was dropped: what waited behind may be
+        ready."""
         while self._waiting and now_ns - self._waiting[0].arrival_ns >= self.max_wait_ns:
             first = self._waiting[0]
             lacks = self._lacks(first)

@@ -61,11 +61,8 @@ def still(rotation_map_lidar: Array) -> Sweep:
 
 
 def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
-    """Motion through ``poses``, the first and last of which bound the points' times.
-
-    Args:
-        offsets: (N,) ns from the stamp of ``at_stamp``.
-    """
+    """Motion through ``poses``, the first and last of which bound the points' times. ``offsets``:
+    (N,) ns from the stamp of ``at_stamp``."""
     stamp = at_stamp.stamp_ns
     times = np.array([pose.stamp_ns - stamp for pose in poses], dtype=np.float64)
     ways = np.array([pose.position for pose in poses]) - at_stamp.position

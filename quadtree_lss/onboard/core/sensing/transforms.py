@@ -22,11 +22,8 @@ class FixedTransforms:
         self._parent: dict[str, tuple[str, Pose]] = {}
 
     def add(self, parent: str, child: str, child_in_parent: Pose) -> bool:
-        """Take the pose of a frame in its parent, which replaces one told before.
-
-        Returns:
-            Whether that is anything new; beyond `MOST_FRAMES` nothing is.
-        """
+        """Take the pose of a frame in its parent, which replaces one told before. Returns whether
+        that is anything new; beyond `MOST_FRAMES` nothing is."""
         parent, child = _name(parent), _name(child)
         known = self._parent.get(child)
         if known is not None and known[0] == parent and _same(known[1], child_in_parent):

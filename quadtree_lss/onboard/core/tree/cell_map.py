@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -15,6 +16,36 @@ from quadtree_lss.onboard.core.geometry.bounds import bounded
 from quadtree_lss.onboard.core.geometry.heights import height_by_error
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
+
+#: Heights and lengths of a map are less than this, m, and its other figures than this: squares
+#: are numbers then, in a message's single precision, too.
+MOST_HEIGHT, MOST = 1e7, 1e18
+#: The least sigma of a feature, m, and the least n_z of a normal (`geometry.plane.keep_up`).
+LEAST_SIGMA, LEAST_UP = 1e-6, 1e-3
+
+
+def sound_planes(z: Array, normal: Array, covariances: Sequence[Array], feature: Array) -> Mask:
+    """Whether each of M planes, with its feature, is one that can be.
+
+    Args:
+        z: (M,) m.
+        normal: (M, 3).
+        covariances: (M, 3, 3) of range noise and of the poses.
+        feature: (M, 5).
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        sound = np.abs(np.sum(normal**2, axis=1) - 1.0) < 1e-6
+        sound &= (normal[:, 2] >= LEAST_UP) & (np.abs(z) < MOST_HEIGHT)
+        for part in covariances:
+            sound &= (np.diagonal(part, axis1=1, axis2=2) >= 0.0).all(axis=1)
+            sound &= (np.abs(part) < MOST).all(axis=(1, 2))
+        # As far as round-off leaves that of each part: none is surer than certain anywhere.
+        whole = np.sum(covariances, axis=0)
+        deviation = np.sqrt(np.diagonal(whole, axis1=1, axis2=2))
+        limit = 1.1 * deviation[:, :, None] * deviation[:, None, :]
+        sound &= np.all([(np.abs(part) <= limit).all(axis=(1, 2)) for part in covariances], axis=0)
+        bell = (np.abs(feature) < MOST_HEIGHT).all(axis=1) & (feature[:, 4] >= LEAST_SIGMA)
+    return np.asarray(sound & (bell | np.isnan(feature).all(axis=1)))
 
 
 class Ground(NamedTuple):
@@ -129,10 +160,8 @@ class CellMap:
         """Height, slope and deviation of the plane over each place; heights are within bounds.
 
         Rocks that stand out of a plane are not in its height (``feature``); a place on a border
-        belongs to the cell north and east of it, as measurements do.
-
-        Args:
-            x, y: Places in the map frame, m, of any shape; they broadcast.
+        belongs to the cell north and east of it, as measurements do. ``x``, ``y``: places in the
+        map frame, m, of any shape; they broadcast.
         """
         at_x, at_y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         place_x, place_y = at_x.ravel(), at_y.ravel()
@@ -161,15 +190,10 @@ class CellMap:
         return bounded(self.z[leaf] - along / normal[..., 2], self.low[leaf], self.high[leaf])
 
     def profile(self, start: ArrayLike, end: ArrayLike, step: float | None = None) -> Profile:
-        """The ground along the straight line between two places.
-
-        Args:
-            start, end: (2,) x and y, map frame, m.
-            step: Distance of the samples, m; by default half a finest cell. Both ends are samples.
-
-        Raises:
-            ValueError: the step is not positive, or a place is no pair of finite numbers.
-        """
+        """The ground along the straight line between two places. ``start``, ``end``: (2,) x and y,
+        map frame, m. ``step``: distance of the samples, m; by default half a finest cell. Both ends
+        are samples. Raises `ValueError`: the step is not positive, or a place is no pair of finite
+        numbers."""
         first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
         if first.shape != (2,) or last.shape != (2,) or not np.isfinite([first, last]).all():
             msg = "start and end of a profile are pairs (x, y) of finite numbers"

@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.onboard.core.tree.cell_map import MOST, MOST_HEIGHT, sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -26,6 +27,17 @@ ROUNDING = 1e-6
 """By how much a correlation may be off by rounding."""
 TINY = 1e-30
 """In place of a variance that is zero: what is correlated with it is no rounding."""
+
+MOST_NS = 2**31 * 10**9
+"""Stamps of messages end there."""
+MOST_OWED = 1e-3
+"""The map is lifted by more than half of this at once, m (`mapping.alignment.LEAST_LIFT`)."""
+MOST_TURN = 1e3
+"""What noise may turn and lift a fit by (`LEAF`), rad and m."""
+NEVER_NEGATIVE = frozenset(
+    "points distance_sum noise_sum exception_sum exception_noise raised_sum raised_noise"
+    " residuals division_sum division_weight square_sum greatest strip".split()
+)
 
 OUT = 3
 """The greatest state of a finest cell (`LeafTable.observed`)."""
@@ -45,11 +57,7 @@ def to_bytes(state: State) -> bytes:
 
 
 def from_bytes(content: bytes) -> State:
-    """Arrays of an archive.
-
-    Raises:
-        CheckpointError: damaged, cut short or something else.
-    """
+    """Arrays of an archive. Raises `CheckpointError`: damaged, cut short or something else."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             _check_sizes(archive, len(content))
@@ -63,11 +71,8 @@ def from_bytes(content: bytes) -> State:
 
 
 def _check_sizes(archive: zipfile.ZipFile, size: int) -> None:
-    """See that an archive of ``size`` bytes unpacks to no more than these.
-
-    Raises:
-        CheckpointError: something in it is compressed, or it claims more than there is.
-    """
+    """See that an archive of ``size`` bytes unpacks to no more than these. Raises
+    `CheckpointError`: something in it is compressed, or it claims more than there is."""
     parts = archive.infolist()
     packed = any(part.compress_type != zipfile.ZIP_STORED for part in parts)
     if packed or sum(part.file_size for part in parts) > size:
@@ -81,17 +86,9 @@ def identified(state: State, domain: Domain) -> State:
 
 
 def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
-    """See that a mapper of this domain can go on from a state.
-
-    Args:
-        state: From outside.
-        like: `identified` state of such a mapper, for the names, types and shapes of its arrays.
-        domain: The mapper's.
-        max_cells: Leaves it may hold.
-
-    Raises:
-        CheckpointError: another format or domain, arrays missing or inconsistent.
-    """
+    """See that a mapper of this domain can go on from a state from outside. ``like`` is an
+    `identified` state of such a mapper, for the names, types and shapes of its arrays. Raises
+    `CheckpointError`: another format or domain, too many leaves, arrays missing or inconsistent."""
     wanted, found = like["domain"], state.get("domain", np.empty(0))
     alike = found.dtype == wanted.dtype and found.shape == wanted.shape
     if not alike or not np.array_equal(state.get("format", ""), FORMAT):
@@ -123,10 +120,17 @@ def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
         msg = "has an impossible mask of observed cells"
         raise CheckpointError(msg)
     height, variance = state["offset"].tolist()
-    if not (math.isnan(height) and math.isnan(variance)) and not (
-        math.isfinite(height) and 0.0 <= variance < math.inf
-    ):
+    none = math.isnan(height) and math.isnan(variance)
+    if not none and not (abs(height) < 0.5 * MOST_HEIGHT and 0.0 <= variance < MOST):
         msg = "has an impossible offset from navigation"
+        raise CheckpointError(msg)
+    refused, height, variance = state["against"].tolist()
+    sound = abs(height) < MOST_HEIGHT and 0.0 <= variance < MOST and 0.0 <= refused < MOST
+    sound &= abs(float(state["owed"])) < MOST_OWED
+    sound &= all(0 <= int(state[name]) < MOST_NS for name in ("stamp_ns", "start_ns"))
+    ratio = float(state["noise_ratio"])
+    if not sound or not (math.isnan(ratio) or 0.0 <= ratio < MOST):
+        msg = "has impossible times, heights or ratios"
         raise CheckpointError(msg)
 
 
@@ -137,17 +141,28 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     raster = np.full((domain.finest_count,) * 2, -1, dtype=np.int32)
     if sound.all():
         leaf_raster(level.astype(np.uint8), ix.astype(np.uint32), iy.astype(np.uint32), raster)
-    if np.sum(0.25 ** level.astype(np.float64)) != 1.0 or (raster < 0).any():
+    tiled = sound.all() and np.sum(0.25 ** level.astype(np.float64)) == 1.0
+    if not tiled or (raster < 0).any():
         msg = "has leaves that do not tile the domain"
         raise CheckpointError(msg)
     known = leaves["known"]
     planes = leaves[known > 0]
-    whole = np.isin(known, (0, 1, 2, 3)).all() and (planes["normal"][:, 2] > 0.0).all()
+    parts = [planes[name].reshape(-1, 3, 3) for name in ("range_part", "pose_part")]
+    whole = np.isin(known, (0, 1, 2, 3)).all()
+    whole &= sound_planes(planes["z"], planes["normal"], parts, planes["feature"]).all()
     for name in LEAF.names or ():
-        if name not in {"low", "high"} and not name.startswith("feature"):
-            whole &= np.isfinite(planes[name]).all()
+        if LEAF[name].base.kind == "f" and name not in {"low", "high", "feature"}:
+            whole &= (np.abs(leaves[name]) < MOST).all()
+        if name in NEVER_NEGATIVE:
+            whole &= (leaves[name] >= 0.0).all()
+    whole &= (leaves["exception_sum"] <= leaves["residuals"] * (1.0 + ROUNDING)).all()
+    turn, rise, weight = leaves["bias"].T
+    whole &= (np.maximum(np.abs(turn), np.abs(rise)) < MOST_TURN).all() and (weight >= 0.0).all()
+    whole &= (leaves["points"] < 2**32).all()
+    low, high = leaves["low"], leaves["high"]
     # Where nothing came to rest yet they are infinity and minus infinity.
-    whole &= ((planes["low"] > -np.inf) & (planes["high"] < np.inf)).all()
+    within = (low > -MOST_HEIGHT) & (high < MOST_HEIGHT)
+    whole &= (within & ((low > high) | (low < MOST_HEIGHT) & (high > -MOST_HEIGHT))).all()
     if not whole or (planes["range_part"][:, ::4] <= 0.0).any() or not _covariances(planes):
         msg = "has a leaf with an impossible plane"
         raise CheckpointError(msg)
@@ -161,8 +176,10 @@ def _covariances(planes: NDArray[Any]) -> bool:
     for name in ("range_part", "pose_part"):
         covariance = planes[name].reshape(-1, 3, 3)
         variance = covariance.diagonal(axis1=1, axis2=2)
-        deviation = np.sqrt(np.where(variance > 0.0, variance, TINY))
+        deviation = np.sqrt(np.maximum(variance, TINY))
         correlation = covariance / (deviation[:, :, None] * deviation[:, None, :])
+        if not (np.abs(correlation) <= 1.0 + ROUNDING).all():
+            return False
         # No principal minor is negative, nor NaN.
         u, v, w = np.sign(variance).T
         a, b, c = correlation[:, 0, 1], correlation[:, 0, 2], correlation[:, 1, 2]

@@ -7,12 +7,14 @@ import cython
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Numbers
 from quadtree_lss.onboard.core.geometry import feature
-from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
-if not cython.compiled:
+if cython.compiled:
+    from cython.cimports.libc.math import NAN
+    from cython.cimports.quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED, LeafTable
+else:
     from math import nan as NAN
 
-    from quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED
+    from quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED, LeafTable
 
 #: A bell fitted to a hemisphere (Eq. 53) by least squares peaks a quarter above it. Its volume is
 #: right; a sigma wider by this lowers the peak and keeps it.
@@ -20,6 +22,10 @@ WIDER = cython.declare(cython.double, feature.SHAPE**0.5)
 
 
 @cython.boundscheck(False)
+@cython.locals(table=LeafTable, rows=cython.Py_ssize_t[::1], level=cython.uchar[::1])
+@cython.locals(measured=cython.uchar[::1], single=cython.double[:, ::1])
+@cython.locals(normal=cython.double[:, ::1], range_part=cython.double[:, ::1])
+@cython.locals(pose_part=cython.double[:, ::1], bell=cython.double[:, ::1])
 def fill_columns(
     table: LeafTable,
     rows: Index,
@@ -32,17 +38,11 @@ def fill_columns(
     pose_part: Array,
     bell: Array,
 ) -> None:
-    """Fill the columns of ``cell_map.CellMap``, NaN where a leaf has none of it.
+    """Fill the columns of ``cell_map.CellMap`` for leaves (M,), NaN where a leaf has none of it.
 
-    Args:
-        table: The leaves; rows: (M,) of them.
-        whole: (M,) each: ix, iy and the number of measurements.
-        level, measured: (M,).
-        single: (5, M) elevation of the plane, roughness, exception fraction, lowest and highest
-            return.
-        normal, range_part, pose_part: (M, 3), (M, 9), (M, 9); to the range part, what is known of
-            it is added.
-        bell: (M, 5).
+    ``whole`` are ix, iy and the number of measurements; ``single`` (5, M) the plane's elevation,
+    roughness, exception fraction, lowest and highest return; normals (M, 3), covariances (M, 9), of
+    which the range part is added to what is there; bells (M, 5).
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     ix = cython.declare(cython.uint[::1], whole[0])

@@ -14,13 +14,8 @@ from quadtree_lss.onboard.config.settings import DomainConfig
 
 @dataclass(frozen=True)
 class Domain:
-    """The square that is mapped, map frame.
-
-    Attributes:
-        xmin, ymin: South-western corner, m.
-        size: Side, m.
-        min_level, max_level: A cell of level l has side size / 2^l.
-    """
+    """The square that is mapped, map frame. ``xmin``, ``ymin``: south-western corner, m. ``size``:
+    side, m. ``min_level``, ``max_level``: a cell of level l has side size / 2^l."""
 
     xmin: float
     ymin: float

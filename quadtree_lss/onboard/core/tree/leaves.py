@@ -96,7 +96,6 @@ class LeafTable:
     """The leaves of a map, divided to the minimum level at the start.
 
     Attributes:
-        domain: Extent and levels.
         rows: Records of type `LEAF`, of which the first ``count`` are leaves; a division may
             replace the array by a longer one.
         leaf_of: (4^max_level,) row of the leaf over each finest cell, by its Morton code.
@@ -213,12 +212,9 @@ class LeafTable:
         An inherited plane is the parent's moved to the child's centre, and less certain: by
         ``square`` m^2 in height and ``tilt`` rad^2 in either slope; where a return stood out, by
         the square of the greatest distance, too. Finest cells whose returns lay within ``spread``
-        (m) of it stay known. The first child (in Morton's order) has the parent's
-        row, the others follow the last leaf.
-
-        Returns:
-            False, and nothing is done, where ``max_cells`` leaves no room. The caller has made room
-            in the table (`reserve`).
+        (m) of it stay known. The first child (in Morton's order) has the parent's row, the others
+        follow the last leaf. False, and nothing is done, where ``max_cells`` leaves no room; the
+        caller has made room in the table (`reserve`).
         """
         basis = cython.declare(cython.double[6])
         cython.declare(child=cython.Py_ssize_t, at=cython.Py_ssize_t)

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""North, east, down to east, north, up; and an autopilot's clock to this computer's."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.geometry.rotations import (
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
+
+SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Takes north, east, down to east, north, up, and back."""
+FLIP = np.array([1.0, -1.0, -1.0])
+"""Takes forward, right, down to forward, left, up, and back."""
+
+UPPER = np.triu_indices(6)
+
+
+class Nav(NamedTuple):
+    """The body in the map, whose axes are east, north, up from the autopilot's local origin.
+
+    Attributes:
+        stamp_ns: By this computer's clock.
+        position: (3,) m.
+        quaternion: (4,) x, y, z, w; takes forward, left, up to the map's axes.
+        velocity: (3,) of the map's axes, m/s; NaN if it is not known.
+        covariance: (6, 6) of place and of the rotation about the map's fixed axes, m and rad;
+            None where the autopilot does not say.
+    """
+
+    stamp_ns: int
+    position: Array
+    quaternion: Array
+    velocity: Array
+    covariance: Array | None
+
+
+def enu(north_east_down: Array) -> Array:
+    """(3,) in the other axes; its own inverse."""
+    return SWAP @ north_east_down
+
+
+def attitude(q_wxyz: Array) -> Array:
+    """(4,) x, y, z, w of FLU axes to ENU, from w, x, y, z of FRD axes to NED."""
+    w, x, y, z = q_wxyz
+    return quaternion_from_rotation(SWAP @ rotation_from_quaternion((x, y, z, w)) * FLIP)
+
+
+def body_frd(vector_enu: Array, quaternion: Array) -> Array:
+    """(3,) along forward, right, down of a body whose FLU axes the quaternion takes to ENU."""
+    return FLIP * (rotation_from_quaternion(quaternion).T @ vector_enu)
+
+
+def covariance_enu(upper: Array, quaternion: Array) -> Array | None:
+    """(6, 6) as ROS has it, from the 21 numbers of MAVLink's ODOMETRY; None if it does not say.
+
+    Of the latter place is along north, east, down and the attitude's error about the body's
+    forward, right, down: with T = diag(R_enu_ned, R_enu_frd) it becomes T C T^T.
+
+    Args:
+        upper: Upper triangle, row by row; a first number that is NaN says unknown.
+        quaternion: FLU to ENU.
+    """
+    values = np.asarray(upper, dtype=np.float64)
+    if not np.isfinite(values[0]):
+        return None
+    full = np.zeros((6, 6))
+    full[UPPER] = np.nan_to_num(values, nan=0.0)
+    full = full + np.triu(full, 1).T
+    if not full.diagonal().all():
+        return None
+    turn = np.zeros((6, 6))
+    turn[:3, :3], turn[3:, 3:] = SWAP, rotation_from_quaternion(quaternion) * FLIP
+    return turn @ full @ turn.T
+
+
+class RemoteClock:
+    """An autopilot's clock, by exchanges of TIMESYNC: what to add to it.
+
+    Of the last exchanges the quickest counts: half its way is all that it can be wrong by, and a
+    loaded computer lets the others wait.
+    """
+
+    KEPT = 40
+
+    def __init__(self) -> None:
+        self._exchanges: deque[tuple[int, int]] = deque(maxlen=self.KEPT)
+
+    def add(self, sent_ns: int, remote_ns: int, received_ns: int) -> None:
+        """An answer: sent and received by this clock, stamped by the other in between."""
+        way = received_ns - sent_ns
+        if way < 0:  # this clock was set
+            self._exchanges.clear()
+            return
+        self._exchanges.append((way, sent_ns + way // 2 - remote_ns))
+        offset = min(self._exchanges)[1]
+        if abs(self._exchanges[-1][1] - offset) > way:  # the other was started anew, or this set
+            last = self._exchanges[-1]
+            self._exchanges.clear()
+            self._exchanges.append(last)
+
+    @property
+    def offset_ns(self) -> int | None:
+        """This clock less the other; None before the first exchange."""
+        return min(self._exchanges)[1] if self._exchanges else None
+
+    @property
+    def uncertainty_ns(self) -> int | None:
+        """Half the quickest exchange."""
+        return min(self._exchanges)[0] // 2 if self._exchanges else None
+
+
+class Jumps:
+    """Whether navigation moved otherwise than by its own velocity, as a position reset does."""
+
+    def __init__(self) -> None:
+        self._last: Nav | None = None
+
+    def size(self, nav: Nav) -> float:
+        """How far this place is from where the last one's velocity leads, m; 0 if unknown."""
+        last, self._last = self._last, nav
+        dt = 0.0 if last is None else 1e-9 * (nav.stamp_ns - last.stamp_ns)
+        if last is None or not 0.0 < dt < 1.0:
+            return 0.0
+        way = 0.5 * dt * (last.velocity + nav.velocity)
+        away = float(np.linalg.norm(nav.position - last.position - way))
+        return away if np.isfinite(away) else 0.0

@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The landing as a machine of states: what is known at a moment in, where to fly to out.
+
+``docs/autopilot.md`` has the table of states and its picture. Nothing in here waits, sends or looks
+at a clock: whoever calls `Landing.step` some ten times a second does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.sections import AutopilotConfig
+
+PILOT, WAIT, CLIMB, TRANSIT, DESCEND = "pilot", "wait", "climb", "transit", "descend"
+COMMIT, TOUCHDOWN, HOLD = "commit", "touchdown", "hold"
+WAVE_OFF, GIVE_UP = "wave_off", "give_up"
+STATES = (PILOT, WAIT, CLIMB, TRANSIT, DESCEND, COMMIT, TOUCHDOWN, HOLD, WAVE_OFF, GIVE_UP)
+LOW = (DESCEND, COMMIT)
+"""Below the gate: what is lost here, is answered by a climb."""
+
+LEAD_S, LEAD_M = 2.0, 0.5
+"""A set-point goes ahead of the vehicle by what it flies in so long, and this: an autopilot that
+hears no more stays at the last one."""
+THROUGH_M = 1.0
+"""Below the ground the last set-points lead, so that the vehicle presses on it."""
+AT_M, SLOW_M_S = 1.0, 1.0
+"""Of the gate's height and of standing still."""
+
+
+class Target(NamedTuple):
+    """Where to land.
+
+    Attributes:
+        place: (3,) in the map by navigation's height, m.
+        age: Since it was last said, s.
+        map_age: Since the newest scan of its map, s; NaN if that cannot be known.
+    """
+
+    place: Array
+    age: float
+    map_age: float
+
+
+class Seen(NamedTuple):
+    """What is known at a moment.
+
+    Attributes:
+        now: Of a steady clock, s.
+        ours: Whether the autopilot is in the mode in which it follows set-points.
+        armed, landed: As it says.
+        heartbeat_age, pose_age: Since the last heartbeat and the last pose's stamp, s.
+        position, velocity: (3,) in the map, m and m/s.
+        jump: By which navigation's place jumped since the last step, m.
+        target: None while there is none.
+        why: Why there is none.
+    """
+
+    now: float
+    ours: bool
+    armed: bool
+    landed: bool
+    heartbeat_age: float
+    pose_age: float
+    position: Array
+    velocity: Array
+    jump: float
+    target: Target | None
+    why: str
+
+
+@dataclass(frozen=True)
+class Order:
+    """What to do.
+
+    Attributes:
+        state: One of `STATES`.
+        text: Why.
+        point: (3,) set-point in the map, m; None: nothing is to be commanded.
+        target: The one that landing goes by; None while landing anywhere is out of the question.
+    """
+
+    state: str
+    text: str
+    point: Array | None
+    target: Target | None
+
+
+class Landing:
+    """Flies to the gate over the target, down to it, and up again when it may not go on.
+
+    Args:
+        config: Its limits, speeds and heights.
+
+    Attributes:
+        state: The present one.
+        wave_offs: Since the pilot handed over.
+    """
+
+    def __init__(self, config: AutopilotConfig) -> None:
+        self._config = config
+        self._begin(PILOT, "not in the mode that follows set-points", 0.0)
+        self._reset()
+
+    def _reset(self) -> None:
+        self.wave_offs = 0
+        self._point: Array | None = None
+        self._place: Array | None = None  # of the target that is descended to
+        self._home = np.zeros(3)  # where the pilot handed over
+        self._gate_z = -np.inf
+        self._then = 0.0
+        self._left = False
+
+    def configure(self, config: AutopilotConfig) -> None:
+        """Other limits, from the next step on."""
+        self._config = config
+
+    def _begin(self, state: str, text: str, now: float) -> None:
+        self.state, self._text, self._since = state, text, now
+
+    def step(self, seen: Seen) -> Order:
+        """The order of this moment."""
+        config = self._config
+        if seen.heartbeat_age > config.max_heartbeat_age:
+            if self.state != PILOT:
+                self._halt(seen, f"no heartbeat for {seen.heartbeat_age:.1f} s")
+            return Order(self.state, self._text, None, None)  # whoever flies now, is not known
+        if not seen.ours or not seen.armed:
+            self._leave(seen)
+            return Order(self.state, self._text, None, None)
+        if self.state == TOUCHDOWN and not self._left:  # it goes on pressing on the ground
+            return Order(TOUCHDOWN, self._text, self._point, None)
+        if self.state in (PILOT, TOUCHDOWN):
+            if seen.landed:
+                self._begin(PILOT, "on the ground", seen.now)
+                return Order(PILOT, self._text, None, None)
+            self._reset()
+            self._home = seen.position.copy()
+            self._begin(WAIT, "the autopilot follows set-points", seen.now)
+        dt = min(max(seen.now - self._then, 0.0), 0.5) if self._point is not None else 0.0
+        self._then = seen.now
+        target, why = self._usable(seen)
+        self._decide(seen, target, why)
+        point = seen.position.copy() if self._point is None else self._point
+        if seen.pose_age <= self._config.max_pose_age and self.state != TOUCHDOWN:
+            self._move(point, seen, target, dt)
+        self._point = point
+        return Order(self.state, self._text, point.copy(), target)
+
+    def _leave(self, seen: Seen) -> None:
+        """Somebody else flies, or nobody does any more."""
+        self._left = True
+        if self.state == COMMIT and (seen.landed or not seen.armed):
+            self._begin(TOUCHDOWN, "on the ground", seen.now)
+        elif self.state not in (PILOT, TOUCHDOWN) or seen.armed:
+            self._begin(PILOT, "the autopilot is in another mode: the pilot flies", seen.now)
+
+    def _usable(self, seen: Seen) -> tuple[Target | None, str]:
+        """The target if it may be landed at, else why not."""
+        target, config = seen.target, self._config
+        if target is None:
+            return None, seen.why
+        if target.age > config.max_target_age:
+            return None, f"the target was last said {target.age:.1f} s ago: lss_node is silent"
+        if not target.map_age <= config.max_map_age and self.state != COMMIT:
+            if np.isnan(target.map_age):
+                return None, "how old the map is cannot be known: its stamps are of another clock"
+            return None, f"the map is {target.map_age:.1f} s old"
+        away = float(np.hypot(*(target.place - self._home)[:2]))
+        if away > config.reach:
+            return None, f"the target is {away:.0f} m from where the pilot handed over"
+        return target, ""
+
+    def _decide(self, seen: Seen, target: Target | None, why: str) -> None:
+        """The next state."""
+        config, now = self._config, seen.now
+        if seen.jump > config.max_jump:
+            text = f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now"
+            self._give_up(seen, text)
+        if self.state == GIVE_UP:
+            return
+        if seen.pose_age > config.max_pose_age:
+            self._halt(seen, f"the pose is {seen.pose_age:.1f} s old")
+            return
+        if self.state == COMMIT and seen.landed:
+            self._begin(TOUCHDOWN, "on the ground", now)
+            return
+        if self.state == HOLD and seen.position[2] < self._gate_z - AT_M:
+            self._wave_off(seen, self._text)  # it stood still below the gate, and may go on again
+        if target is None and self.state in LOW:
+            self._wave_off(seen, why)
+        elif target is None and self.state in (CLIMB, TRANSIT):
+            self._begin(HOLD, why, now)
+            self._point = None
+        if target is not None:
+            self._fly_on(seen, target)
+        elif self.state in (WAIT, HOLD):
+            self._text = why
+            if now - self._since > config.patience:
+                self._give_up(seen, f"no target for {config.patience:g} s: {why}")
+        if self.state == WAVE_OFF and seen.position[2] > self._gate_z - AT_M:
+            self._begin(HOLD, self._text, now)
+
+    def _fly_on(self, seen: Seen, target: Target) -> None:
+        """The next state while there is a target."""
+        config, now, place = self._config, seen.now, target.place
+        gate_z = place[2] + config.gate_height
+        off = float(np.hypot(*(place - seen.position)[:2]))
+        if self.state in LOW and self._place is not None:
+            if np.hypot(*(place - self._place)[:2]) > config.max_offset:
+                self._wave_off(seen, "the target is another one")
+            elif self.state == COMMIT and off > 2.0 * config.max_offset:
+                self._wave_off(seen, f"{off:.1f} m beside the target")
+        if self.state in (WAIT, HOLD):
+            low = seen.position[2] < gate_z - AT_M
+            self._begin(CLIMB if low else TRANSIT, "to the gate over the target", now)
+        if self.state not in (*LOW, WAVE_OFF, GIVE_UP):
+            self._gate_z = gate_z
+        if self.state == CLIMB and seen.position[2] > gate_z - AT_M:
+            self._begin(TRANSIT, self._text, now)
+        still = float(np.linalg.norm(seen.velocity)) < SLOW_M_S
+        above = abs(seen.position[2] - gate_z) < AT_M
+        if self.state == TRANSIT and off < config.max_offset and still and above:
+            self._place = place.copy()
+            self._begin(DESCEND, "over the target", now)
+        low = seen.position[2] - place[2] < config.commit_height + LEAD_M
+        if self.state == DESCEND and low and off < 0.5 * config.max_offset:
+            self._begin(COMMIT, "close over the target", now)
+
+    def _wave_off(self, seen: Seen, why: str) -> None:
+        self.wave_offs += 1
+        self._point = None
+        if self.wave_offs > self._config.max_wave_offs:
+            self._give_up(seen, f"waved off {self.wave_offs} times, now: {why}")
+        else:
+            self._begin(WAVE_OFF, why, seen.now)
+
+    def _halt(self, seen: Seen, why: str) -> None:
+        """Stays where the vehicle was last seen: that needs no present pose."""
+        if self.state not in (HOLD, GIVE_UP, TOUCHDOWN):
+            self._begin(HOLD, why, seen.now)
+            self._point = seen.position.copy()
+        if self.state == HOLD and seen.now - self._since > self._config.patience:
+            self._give_up(seen, f"{why}, for {self._config.patience:g} s")
+
+    def _give_up(self, seen: Seen, why: str) -> None:
+        """Up to the gate and stay, until the pilot has taken over."""
+        if self.state != GIVE_UP:
+            self._begin(GIVE_UP, f"{why}; pilot, take over", seen.now)
+            self._point = None if seen.pose_age <= self._config.max_pose_age else self._point
+
+    def _move(self, point: Array, seen: Seen, target: Target | None, dt: float) -> None:
+        """The set-point moves to the state's goal, at its speed and not too far ahead."""
+        config, position = self._config, seen.position
+        goal, across, down = point.copy(), config.transit_speed, config.transit_speed
+        if self.state in (WAVE_OFF, CLIMB, GIVE_UP):
+            goal[2] = max(point[2], self._gate_z)
+        elif self.state == TRANSIT and target is not None:
+            goal = target.place + (0.0, 0.0, config.gate_height)
+        elif self.state in LOW and target is not None:
+            down = config.descent_speed
+            floor = target.place[2] + config.commit_height
+            if self.state == COMMIT:
+                down, floor = config.touchdown_speed, target.place[2] - THROUGH_M
+            beside = np.hypot(*(target.place - position)[:2]) > config.max_offset
+            goal = np.append(target.place[:2], position[2] if beside else floor)
+        way = goal - point
+        for part, speed in ((slice(0, 2), across), (slice(2, 3), down)):
+            length = float(np.linalg.norm(way[part]))
+            if length > 0.0:
+                point[part] += way[part] * min(1.0, speed * dt / length)
+            ahead = point[part] - position[part]
+            most = LEAD_S * speed + LEAD_M
+            length = float(np.linalg.norm(ahead))
+            if length > most and self.state not in (WAIT, HOLD):
+                point[part] = position[part] + ahead * (most / length)

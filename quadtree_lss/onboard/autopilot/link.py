@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MAVLink to ArduPilot and PX4: what is heard of the vehicle, and the few things that are said."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.autopilot.frames import (
+    Nav,
+    RemoteClock,
+    attitude,
+    body_frd,
+    covariance_enu,
+    enu,
+)
+from quadtree_lss.onboard.config.settings import ConfigError
+from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+
+ARDUPILOT, PX4 = 3, 12
+"""MAV_AUTOPILOT of a heartbeat."""
+FOLLOWS = {ARDUPILOT: 4, PX4: 6 << 16}
+"""Custom mode in which set-points are followed: guided, offboard."""
+LAND = {ARDUPILOT: 9}
+"""Custom mode in which an autopilot on the ground stops its motors; PX4 needs none."""
+COPTERS = (2, 3, 4, 13, 14, 15, 29, 35)
+"""MAV_TYPE of what hovers: the modes of others have other numbers."""
+ARMED, CUSTOM_MODE, ON_GROUND = 128, 1, 1
+DO_SET_MODE, SET_INTERVAL, ARM_DISARM = 176, 511, 400
+HEARTBEAT, ATTITUDE, POSITION, EXTENDED, ODOMETRY = 0, 31, 32, 245, 331
+STREAMS = {ARDUPILOT: (POSITION, ATTITUDE), PX4: (ODOMETRY,)}
+POSE_HZ, STATE_HZ = 50.0, 5.0
+PLACE_ALONE = 0b0000_1101_1111_1000
+"""Type mask of a set-point that is a place: no velocity, acceleration, yaw or rate of it."""
+LOCAL_NED, BODY_FRD = 1, 12
+ONBOARD_COMPUTER, SEVERITY = 191, {True: 4, False: 6}
+SYNC_S, BEAT_S, ASK_S = 0.2, 1.0, 2.0
+
+
+def dialect() -> Any:
+    """pymavlink's, MAVLink 2.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    os.environ["MAVLINK20"] = "1"
+    try:
+        from pymavlink import mavutil
+    except ImportError:
+        msg = "autopilot_node needs pymavlink: pip install 'quadtree_lss[autopilot]'"
+        raise ConfigError(msg) from None
+    return mavutil
+
+
+class Link:
+    """One autopilot at the other end; the first that is heard is the one that counts.
+
+    Args:
+        connection, baud: As of the parameters.
+        clock: This computer's time, ns: poses are stamped by it.
+
+    Attributes:
+        kind: ``ARDUPILOT``, ``PX4`` or None before the first heartbeat.
+        mode, armed, landed: As last heard.
+        heard: When the last heartbeat came, of ``time.monotonic``.
+        remote: Its clock.
+
+    Raises:
+        ConfigError: no pymavlink, or the connection cannot be opened.
+    """
+
+    def __init__(self, connection: str, baud: int, clock: Callable[[], int]) -> None:
+        mavutil = dialect()
+        try:
+            self._port = mavutil.mavlink_connection(
+                connection, baud=baud, source_component=ONBOARD_COMPUTER, autoreconnect=True
+            )
+        except (OSError, ValueError, IndexError, ImportError) as error:
+            msg = f"autopilot.connection = {connection!r} cannot be opened: {error}"
+            raise ConfigError(msg) from None
+        self._clock = clock
+        self.kind: int | None = None
+        self.mode, self.armed, self.landed = -1, False, False
+        self.heard = -np.inf
+        self.remote = RemoteClock()
+        self._system = 0
+        self._due = dict.fromkeys(("sync", "beat", "ask"), 0.0)
+        self._attitudes: list[tuple[int, Array]] = []
+        self._positions: list[tuple[int, Array, Array]] = []
+        self._last_nav, self._newest = -np.inf, 0
+
+    @property
+    def follows(self) -> bool:
+        """Whether it is in the mode in which it flies to set-points."""
+        return self.kind is not None and self.mode == FOLLOWS[self.kind]
+
+    def close(self) -> None:
+        """Lets the port go."""
+        self._port.close()
+
+    def poll(self) -> list[Nav]:
+        """Takes what has come, says what is due; new poses, oldest first."""
+        navs: list[Nav] = []
+        while (message := self._receive()) is not None:
+            nav = self._take(message)
+            if nav is not None:
+                navs.append(nav)
+        now = time.monotonic()
+        if navs:
+            self._last_nav = now
+        if self._is_due("beat", BEAT_S, now):
+            self._say("heartbeat", 18, 8, 0, 0, 4)  # an onboard controller, not an autopilot
+        if self.kind is not None:
+            if self._is_due("sync", SYNC_S, now):
+                self._say("timesync", 0, self._clock())
+            if now - self._last_nav > 1.0 and self._is_due("ask", ASK_S, now):
+                for number in STREAMS[self.kind]:
+                    self._command(SET_INTERVAL, number, 1e6 / POSE_HZ)
+                self._command(SET_INTERVAL, EXTENDED, 1e6 / STATE_HZ)
+        return navs
+
+    def fly_to(self, point: Array) -> None:
+        """A set-point: a place in the map."""
+        north, east, down = enu(point)
+        say = self._port.mav.set_position_target_local_ned_send
+        nothing = (0.0,) * 8
+        self._try(say, 0, self._system, 1, LOCAL_NED, PLACE_ALONE, north, east, down, *nothing)
+
+    def show_target(self, place: Array, nav: Nav) -> None:
+        """LANDING_TARGET, for the autopilot's own precision landing if it takes over."""
+        vector, frame = enu(place), LOCAL_NED
+        if self.kind == ARDUPILOT:
+            vector, frame = body_frd(place - nav.position, nav.quaternion), BODY_FRD
+        offset = self.remote.offset_ns or 0
+        stamp_us = max(nav.stamp_ns - offset, 0) // 1000
+        distance = float(np.linalg.norm(place - nav.position))
+        level = (1.0, 0.0, 0.0, 0.0)
+        say = self._port.mav.landing_target_send
+        self._try(say, stamp_us, 0, frame, 0.0, 0.0, distance, 0.0, 0.0, *vector, level, 3, 1)
+
+    def follow(self) -> None:
+        """Asks for the mode in which set-points are followed."""
+        if self.kind is not None:
+            self._set_mode(FOLLOWS[self.kind])
+
+    def settle(self, *, disarm: bool) -> None:
+        """On the ground: asks for land mode, where that stops the motors, or disarms."""
+        if disarm:
+            self._command(ARM_DISARM, 0.0)
+        elif self.kind in LAND:
+            self._set_mode(LAND[self.kind])
+
+    def tell(self, text: str, *, warn: bool) -> None:
+        """A line for the pilot's ground station."""
+        self._say("statustext", SEVERITY[warn], text.encode("ascii", "replace")[:50])
+
+    def _set_mode(self, mode: int) -> None:
+        if self.kind == PX4:
+            self._command(DO_SET_MODE, CUSTOM_MODE, mode >> 16 & 0xFF, mode >> 24)
+        else:
+            self._command(DO_SET_MODE, CUSTOM_MODE, mode)
+
+    def _command(self, command: int, *values: float) -> None:
+        padded = [*values, *[0.0] * (7 - len(values))]
+        self._try(self._port.mav.command_long_send, self._system, 1, command, 0, *padded)
+
+    def _say(self, name: str, *values: Any) -> None:
+        self._try(getattr(self._port.mav, f"{name}_send"), *values)
+
+    @staticmethod
+    def _try(send: Callable[..., None], *values: Any) -> None:
+        """Sends; a link that is gone is seen by the age of its heartbeats."""
+        try:
+            send(*values)
+        except OSError:
+            return
+
+    def _is_due(self, what: str, period: float, now: float) -> bool:
+        if now < self._due[what]:
+            return False
+        self._due[what] = now + period
+        return True
+
+    def _receive(self) -> Any:
+        try:
+            return self._port.recv_msg()
+        except OSError:
+            return None
+
+    def _take(self, message: Any) -> Nav | None:
+        """Takes one message; the pose that is known by it, if it is."""
+        number = message.get_msgId()
+        if number == HEARTBEAT:
+            self._on_heartbeat(message)
+            return None
+        if message.get_srcSystem() != self._system or message.get_srcComponent() != 1:
+            return None
+        if message.get_type() == "TIMESYNC":
+            if message.tc1 > 0:
+                self.remote.add(message.ts1, message.tc1, self._clock())
+        elif number == EXTENDED:
+            self.landed = message.landed_state == ON_GROUND
+        elif number == ODOMETRY and message.frame_id == LOCAL_NED:
+            return self._on_odometry(message)
+        elif number == POSITION and self.kind == ARDUPILOT:
+            place = np.array([message.x, message.y, message.z])
+            velocity = np.array([message.vx, message.vy, message.vz])
+            self._positions = [*self._positions[-3:], (message.time_boot_ms, place, velocity)]
+            return self._paired()
+        elif number == ATTITUDE and self.kind == ARDUPILOT:
+            q = np.array([message.q1, message.q2, message.q3, message.q4])
+            self._attitudes = [*self._attitudes[-3:], (message.time_boot_ms, q)]
+            return self._paired()
+        return None
+
+    def _on_heartbeat(self, message: Any) -> None:
+        known = message.autopilot in FOLLOWS and message.type in COPTERS
+        if not known or message.get_srcComponent() != 1:
+            return
+        if self.kind is None:
+            self.kind, self._system = message.autopilot, message.get_srcSystem()
+            self._port.mav.srcSystem = self._system
+        if message.get_srcSystem() == self._system:
+            self.heard = time.monotonic()
+            self.mode = message.custom_mode
+            self.armed = bool(message.base_mode & ARMED)
+
+    def _on_odometry(self, message: Any) -> Nav | None:
+        place = np.array([message.x, message.y, message.z])
+        along = np.array([message.vx, message.vy, message.vz])  # of the body's axes
+        q = np.array(message.q)
+        upper = np.array(message.pose_covariance)
+        return self._nav(1000 * message.time_usec, place, q, along, upper, of_body=True)
+
+    def _paired(self) -> Nav | None:
+        """Place and velocity of one moment, with the attitude between the two about it."""
+        for at, place, velocity in reversed(self._positions):
+            for (before, q0), (after, q1) in zip(
+                self._attitudes, self._attitudes[1:], strict=False
+            ):
+                if before <= at <= after and after - before < 200:
+                    self._positions = [one for one in self._positions if one[0] > at]
+                    share = (at - before) / max(after - before, 1)
+                    q = (1.0 - share) * q0 + share * (q1 if q0 @ q1 >= 0.0 else -q1)
+                    return self._nav(at * 1_000_000, place, q, velocity, None, of_body=False)
+        return None
+
+    def _nav(
+        self, at_ns: int, place: Array, q: Array, velocity: Array, upper: Array | None,
+        *, of_body: bool,
+    ) -> Nav | None:  # fmt: skip
+        """By this computer's clock and in the map; None while either is not known."""
+        offset, length = self.remote.offset_ns, float(np.linalg.norm(q))
+        if offset is None or not np.isfinite(place).all() or not abs(length - 1.0) < 0.05:
+            return None
+        turned = attitude(q / length)
+        if of_body:
+            velocity = rotation_from_quaternion(turned) @ (velocity * (1.0, -1.0, -1.0))
+        else:
+            velocity = enu(velocity)
+        covariance = None if upper is None else covariance_enu(upper, turned)
+        stamp = at_ns + offset
+        if 0 <= self._newest - stamp < 1_000_000_000:  # the offset has just become better known
+            return None
+        self._newest = stamp
+        return Nav(stamp, enu(place), turned, velocity, covariance)

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Owns the landing: the target in, set-points to an autopilot out, its pose to the other nodes.
+
+Computes nothing: ``onboard.autopilot`` decides, and speaks MAVLink.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
+from quadtree_lss.onboard.autopilot.landing import (
+    GIVE_UP,
+    HOLD,
+    PILOT,
+    TOUCHDOWN,
+    WAVE_OFF,
+    Landing,
+    Order,
+    Seen,
+    Target,
+)
+from quadtree_lss.onboard.autopilot.link import PX4, Link
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
+from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, cloud_records
+from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Problems, Status
+from quadtree_lss.onboard.nodes.losses import Publishers
+from quadtree_lss.onboard.nodes.node_runner import announce, run
+from quadtree_lss.onboard.nodes.parameters import NodeParameters
+from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
+from quadtree_lss.onboard.nodes.ros_messages import header_message
+
+ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion"
+STATE = "landing/autopilot"
+POLL_S, STEP_S = 0.01, 0.1
+CORNERS = 24
+LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
+
+
+class AutopilotNode(Node):
+    """Lands the vehicle; ``docs/autopilot.md`` says how."""
+
+    def __init__(self) -> None:
+        super().__init__("autopilot_node", automatically_declare_parameters_from_overrides=True)
+        self._settings = NodeParameters(self, self._reconfigure)
+        config = self._settings.config
+        self._problems = Problems(self.get_logger())
+        link = config.autopilot
+        self._link = Link(link.connection, link.baud, lambda: self.get_clock().now().nanoseconds)
+        self._landing, self._jumps = Landing(link), Jumps()
+        self._nav: Nav | None = None
+        self._jump = 0.0
+        self._order = Order(PILOT, "no heartbeat yet", None, None)
+        self._selected: tuple[float, Array] | None = None
+        self._status: tuple[float, Any] | None = None
+        effect = "no target is flown to while there is more than one"
+        topic = self.resolve_topic_name(SELECTED)
+        self._sources = Publishers(topic, "target_publishers", effect, self._problems)
+        kind, heard = PoseWithCovarianceStamped, self._sources.changed
+        subscribe(self, kind, SELECTED, self._on_selected, latched(), heard)
+        subscribe(self, PointCloud2, STATUS, self._on_status, latched())
+        if link.odometry:
+            self._odometry = advertise(self, Odometry, ODOMETRY, stream(50, reliable=True))
+        self._area = advertise(self, PolygonStamped, AREA, latched())
+        self._dispersion = advertise(self, PoseWithCovarianceStamped, DISPERSION, latched())
+        self._state = advertise(self, DiagnosticStatus, STATE, latched())
+        self.create_service(Trigger, "~/land", self._on_land)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(POLL_S, self._poll, clock=steady)
+        self.create_timer(STEP_S, self._step, clock=steady)
+        self._diagnostics = Diagnostics(
+            self, config.publish.diagnostics_rate, self._problems, self._collect
+        )
+        announce(self, config)
+
+    def destroy_node(self) -> None:
+        """Lets the port go, too."""
+        self._link.close()
+        super().destroy_node()
+
+    def _reconfigure(self, config: Config) -> None:
+        self._landing.configure(config.autopilot)
+
+    def _on_selected(self, message: Any) -> None:
+        place = message.pose.pose.position
+        frame = self._settings.config.frames.map
+        if message.header.frame_id.lstrip("/") != frame.lstrip("/"):
+            self._problems.report("target_frame", f"target in '{message.header.frame_id}': ignored")
+            return
+        self._selected = (time.monotonic(), np.array([place.x, place.y, place.z]))
+
+    def _on_status(self, message: Any) -> None:
+        try:
+            self._status = (time.monotonic(), cloud_records(message, STATUS_FIELDS)[0])
+        except MessageError as error:
+            self._problems.report("status_layout", str(error))
+
+    def _target(self, now: float) -> tuple[Target | None, str]:
+        """What lss_node says, by navigation's height; else why there is none."""
+        if self._selected is None or self._status is None:
+            return None, "nothing was heard of lss_node yet"
+        if self._sources.number > 1:
+            return None, f"{self._sources.number} nodes send landing/selected"
+        (at, place), (told_at, status) = self._selected, self._status
+        age = now - min(at, told_at)
+        if not np.isfinite(place).all():
+            return None, f"there is no target (reason {status['reason']} of landing/status)"
+        offset = float(status["offset_z"])
+        place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
+        return Target(place, age, float(status["age"]) + now - told_at), ""
+
+    def _poll(self) -> None:
+        for nav in self._link.poll():
+            self._jump = max(self._jump, self._jumps.size(nav))
+            self._nav = nav
+            if self._settings.config.autopilot.odometry:
+                self._odometry.publish(self._odometry_message(nav))
+
+    def _odometry_message(self, nav: Nav) -> Odometry:
+        frames, pose = self._settings.config.frames, self._settings.config.pose
+        message = Odometry(header=header_message(nav.stamp_ns, frames.map))
+        message.child_frame_id = frames.body or "base_link"
+        place, turn = message.pose.pose.position, message.pose.pose.orientation
+        place.x, place.y, place.z = nav.position.tolist()
+        turn.x, turn.y, turn.z, turn.w = nav.quaternion.tolist()
+        sigmas = [pose.unknown_position_sigma, math.radians(pose.unknown_attitude_sigma_deg)]
+        unknown = np.diag(np.repeat(np.square(sigmas), 3))
+        covariance = unknown if nav.covariance is None else nav.covariance
+        message.pose.covariance = covariance.ravel()
+        along = message.twist.twist.linear
+        velocity = rotation_from_quaternion(nav.quaternion).T @ nav.velocity  # of the body's axes
+        along.x, along.y, along.z = velocity.tolist()
+        return message
+
+    def _step(self) -> None:
+        now, link, nav = time.monotonic(), self._link, self._nav
+        if nav is None:
+            text = "no heartbeat yet" if link.kind is None else "no pose of the autopilot yet"
+            self._tell(Order(PILOT, text, None, None))
+            return
+        pose_age = 1e-9 * (self.get_clock().now().nanoseconds - nav.stamp_ns)
+        target, why = self._target(now)
+        seen = Seen(
+            now, link.follows, link.armed, link.landed, now - link.heard, abs(pose_age),
+            nav.position, nav.velocity, self._jump, target, why,
+        )  # fmt: skip
+        self._jump = 0.0
+        began = self._landing.state
+        order = self._landing.step(seen)
+        fresh = seen.heartbeat_age <= self._settings.config.autopilot.max_heartbeat_age
+        if order.point is not None:
+            link.fly_to(order.point)
+        elif link.kind == PX4 and fresh and order.state == PILOT:
+            link.fly_to(nav.position)  # without a stream it does not go into offboard
+        if order.target is not None:
+            link.show_target(order.target.place, nav)
+        if order.state != began:
+            self._on_change(order, nav)
+        self._tell(order)
+
+    def _on_change(self, order: Order, nav: Nav) -> None:
+        """A line for the log and the pilot; what lss_node is to know; motors off once down."""
+        config = self._settings.config.autopilot
+        warn, text = order.state in LEVELS, f"{order.state}: {order.text}"
+        if warn:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().info(text)
+        self._link.tell(f"lss {text}", warn=warn)
+        if order.state == TOUCHDOWN and config.may_command != "nothing":
+            self._link.settle(disarm=config.may_command == "arming")
+        if order.point is not None:
+            self._send_dispersion(nav)
+            if self._order.state == PILOT and self.count_publishers(AREA) <= 1:
+                self._send_reach(nav)
+
+    def _send_reach(self, nav: Nav) -> None:
+        message = PolygonStamped(header=header_message(nav.stamp_ns, self._frame))
+        around = np.linspace(0.0, 2.0 * np.pi, CORNERS, endpoint=False)
+        reach = self._settings.config.autopilot.reach
+        corners = nav.position[:2, None] + reach * np.array([np.cos(around), np.sin(around)])
+        message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners.T]
+        self._area.publish(message)
+
+    def _send_dispersion(self, nav: Nav) -> None:
+        sigma = self._settings.config.autopilot.control_sigma
+        known = self._settings.config.pose.unknown_position_sigma
+        own = np.full(2, known**2) if nav.covariance is None else nav.covariance.diagonal()[:2]
+        message = PoseWithCovarianceStamped(header=header_message(nav.stamp_ns, self._frame))
+        message.pose.covariance = np.diag([*(own + sigma**2), 0.0, 0.0, 0.0, np.pi**2]).ravel()
+        self._dispersion.publish(message)
+
+    @property
+    def _frame(self) -> str:
+        return self._settings.config.frames.map
+
+    def _tell(self, order: Order) -> None:
+        self._order = order
+        status = DiagnosticStatus(level=LEVELS.get(order.state, OK), name="landing")
+        status.message = f"{order.state}: {order.text}"
+        values: dict[str, object] = {"state": order.state, "text": order.text}
+        values["wave_offs"] = self._landing.wave_offs
+        if self._nav is not None:
+            for axis, value in zip("xyz", self._nav.position, strict=True):
+                values[axis] = f"{value:.3f}"
+            if order.target is not None:
+                height = self._nav.position[2] - order.target.place[2]
+                away = np.hypot(*(self._nav.position - order.target.place)[:2])
+                values |= {"height": f"{height:.2f}", "offset": f"{away:.2f}"}
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        self._state.publish(status)
+
+    def _on_land(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        allowed = self._settings.config.autopilot.may_command != "nothing"
+        response.success = allowed and self._link.kind is not None
+        if response.success:
+            self._link.follow()
+            response.message = "asked for the mode that follows set-points"
+        else:
+            lack = "autopilot.may_command is nothing" if not allowed else "no heartbeat"
+            response.message = f"{lack}: the pilot switches to guided or offboard"
+        return response
+
+    def _collect(self, status: Status) -> None:
+        status.note(LEVELS.get(self._order.state, OK), f"{self._order.state}: {self._order.text}")
+        heard = time.monotonic() - self._link.heard
+        status.add({"autopilot.kind": {None: "none", PX4: "px4"}.get(self._link.kind, "ardupilot")})
+        status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
+        if heard > self._settings.config.autopilot.max_heartbeat_age:
+            connection = self._settings.config.autopilot.connection
+            status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
+        if (uncertainty := self._link.remote.uncertainty_ns) is not None:
+            status.add({"clock.uncertainty_ms": 1e-6 * uncertainty})
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Console script ``autopilot_node``."""
+    return run(AutopilotNode, "autopilot_node: lands by the target, with a MAVLink autopilot", args)

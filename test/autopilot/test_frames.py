@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""North, east, down to east, north, up, against SciPy's rotations; the other clock; jumps."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.onboard.autopilot.frames import (
+    Jumps,
+    Nav,
+    RemoteClock,
+    attitude,
+    body_frd,
+    covariance_enu,
+    enu,
+)
+
+RNG = np.random.default_rng(70001)
+ATTITUDES = Rotation.random(20, random_state=70002)
+NORTH, EAST, DOWN = np.eye(3)
+
+
+def mavlink(rotation):
+    """w, x, y, z."""
+    return rotation.as_quat()[[3, 0, 1, 2]]
+
+
+@pytest.mark.parametrize("k", range(20))
+def test_the_bodys_axes_point_where_they_did(k):
+    """Each axis of the body, looked at from north, east, down and from east, north, up."""
+    ned_frd = ATTITUDES[k]
+    enu_flu = Rotation.from_quat(attitude(mavlink(ned_frd)))
+    for flu, frd in (((1, 0, 0), (1, 0, 0)), ((0, 1, 0), (0, -1, 0)), ((0, 0, 1), (0, 0, -1))):
+        north, east, down = ned_frd.apply(frd)
+        np.testing.assert_allclose(enu_flu.apply(flu), [east, north, -down], atol=1e-12)
+
+
+def test_level_with_the_nose_to_the_east_is_no_rotation():
+    q = attitude(mavlink(Rotation.from_euler("z", 90.0, degrees=True)))
+    np.testing.assert_allclose(q, [0.0, 0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(enu(np.array([1.0, 2.0, 3.0])), [2.0, 1.0, -3.0])
+
+
+def test_a_place_seen_from_the_body_is_forward_right_and_down():
+    for k in range(20):
+        vector_ned = RNG.normal(size=3)
+        seen = body_frd(enu(vector_ned), attitude(mavlink(ATTITUDES[k])))
+        np.testing.assert_allclose(seen, ATTITUDES[k].inv().apply(vector_ned), atol=1e-12)
+
+
+@pytest.mark.parametrize("k", range(2))
+def test_covariances_are_those_of_what_is_turned(k):
+    """By drawing: errors in the autopilot's terms, each turned, have the covariance that is said.
+
+    The pose's error along ROS's fixed axes is what the true attitude must be turned by.
+    """
+    root = np.diag([0.3, 0.2, 0.1, 0.02, 0.01, 0.005]) @ (np.eye(6) + 0.3 * RNG.normal(size=(6, 6)))
+    ned_frd, covariance = ATTITUDES[k], root @ root.T
+    drawn = RNG.normal(size=(2_000, 6)) @ root.T
+    moved = np.array([enu(d) for d in drawn[:, :3]])
+    true = Rotation.from_quat(attitude(mavlink(ned_frd)))
+    wrong = [attitude(mavlink(ned_frd * Rotation.from_rotvec(d))) for d in drawn[:, 3:]]
+    turned = (Rotation.from_quat(wrong) * true.inv()).as_rotvec()
+    seen = np.cov(np.hstack([moved, turned]).T)
+    told = covariance_enu(covariance[np.triu_indices(6)], true.as_quat())
+    scale = np.sqrt(np.outer(told.diagonal(), told.diagonal()))
+    np.testing.assert_allclose(seen / scale, told / scale, atol=0.1)
+
+
+def test_a_covariance_that_says_nothing_is_none():
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+    assert covariance_enu(np.full(21, np.nan), level) is None
+    assert covariance_enu(np.zeros(21), level) is None
+
+
+def test_the_other_clock_is_known_to_half_the_quickest_exchange():
+    """Ways there and back as a loaded computer has them: some quick, most slow and uneven."""
+    clock, true = RemoteClock(), 5_000_000_000_000
+    assert clock.offset_ns is None
+    for k in range(200):
+        there, back = (RNG.exponential(8e6, 2) + 3e5).astype(int)
+        sent = 10**15 + k * 200_000_000
+        clock.add(sent, sent + there - true, sent + there + back)
+    assert abs(clock.offset_ns - true) <= clock.uncertainty_ns < 4e6
+
+
+def test_a_clock_that_was_started_anew_is_followed_at_once():
+    clock = RemoteClock()
+    for k in range(10):
+        clock.add(k * 10**9, k * 10**9 - 100, k * 10**9 + 10**6)
+    clock.add(11 * 10**9, 5, 11 * 10**9 + 2 * 10**6)
+    assert clock.offset_ns == 11 * 10**9 + 10**6 - 5
+
+
+def nav(stamp_s, x, speed):
+    place, velocity = np.array([x, 0.0, 9.0]), np.array([speed, 0.0, 0.0])
+    return Nav(round(1e9 * stamp_s), place, np.array([0.0, 0.0, 0.0, 1.0]), velocity, None)
+
+
+def test_only_what_velocity_does_not_explain_is_a_jump():
+    jumps = Jumps()
+    assert jumps.size(nav(0.0, 0.0, 5.0)) == 0.0
+    assert jumps.size(nav(0.1, 0.5, 5.0)) == pytest.approx(0.0, abs=1e-9)
+    assert jumps.size(nav(0.2, 2.0, 5.0)) == pytest.approx(1.0)
+    assert jumps.size(nav(9.0, 99.0, 5.0)) == 0.0, "too long ago to say"

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The states of a landing, flown by a point of first order in a time of its own."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from quadtree_lss.onboard.autopilot.landing import (
+    CLIMB,
+    COMMIT,
+    DESCEND,
+    GIVE_UP,
+    HOLD,
+    PILOT,
+    TOUCHDOWN,
+    TRANSIT,
+    WAIT,
+    WAVE_OFF,
+    Landing,
+    Seen,
+    Target,
+)
+from quadtree_lss.onboard.config.sections import AutopilotConfig
+
+CONFIG = AutopilotConfig()
+GROUND = 1.5
+SITE = np.array([0.0, 0.0, GROUND])
+
+
+class Flight:
+    """What the world is at each moment; a test changes it on the way."""
+
+    def __init__(self, place=(10.0, 5.0, 25.0), config=CONFIG):
+        self.landing = Landing(config)
+        self.position, self.velocity, self.now = np.array(place, float), np.zeros(3), 0.0
+        self.ours = self.armed = True
+        self.target, self.target_age, self.map_age, self.why = SITE, 0.2, 0.3, "withdrawn"
+        self.heartbeat_age, self.pose_age, self.jump = 0.3, 0.02, 0.0
+        self.wind = np.zeros(3)
+        self.states, self.order, self.goal = [], None, None
+
+    @property
+    def height(self):
+        return self.position[2] - GROUND
+
+    def step(self):
+        target = None
+        if self.target is not None:
+            target = Target(self.target, self.target_age, self.map_age)
+        seen = Seen(
+            self.now, self.ours, self.armed, self.height <= 1e-6, self.heartbeat_age, self.pose_age,
+            self.position.copy(), self.velocity.copy(), self.jump, target, self.why,
+        )  # fmt: skip
+        self.order = self.landing.step(seen)
+        if not self.states or self.states[-1] != self.order.state:
+            self.states.append(self.order.state)
+        if self.order.point is not None:
+            self.goal = self.order.point
+        elif not self.ours:
+            self.goal = None
+        for _ in range(10):
+            wanted = np.zeros(3) if self.goal is None else 1.5 * (self.goal - self.position)
+            self.velocity += (np.clip(wanted, -4.0, 4.0) + self.wind - self.velocity) * 0.06
+            self.position += 0.01 * self.velocity
+            self.position[2] = max(self.position[2], GROUND)
+        self.now += 0.1
+
+    def until(self, condition, seconds=90.0):
+        """Flies until it holds."""
+        end = self.now + seconds
+        while not condition(self):
+            assert self.now < end, (self.states, self.order, self.position)
+            self.step()
+        return self
+
+    def on(self, seconds):
+        """Flies on for so long."""
+        end = self.now + seconds
+        while self.now < end:
+            self.step()
+        return self
+
+
+def in_state(state):
+    return lambda flight: flight.order is not None and flight.order.state == state
+
+
+def below(height):
+    return lambda flight: flight.height < height
+
+
+def test_the_whole_way_down():
+    flight = Flight().until(in_state(DESCEND))
+    assert flight.height > CONFIG.gate_height - 1.0 and np.hypot(*flight.position[:2]) < 0.5
+    began = flight.now
+    flight.until(in_state(COMMIT))
+    took = (CONFIG.gate_height - CONFIG.commit_height) / CONFIG.descent_speed
+    assert flight.now - began == pytest.approx(took, abs=2.5)
+    flight.until(below(1.0)).on(0.5)
+    assert flight.velocity[2] == pytest.approx(-CONFIG.touchdown_speed, rel=0.3)
+    flight.until(in_state(TOUCHDOWN))
+    assert flight.states == [TRANSIT, DESCEND, COMMIT, TOUCHDOWN]
+    assert np.hypot(*flight.position[:2]) < 0.02
+    assert flight.order.point[2] < GROUND, "it goes on pressing on the ground"
+    flight.armed = False
+    flight.step()
+    assert flight.order.state == TOUCHDOWN and flight.order.point is None
+
+
+def test_from_below_the_gate_it_climbs_first():
+    flight = Flight((10.0, 5.0, GROUND + 3.0)).until(in_state(TRANSIT))
+    assert flight.states[0] == CLIMB and np.hypot(*(flight.position - (10, 5, 0))[:2]) < 0.2
+    assert flight.height > CONFIG.gate_height - 1.1
+
+
+@pytest.mark.parametrize("height", [6.0, 3.0, 1.2, 0.4])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"target": None},
+        {"target_age": CONFIG.max_target_age + 0.1},
+        {"target": SITE + (4.0, 0.0, 0.0)},
+        {"target": SITE + (-80.0, 0.0, 0.0)},
+    ],
+    ids=["withdrawn", "silent", "moved", "out of reach"],
+)
+def test_what_is_lost_below_the_gate_is_answered_by_a_climb(height, fault):
+    flight = Flight().until(below(height))
+    place, lowest = flight.position.copy(), []
+    for name, value in fault.items():
+        setattr(flight, name, value)
+    for _ in range(80):
+        flight.step()
+        lowest.append(flight.height)
+        if flight.order.state == TRANSIT:
+            break
+    # It falls on for what its speed takes to turn, and comes down nowhere.
+    assert WAVE_OFF in flight.states and flight.landing.wave_offs == 1
+    assert min(lowest) > height - 0.35 and min(lowest) > 0.0
+    assert lowest[-1] > CONFIG.gate_height - 1.2
+    assert np.hypot(*(flight.position - place)[:2]) < 0.5, "straight up"
+    if "moved" not in str(flight.order.text) and np.array_equal(flight.target, SITE + (4, 0, 0)):
+        flight.until(in_state(TOUCHDOWN))
+        assert np.hypot(*(flight.position - flight.target)[:2]) < 0.05
+    else:
+        flight.on(5.0)
+        assert flight.order.state == HOLD and flight.order.target is None
+
+
+@pytest.mark.parametrize("age", [CONFIG.max_map_age + 0.1, math.nan])
+def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
+    flight = Flight().until(in_state(DESCEND)).on(2.0)
+    flight.map_age = age
+    flight.until(in_state(HOLD))
+    assert flight.states[-2:] == [WAVE_OFF, HOLD] and "map" in flight.order.text
+    flight = Flight().until(in_state(COMMIT))
+    flight.map_age = age
+    assert flight.until(in_state(TOUCHDOWN)).landing.wave_offs == 0
+
+
+def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
+    flight = Flight().until(below(4.0))
+    place = flight.position.copy()
+    flight.pose_age = CONFIG.max_pose_age + 0.01
+    flight.step()
+    assert flight.order.state == HOLD
+    np.testing.assert_array_equal(flight.order.point, place)
+    flight.on(3.0)
+    np.testing.assert_array_equal(flight.order.point, place)
+    flight.pose_age = 0.02
+    flight.until(in_state(WAVE_OFF)).until(in_state(DESCEND)).until(in_state(TOUCHDOWN))
+    flight = Flight().until(below(4.0))
+    flight.pose_age = 1e3
+    flight.until(in_state(GIVE_UP))
+    assert flight.height > 3.5
+
+
+def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
+    flight = Flight().until(below(4.0))
+    flight.heartbeat_age = CONFIG.max_heartbeat_age + 0.1
+    flight.on(1.0)
+    assert flight.order.point is None and flight.order.target is None
+    flight.heartbeat_age = 0.1
+    flight.on(0.3)
+    assert flight.order.state == WAVE_OFF
+
+
+@pytest.mark.parametrize("state", [TRANSIT, DESCEND, COMMIT, HOLD, WAVE_OFF, GIVE_UP])
+def test_the_pilots_switch_ends_it_at_once(state):
+    flight = Flight()
+    if state in (HOLD, WAVE_OFF):
+        flight.until(in_state(DESCEND)).on(2.0).target = None
+    if state == GIVE_UP:
+        flight.step()
+        flight.jump = 9.0
+    flight.until(in_state(state))
+    flight.ours = False
+    flight.step()
+    assert flight.order.state == PILOT
+    assert flight.order.point is None and flight.order.target is None
+    flight.ours, flight.jump, flight.target = True, 0.0, None
+    flight.step()
+    assert flight.order.state == WAIT and flight.landing.wave_offs == 0
+    np.testing.assert_allclose(flight.order.point, flight.goal)
+
+
+def test_a_jump_of_navigation_ends_at_the_pilot():
+    flight = Flight().until(below(4.0))
+    flight.jump = CONFIG.max_jump + 0.01
+    flight.step()
+    flight.jump = 0.0
+    flight.on(10.0)
+    assert flight.order.state == GIVE_UP and "jumped" in flight.order.text
+    assert flight.height == pytest.approx(CONFIG.gate_height, abs=0.1)
+    assert flight.on(60.0).order.state == GIVE_UP, "until the pilot has taken over"
+
+
+def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_than_it_may():
+    flight = Flight()
+    flight.target = None
+    flight.on(CONFIG.patience - 1.0)
+    assert flight.order.state == WAIT
+    np.testing.assert_allclose(flight.position, [10.0, 5.0, 25.0], atol=1e-9)
+    assert flight.on(2.0).order.state == GIVE_UP
+    flight = Flight()
+    for _ in range(CONFIG.max_wave_offs + 1):
+        flight.until(in_state(DESCEND)).on(1.0)
+        flight.target = None
+        flight.step()
+        flight.target = SITE
+    assert flight.order.state == GIVE_UP
+    assert flight.on(60.0).height == pytest.approx(CONFIG.gate_height, abs=0.1)
+
+
+def test_beside_the_target_it_does_not_come_down():
+    flight = Flight().until(in_state(DESCEND)).on(2.0)
+    flight.wind = np.array([1.5, 0.0, 0.0])  # it is blown a metre off, and stays so
+    flight.on(3.0)
+    height = flight.height
+    assert np.hypot(*flight.position[:2]) > CONFIG.max_offset
+    assert flight.on(20.0).height > height - 0.3 and flight.order.state == DESCEND
+    flight.wind[:] = 0.0
+    flight.until(in_state(COMMIT))
+    flight.wind = np.array([2.5, 0.0, 0.0])
+    flight.until(in_state(WAVE_OFF))
+    assert flight.height > 0.5
+
+
+def test_set_points_never_lead_by_more_than_stops_above_the_ground():
+    """Whoever hears no more of us flies to the last set-point and stays there."""
+    flight = Flight().until(in_state(DESCEND))
+    while flight.order.state == DESCEND:
+        assert flight.order.point[2] >= GROUND + CONFIG.commit_height - 1e-9
+        flight.step()
+    while flight.order.state == COMMIT:
+        assert flight.order.point[2] >= flight.position[2] - 2.0 * CONFIG.touchdown_speed - 0.6
+        flight.step()
+
+
+def test_a_target_that_follows_the_map_by_little_is_followed():
+    flight = Flight().until(in_state(DESCEND))
+    flight.target = SITE + (0.3, 0.0, 0.1)
+    flight.until(in_state(TOUCHDOWN))
+    assert WAVE_OFF not in flight.states
+    assert flight.position[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_nobody_lifts_off():
+    flight = Flight((0.0, 0.0, GROUND))
+    assert flight.on(2.0).order.state == PILOT and flight.order.point is None
+    flight = Flight()
+    flight.armed = False
+    assert flight.on(2.0).order.point is None

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MAVLink's bytes over a socket: against the model of what ArduPilot and PX4 accept."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+from autopilot_model import LAND, LOITER, PX4_HOLD, PX4_LAND, Autopilot
+
+from quadtree_lss.onboard.autopilot.landing import TOUCHDOWN, Landing, Seen, Target
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4, Link
+from quadtree_lss.onboard.config.sections import AutopilotConfig
+from quadtree_lss.onboard.config.settings import ConfigError
+from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+
+BOTH = pytest.mark.parametrize("kind", [ARDUPILOT, PX4])
+pytestmark = pytest.mark.xdist_group("autopilot")
+
+
+@pytest.fixture
+def fly():
+    """Starts a model and a link to it; both end with the test."""
+    ends = []
+
+    def start(kind, place=(3.0, -2.0, 6.0), **how):
+        model = Autopilot(kind, place, **how)
+        link = Link(model.connection, 57600, time.time_ns)
+        ends.extend((lambda: model.__exit__(), link.close))
+        return model.__enter__(), link
+
+    yield start
+    for end in ends:
+        end()
+
+
+def wait(link, condition, seconds=8.0, each=lambda navs: None):
+    """Polls until the condition holds; poses that came."""
+    navs, end = [], time.monotonic() + seconds
+    while not condition(navs):
+        assert time.monotonic() < end, "in vain"
+        came = link.poll()
+        navs += came
+        each(came)
+        time.sleep(0.005)
+    return navs
+
+
+@BOTH
+def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind):
+    model, link = fly(kind)
+    with model._lock:
+        model.goal = model.position + (8.0, -4.0, 1.0)  # it moves: a wrong stamp is a wrong place
+        model.mode = FOLLOWS[ARDUPILOT] if kind == ARDUPILOT else PX4_HOLD
+    wait(link, lambda navs: len(navs) > 10)
+    begin = time.time_ns()
+    navs = wait(link, lambda navs: len(navs) > 20)
+    late = [1e-9 * (time.time_ns() - navs[-1].stamp_ns), 1e-9 * (navs[0].stamp_ns - begin)]
+    assert 0.0 <= late[0] < 0.25 and late[1] > -0.25
+    nose = rotation_from_quaternion(navs[-1].quaternion)[:, 0]
+    np.testing.assert_allclose(nose, [np.sin(0.7), np.cos(0.7), 0.0], atol=1e-5)
+    for before, after in zip(navs, navs[1:], strict=False):
+        assert after.stamp_ns > before.stamp_ns
+    span = 1e-9 * (navs[-1].stamp_ns - navs[0].stamp_ns)
+    mean = np.mean([nav.velocity for nav in navs], axis=0)
+    np.testing.assert_allclose(navs[-1].position - navs[0].position, span * mean, atol=0.1)
+    if kind == ARDUPILOT:
+        assert navs[-1].covariance is None
+    else:
+        np.testing.assert_allclose(
+            navs[-1].covariance.diagonal()[:3], [0.02, 0.01, 0.03], rtol=1e-5
+        )
+
+
+class Guide:
+    """Steps a landing ten times a second, without ROS."""
+
+    def __init__(self, model, link, config):
+        self.model, self.link, self.landing = model, link, Landing(config)
+        self.nav, self.order, self.then = None, None, 0.0
+        self.target, self.paused = np.array([0.0, 0.0, 0.0]), False
+
+    def __call__(self, navs):
+        self.nav = navs[-1] if navs else self.nav
+        now = time.monotonic()
+        if self.nav is None or now - self.then < 0.1 or self.paused:
+            return
+        self.then = now
+        link, nav = self.link, self.nav
+        target = None if self.target is None else Target(self.target, 0.1, 0.1)
+        age = 1e-9 * (time.time_ns() - nav.stamp_ns)
+        self.order = self.landing.step(Seen(
+            now, link.follows, link.armed, link.landed, now - link.heard, age,
+            nav.position, nav.velocity, 0.0, target, "withdrawn",
+        ))  # fmt: skip
+        link.fly_to(nav.position if self.order.point is None else self.order.point)
+        if self.order.target is not None:
+            link.show_target(self.order.target.place, nav)
+
+
+CONFIG = AutopilotConfig(
+    gate_height=5.0, commit_height=1.0, descent_speed=2.0, touchdown_speed=0.8, transit_speed=4.0
+)
+
+
+@BOTH
+def test_it_lands_within_centimetres_and_the_motors_are_stopped_as_each_takes_it(fly, kind):
+    model, link = fly(kind)
+    guide = Guide(model, link, CONFIG)
+    wait(link, lambda _: guide.order is not None, each=guide)
+    if kind == PX4:
+        assert not model.switch(FOLLOWS[PX4]), "before a second of set-points"
+    wait(link, lambda _: model.switch(FOLLOWS[kind]), each=guide)
+    down = lambda _: guide.order.state == TOUCHDOWN  # noqa: E731
+    wait(link, down, seconds=30.0, each=guide)
+    assert np.hypot(*model.landed_at[:2]) < 0.1 and model.left_offboard == 0
+    rates = np.diff([at for at, _ in model.points])
+    assert rates.max() < 0.45
+    link.settle(disarm=kind == PX4)
+    wait(link, lambda _: not model.armed)
+    assert model.mode == (LAND if kind == ARDUPILOT else FOLLOWS[PX4])
+
+
+@pytest.mark.parametrize("rate", [1.0, 10.0])
+def test_precision_landing_takes_the_target_at_the_rate_at_which_it_is_sent_and_not_at_1_hz(
+    fly, rate
+):
+    model, link = fly(ARDUPILOT)
+    navs = wait(link, lambda navs: len(navs) > 3)
+    place, due, end = np.array([1.0, 2.0, 0.0]), 0.0, time.monotonic() + 3.5
+    while time.monotonic() < end:
+        navs += link.poll()
+        if time.monotonic() >= due:
+            link.show_target(place, navs[-1])
+            due = time.monotonic() + 1.0 / rate
+        time.sleep(0.005)
+    assert model.precland.acquired == (rate > 2.0) and (model.precland.failed > 0) == (rate < 2.0)
+    north, east, down = model.precland.place
+    np.testing.assert_allclose([east, north, -down], place, atol=0.01)
+
+
+def test_px4_gets_the_target_in_its_local_frame(fly):
+    model, link = fly(PX4)
+    navs = wait(link, lambda navs: len(navs) > 3)
+    link.show_target(np.array([1.0, 2.0, 0.5]), navs[-1])
+    wait(link, lambda _: model.targets)
+    _, frame, vector = model.targets[-1]
+    assert frame == 1
+    np.testing.assert_allclose(vector, [2.0, 1.0, -0.5], atol=1e-6)
+
+
+@BOTH
+def test_a_companion_that_dies_on_the_way_down_leaves_the_vehicle_to_its_autopilot(fly, kind):
+    """ArduPilot stays at the last set-point, above the ground; PX4 leaves offboard and says so."""
+    model, link = fly(kind)
+    guide = Guide(model, link, CONFIG)
+    wait(link, lambda _: guide.order is not None and model.switch(FOLLOWS[kind]), each=guide)
+    wait(link, lambda _: model.enu[2] < 3.5, seconds=20.0, each=guide)
+    guide.paused = True
+    wait(link, lambda _: True)
+    time.sleep(1.5)
+    if kind == ARDUPILOT:
+        assert model.enu[2] > 0.9 * CONFIG.commit_height and model.mode == FOLLOWS[kind]
+    else:
+        assert model.left_offboard == 1 and model.mode == PX4_LAND
+
+
+def test_heartbeats_of_others_are_not_the_autopilots(fly):
+    model, link = fly(ARDUPILOT)
+    wait(link, lambda _: link.kind is not None)
+    model._link.mav.srcSystem, kept = 255, model._link.mav.srcSystem
+    model._say("heartbeat", 6, 8, 0, 4, 4)  # a ground station that says "mode 4"
+    model._link.mav.srcSystem = kept
+    wait(link, lambda navs: len(navs) > 3)
+    assert link.mode == LOITER and not link.follows
+
+
+def test_a_connection_that_is_none_is_one_line():
+    with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
+        Link("tcp:nowhere:1:2", 57600, time.time_ns)

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ArduPilot and PX4 accept, as a small model with a vehicle below it, over MAVLink's bytes.
+
+Written from their documentation and sources (AC_PrecLand, modes guided and land; precland,
+offboard). The vehicle follows its set-points as a point of first order in speed.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+
+import numpy as np
+
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PLACE_ALONE, PX4, dialect
+
+LOITER, LAND = 5, 9
+PX4_HOLD, PX4_LAND = 4 << 16 | 3 << 24, 4 << 16 | 6 << 24
+STEP_S = 0.01
+PLND_TIMEOUT_S, PLND_BETWEEN_S, PLND_INIT_S = 2.0, 0.5, 2.0
+OFFBOARD_LOSS_S, OFFBOARD_PROOF_S = 0.5, 1.0
+LAND_SPEED = 1.0
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class PrecLand:
+    """AC_PrecLand's default estimator: when a target counts."""
+
+    def __init__(self):
+        self.last = self.began = -np.inf
+        self.initialised = self.acquired = False
+        self.place = None
+        self.failed = 0
+
+    def take(self, now, place):
+        if not self.initialised:
+            self.initialised, self.began = True, now
+        self.last, self.place = now, place
+
+    def step(self, now):
+        if now - self.last > PLND_TIMEOUT_S:
+            self.initialised = self.acquired = False
+        if self.initialised and not self.acquired:
+            if now - self.last > PLND_BETWEEN_S:
+                self.initialised, self.failed = False, self.failed + 1
+            elif now - self.began > PLND_INIT_S:
+                self.acquired = True
+
+
+class Autopilot(threading.Thread):
+    """One of the two, armed in the air; ends with its context.
+
+    Attributes:
+        position, velocity: NED of its origin, m and m/s.
+        mode, armed: As its heartbeat says.
+        frozen: Poses are sent no more; heartbeats are.
+        cut: Nothing passes in either direction.
+        delay: Of poses, s.
+        landed_at: Where it came to the ground, or None.
+        points: Set-points that it took: time and NED.
+        boot: When its clock began, by this computer's clock, s.
+    """
+
+    def __init__(self, kind, place_enu, ground=0.0, speed=4.0):
+        super().__init__(daemon=True)
+        self.kind, self.ground, self.speed = kind, ground, speed
+        east, north, up = place_enu
+        self.position, self.velocity = np.array([north, east, -up], float), np.zeros(3)
+        self.mode = LOITER if kind == ARDUPILOT else PX4_HOLD
+        self.armed, self.landed_at = True, None
+        self.frozen = self.cut = False
+        self.delay, self.yaw, self.shift = 0.0, 0.7, np.zeros(3)
+        self.precland = PrecLand()
+        self.points, self.texts, self.targets, self.left_offboard = [], [], [], 0
+        self.boot = time.time() - 12345.0
+        self.goal = self.position.copy()
+        self.port = free_port()
+        self._rates = {}
+        self._end = threading.Event()
+        self._lock = threading.Lock()
+
+    @property
+    def connection(self):
+        return f"udpin:127.0.0.1:{self.port}"
+
+    @property
+    def enu(self):
+        north, east, down = self.position
+        return np.array([east, north, -down])
+
+    def switch(self, mode):
+        """The pilot's switch, or a command; False where it is refused."""
+        with self._lock:
+            return self._switch(mode)
+
+    def __enter__(self):
+        mavutil = dialect()
+        self._link = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{self.port}", source_system=7, source_component=1
+        )
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self._end.set()
+        self.join(5.0)
+        self._link.close()
+
+    def run(self):
+        begin, steps, pending = time.monotonic(), 0, []
+        base = self._clock()
+        while not self._end.is_set():
+            now = time.monotonic() - begin
+            self._now = now
+            with self._lock:
+                while (message := self._link.recv_msg()) is not None:
+                    if not self.cut:
+                        self._take(message, now)
+                while steps * STEP_S < now:
+                    self._step(steps * STEP_S)
+                    steps += 1
+                    if steps % 2 == 0 and not self.frozen:
+                        pending.append((now + self.delay, self._poses(base + steps * STEP_S)))
+                    if steps % 20 == 0:
+                        pending.append((now, [("extended_sys_state", (0, 1 + (not self._down)))]))
+                    if steps % 50 == 0:
+                        bits = 1 | 128 * self.armed
+                        beat = (2, self.kind, bits, self.mode, 4)
+                        pending.append((now, [("heartbeat", beat)]))
+            while pending and pending[0][0] <= now:
+                for name, values in pending.pop(0)[1]:
+                    self._say(name, *values)
+            time.sleep(0.002)
+
+    @property
+    def _down(self):
+        return -self.position[2] <= self.ground + 1e-3
+
+    def _say(self, name, *values):
+        if not self.cut:
+            try:
+                getattr(self._link.mav, f"{name}_send")(*values)
+            except OSError:
+                pass
+
+    def _clock(self):
+        return time.time() - self.boot
+
+    def _north_of_body(self):
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def _poses(self, at):
+        half = 0.5 * self.yaw
+        q = (np.cos(half), 0.0, 0.0, np.sin(half))
+        place = self.position + self.shift
+        if self.kind == PX4:
+            body = self._north_of_body().T @ self.velocity
+            upper = np.zeros(21)
+            upper[[0, 6, 11, 15, 18, 20]] = 0.01, 0.02, 0.03, 1e-4, 2e-4, 3e-4
+            values = (round(1e6 * at), 1, 12, *place, q, *body, 0.0, 0.0, 0.0, upper, upper)
+            return [("odometry", values)] if 331 in self._rates else []
+        said = []
+        if 32 in self._rates:
+            said.append(("local_position_ned", (round(1e3 * at), *place, *self.velocity)))
+        if 31 in self._rates:
+            said.append(("attitude_quaternion", (round(1e3 * at), *q, 0.0, 0.0, 0.0)))
+        return said
+
+    def _take(self, message, now):
+        kind = message.get_type()
+        if kind == "TIMESYNC" and message.tc1 == 0:
+            self._say("timesync", round(1e9 * self._clock()), message.ts1)
+        elif kind == "STATUSTEXT":
+            self.texts.append(message.text)
+        elif kind == "COMMAND_LONG" and message.command == 511:
+            self._rates[int(message.param1)] = message.param2
+        elif kind == "COMMAND_LONG" and message.command == 176:
+            px4 = int(message.param2) << 16 | int(message.param3) << 24
+            self._switch(px4 if self.kind == PX4 else int(message.param2))
+        elif kind == "COMMAND_LONG" and message.command == 400 and self._down:
+            self.armed = bool(message.param1)
+        elif kind == "SET_POSITION_TARGET_LOCAL_NED":
+            self._on_point(message, now)
+        elif kind == "LANDING_TARGET" and message.position_valid:
+            self._on_target(message, now)
+
+    def _on_point(self, message, now):
+        place = np.array([message.x, message.y, message.z])
+        good = message.coordinate_frame == 1 and message.type_mask == PLACE_ALONE
+        assert good and np.isfinite(place).all(), "neither of the two takes this"
+        self.points.append((now, place))
+        if self.mode == FOLLOWS[self.kind]:
+            self.goal = place
+
+    def _on_target(self, message, now):
+        vector = np.array([message.x, message.y, message.z])
+        self.targets.append((now, message.frame, vector))
+        if self.kind == ARDUPILOT and message.frame == 12 and message.distance > 0.0:
+            self.precland.take(now, self.position + self._north_of_body() @ vector)
+
+    def _switch(self, mode):
+        if mode == FOLLOWS[PX4] and self.kind == PX4:
+            times = np.array([at for at, _ in self.points if at > self._now - OFFBOARD_PROOF_S])
+            steady = len(times) > 2 and np.diff(times).max() < OFFBOARD_LOSS_S
+            if not steady or self._now - times[-1] > OFFBOARD_LOSS_S:
+                return False
+        self.mode, self.goal = mode, self.position.copy()
+        return True
+
+    def _step(self, now):
+        self.precland.step(now)
+        if not self.armed:
+            self.velocity[:] = 0.0
+            return
+        offboard = self.kind == PX4 and self.mode == FOLLOWS[PX4]
+        if offboard and now - self.points[-1][0] > OFFBOARD_LOSS_S:
+            self.left_offboard += 1
+            self._switch(PX4_LAND)
+        if self.mode in (LAND, PX4_LAND):
+            if self.kind == ARDUPILOT and self.precland.acquired:
+                self.goal[:2] = self.precland.place[:2]
+            self.goal[2] = self.position[2] + LAND_SPEED
+        wanted = np.clip(1.5 * (self.goal - self.position), -self.speed, self.speed)
+        self.velocity += (wanted - self.velocity) * STEP_S / 0.15
+        self.position += self.velocity * STEP_S
+        if -self.position[2] <= self.ground:
+            self.position[2] = -self.ground
+            self.velocity[:] = 0.0
+            if self.landed_at is None:
+                self.landed_at = self.enu
+            if self.mode in (LAND, PX4_LAND):
+                self.armed = False
+        elif -self.position[2] > self.ground + 0.2:
+            self.landed_at = None

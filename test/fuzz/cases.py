@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages and states of which parts are spoilt: denormals, extremes, lies about sizes."""
+
+from __future__ import annotations
+
+import array
+import math
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from messages import samples
+
+WHOLE = [0, 1, 2, 3, 4, 7, 8, 12, 16, 255, 2**16, 2**22, 2**22 + 1, 2**31 - 1, 2**31, 2**32 - 1]
+NUMBERS = [0.0, -0.0, 1.0, -1.0, 2.0**0.5, math.inf, -math.inf, math.nan]
+NUMBERS += [
+    sign * 10.0**n for n in (-320, -200, -160, -44, -9, 7, 9, 12, 38, 160) for sign in (1, -1)
+]
+NUMBERS += [5e-324, 1.7e308, -1.7e308, 3.4e38]
+NAMES = ["x", "y", "z", "t", "time", "range", "azimuth", "elevation", "", "x\n\x1b[2J", "q" * 10**5]
+FRAMES = ["map", "/map", "", "odom\nERROR all is well", "\x1b]0;title\x07", "m" * 10**6, "\u202e"]
+CONTAINERS = [np.asarray, bytes, lambda data: array.array("B", bytes(data))]
+KINDS = [("f4",) * 3, ("f8",) * 3, ("f4", "f8", "f4")]
+
+
+def one_of(rng: np.random.Generator, among: Sequence[Any]) -> Any:
+    return among[rng.integers(len(among))]
+
+
+def extreme(rng: np.random.Generator) -> float:
+    """A number as it stands in no good message, or a usual one of any size."""
+    if rng.random() < 0.6:
+        return float(one_of(rng, NUMBERS))
+    return float(rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-25, 25))
+
+
+@np.errstate(over="ignore", invalid="ignore")  # what is written may not fit its type
+def random_cloud(rng: np.random.Generator, stamp_ns: int) -> SimpleNamespace:
+    """A well-formed cloud with up to two of its parts spoilt."""
+    shape = (int(rng.integers(1, 5)), int(rng.integers(1, 6)), 3)
+    points = rng.normal(scale=one_of(rng, [1.0, 10.0, 100.0, 1e7]), size=shape)
+    points[rng.random(shape) < 0.1] = extreme(rng)
+    names = ("x", "y", "z") if rng.random() < 0.7 else ("range", "azimuth", "elevation")
+    times = None
+    if rng.random() < 0.3:
+        kind = one_of(rng, ["u4", "i4", "f4", "f8"])
+        late = one_of(rng, [0.0, 1e-320, 1.0, 1e8, 1e18]) * rng.random(shape[:2])
+        times = (one_of(rng, ["t", "time", "timestamp"]), kind, late.astype(kind))
+    cloud = samples.cloud(
+        points,
+        names=names,
+        kinds=one_of(rng, KINDS),
+        order=one_of(rng, ["<", ">"]),
+        lead=int(rng.integers(0, 4)),
+        gap=int(rng.integers(0, 5)),
+        row_padding=int(rng.integers(0, 9)),
+        stamp_ns=stamp_ns if rng.random() < 0.9 else int(rng.integers(0, 2**31)) * 10**9,
+        container=one_of(rng, CONTAINERS),
+        times=times,
+    )
+    for _ in range(rng.integers(0, 3)):
+        spoil_cloud(cloud, rng)
+    return cloud
+
+
+def spoil_cloud(cloud: SimpleNamespace, rng: np.random.Generator) -> None:
+    """One part of a cloud becomes something that no publisher should send."""
+    which = rng.integers(9)
+    if which == 0:
+        name = one_of(rng, ["height", "width", "point_step", "row_step"])
+        setattr(cloud, name, one_of(rng, WHOLE))
+    elif which == 1:
+        cloud.is_bigendian = not cloud.is_bigendian
+    elif which == 2:
+        cloud.data = cut(cloud.data, rng)
+    elif which == 3:
+        cloud.data = rng.integers(0, 256, len(cloud.data), dtype=np.uint8)
+    elif which == 4 and cloud.fields:
+        field = cloud.fields[rng.integers(len(cloud.fields))]
+        field.name = one_of(rng, NAMES)
+    elif which == 5 and cloud.fields:
+        field = cloud.fields[rng.integers(len(cloud.fields))]
+        name = one_of(rng, ["offset", "datatype", "count"])
+        setattr(field, name, one_of(rng, WHOLE))
+    elif which == 6 and cloud.fields:
+        place = int(rng.integers(len(cloud.fields)))
+        cloud.fields = cloud.fields[:place] + cloud.fields[place + rng.integers(2) :] * 2
+    elif which == 7:
+        cloud.header.frame_id = one_of(rng, FRAMES)
+    else:
+        cloud.header.stamp.nanosec = one_of(rng, [0, 999_999_999, 2**32 - 1])
+
+
+def cut(data: Any, rng: np.random.Generator) -> bytes:
+    """The first of some bytes, and others behind them."""
+    end = int(rng.integers(0, len(data) + 1))
+    return bytes(data)[:end] + bytes(rng.integers(0, 256, rng.integers(0, 9), dtype=np.uint8))
+
+
+def random_pose(rng: np.random.Generator, good: SimpleNamespace) -> SimpleNamespace:
+    """A good pose, or one with any turn, place and covariance, with up to three parts spoilt."""
+    pose = good
+    if rng.random() < 0.5:
+        turn = rng.normal(size=4)
+        root = rng.normal(size=(6, 6)) * one_of(rng, [1e-160, 1e-6, 1e-2, 1.0, 1e4])
+        pose = samples.pose(
+            stamp_ns=good.header.stamp.sec * 10**9 + good.header.stamp.nanosec,
+            position=rng.normal(scale=one_of(rng, [1e-300, 10.0, 1e3, 1e7]), size=3),
+            xyzw=turn / np.linalg.norm(turn),
+            covariance=root @ root.T,
+        )
+    for _ in range(rng.integers(0, 4)):
+        which, held = rng.integers(7), pose.pose
+        if which == 0:
+            setattr(held.pose.position, "xyz"[rng.integers(3)], extreme(rng))
+        elif which == 1:
+            setattr(held.pose.orientation, "xyzw"[rng.integers(4)], extreme(rng))
+        elif which == 2 and len(held.covariance) == 36:
+            held.covariance[rng.integers(36)] = extreme(rng)
+        elif which == 3:
+            held.covariance = np.full(one_of(rng, [0, 35, 36, 37]), extreme(rng))
+        elif which == 4 and len(held.covariance) == 36:
+            with np.errstate(over="ignore", invalid="ignore"):
+                held.covariance = held.covariance * 10.0 ** rng.uniform(-320, 30)
+        elif which == 5:
+            pose.header.frame_id = one_of(rng, FRAMES)
+        else:
+            pose.header.stamp.nanosec = one_of(rng, [0, 10**9, 2**32 - 1])
+    return pose
+
+
+def random_transform(rng: np.random.Generator, stamp_ns: int) -> SimpleNamespace:
+    """Body to lidar, with up to two parts spoilt."""
+    turn = rng.normal(size=4)
+    turn /= np.linalg.norm(turn)
+    place = SimpleNamespace(**dict(zip("xyz", rng.normal(size=3).tolist(), strict=True)))
+    quaternion = SimpleNamespace(**dict(zip("xyzw", turn.tolist(), strict=True)))
+    transform = SimpleNamespace(
+        header=samples.header(stamp_ns, "body"),
+        child_frame_id="lidar",
+        transform=SimpleNamespace(translation=place, rotation=quaternion),
+    )
+    for _ in range(rng.integers(0, 3)):
+        which = rng.integers(5)
+        if which == 0:
+            setattr(place, "xyz"[rng.integers(3)], extreme(rng))
+        elif which == 1:
+            setattr(quaternion, "xyzw"[rng.integers(4)], extreme(rng))
+        elif which == 2:
+            transform.child_frame_id = one_of(rng, [*FRAMES, "body", "lidar", "a", "b"])
+        elif which == 3:
+            transform.header.frame_id = one_of(rng, [*FRAMES, "body", "lidar", "a", "b"])
+        else:
+            transform.header.stamp.nanosec = one_of(rng, [0, 10**9, 2**32 - 1])
+    return transform
+
+
+def random_polygon(rng: np.random.Generator) -> SimpleNamespace:
+    """Any number of corners anywhere."""
+    count = int(one_of(rng, [0, 1, 2, 3, 3, 4, 4, 5, 9, 1000, 1001]))
+    corners = 8.0 + rng.normal(scale=10.0 ** rng.uniform(-3, 2), size=(count, 2))
+    if count and rng.random() < 0.5:
+        corners[rng.random((count, 2)) < 0.3] = extreme(rng)
+    if rng.random() < 0.2:
+        corners[:] = corners[:1]
+    points = [SimpleNamespace(x=x, y=y, z=extreme(rng)) for x, y in corners.tolist()]
+    return SimpleNamespace(
+        header=samples.header(0, one_of(rng, ["map"] * 9 + FRAMES)),
+        polygon=SimpleNamespace(points=points),
+    )
+
+
+def random_target(rng: np.random.Generator) -> SimpleNamespace:
+    x, y = (extreme(rng) if rng.random() < 0.5 else rng.normal(8.0, 9.0) for _ in range(2))
+    frame = one_of(rng, ["map"] * 9 + FRAMES)
+    return SimpleNamespace(
+        header=samples.header(0, frame), point=SimpleNamespace(x=x, y=y, z=extreme(rng))
+    )
+
+
+def random_dispersion(rng: np.random.Generator) -> SimpleNamespace:
+    pose = samples.pose(covariance=np.diag(rng.exponential(4.0, 6)))
+    pose = random_pose(rng, pose) if rng.random() < 0.5 else pose
+    if len(pose.pose.covariance) == 36:
+        for place in (0, 7, 35):
+            if rng.random() < 0.4:
+                pose.pose.covariance[place] = abs(extreme(rng))
+    return pose
+
+
+def spoil_values(values: np.ndarray, rng: np.random.Generator) -> None:
+    """Some or all of an array of numbers, in place."""
+    if not values.size:
+        return
+    where = rng.random(values.shape) < one_of(rng, [0.01, 0.3, 1.0])
+    where.reshape(-1)[rng.integers(values.size)] = True
+    with np.errstate(all="ignore"):
+        if values.dtype.kind == "f":
+            by = extreme(rng)
+            many = np.count_nonzero(where)
+            values[where] = one_of(
+                rng,
+                [np.full(many, by), values[where] * by, values[where] + by, -values[where]],
+            )
+        else:
+            values[where] = np.array(one_of(rng, WHOLE)).astype(values.dtype)

@@ -1,0 +1,449 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every input through its decoder to what works with it, and on to what is sent.
+
+Of each case is said what became of it: taken, or refused by which reason. What is taken must leave
+a sound map and sound sites, in numbers that the messages can hold.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import resource
+import warnings
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from core.builders import assert_sound, configured, make_pose, scan, scattered
+from fuzz import cases
+from fuzz.cases import extreme, one_of
+from messages import samples
+
+from quadtree_lss.onboard.config.settings import (
+    Config,
+    ConfigError,
+    config_from_values,
+    parameters,
+)
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.intake import Intake
+from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, record_dtype
+from quadtree_lss.onboard.messages.outputs import MessageMaker, map_from_messages
+
+TAKEN = "taken"
+HEIGHT = 25.0
+LANDING = {"vehicle_diameter": 2.0, "grid_spacing": 1.0, "sites": 3, "dispersion": 0.5}
+CONFIGS = [
+    configured(domain={"max_level": 5}, lss={**LANDING, **more})
+    for more in (
+        {"assessment": "probability", "ranking": "probability"},
+        {"assessment": "touchdown", "ranking": "score"},
+        {"assessment": "paper", "ranking": "score"},
+    )
+]
+
+
+class Types(dict[str, Any]):
+    """Message classes that take anything."""
+
+    def __missing__(self, name: str) -> Any:
+        return SimpleNamespace
+
+
+def packed(values: np.ndarray) -> array[int]:
+    out = array(values.dtype.char)
+    out.frombytes(values.tobytes())
+    return out
+
+
+MAKER = MessageMaker(Types(), packed, "map")
+
+
+def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 0.05 * x + 1.0 * (np.hypot(x - 12.0, y - 12.0) < 1.5)
+
+
+def good_points(rng: np.random.Generator, count: int = 300) -> np.ndarray:
+    """(N, 3) in lidar axes, of a lidar over the middle that looks down."""
+    pose = make_pose((8.0, 8.0, HEIGHT))
+    return scan(ground, *scattered(rng, 0.0, 0.0, 16.0, count), pose, 0.03, rng)
+
+
+def mapped_scene(config: Config) -> Mapper:
+    mapper, rng = Mapper(config), np.random.default_rng(3)
+    for k in range(4):
+        pose = make_pose((8.0, 8.0, HEIGHT), 1e-6 * np.eye(6), 10**9 + 10**8 * k)
+        mapper.update(good_points(rng, 3000), pose)
+    return mapper
+
+
+def judge(cells: CellMap, selector: LandingSiteSelector, **wanted: Any) -> None:
+    """Landing on a map, and all that is said of it."""
+    found = selector.assess(cells, **wanted)
+    domain, sites = cells.domain, found.sites
+    assert np.isfinite(sites.position).all() and np.isfinite(sites.normal).all()
+    assert np.isfinite(sites.score).all() and np.isfinite(sites.hazard_distance).all()
+    for axis, low in enumerate((domain.xmin, domain.ymin)):
+        assert (np.abs(sites.position[:, axis] - low - 0.5 * domain.size) <= domain.size).all()
+    share = found.probability[np.isfinite(found.probability)]
+    assert ((share >= 0.0) & (share <= 1.0)).all()
+    for _, message in MAKER.of_landing(found, 0.0):
+        assert message is not None
+    MAKER.grid_map(found)
+    if found.selected.id:
+        covariance = found.selected.covariance
+        assert np.isnan(covariance).all() or (covariance.diagonal() >= 0.0).all()
+
+
+def sent_and_read(cells: CellMap, config: Config) -> CellMap:
+    """The map as lss_node has it."""
+    (_, cloud), (_, grid) = MAKER.of_map(cells)
+    return map_from_messages(cloud, grid, config.lss)
+
+
+class Flight:
+    """mapping_node's part: good scans and poses, and of one kind bad ones among them."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng, self.kind = rng, kind
+        mount = {"mount.gimbal": kind == "gimbal", "mount.tf": kind == "transforms"}
+        self.config = config_from_values(
+            {"frames.body": "body" if mount["mount.tf"] else "", **mount}, one_of(rng, CONFIGS)
+        )
+        self.selectors = LandingSiteSelector(self.config)
+        self.intake, self.mapper = Intake(self.config), Mapper(self.config)
+        self.now = 10**9
+        self.sent = self.mapped = self.told = 0
+        self.sound: Counter[str] = Counter()
+
+    def send(self) -> str:
+        self.sent += 1
+        self.now += 10**8
+        refused, poses = self._refused(), self.intake.poses_taken
+        pose = self._pose()
+        if self.kind in ("pose", "odometry"):
+            pose = cases.random_pose(self.rng, pose)
+        if self.kind == "odometry":
+            pose.child_frame_id = one_of(self.rng, ["body"] * 9 + cases.FRAMES)
+        turn = cases.random_transform(self.rng, self.now)
+        cloud = samples.cloud(good_points(self.rng, 60), stamp_ns=self.now)
+        if self.kind == "cloud":
+            cloud = cases.random_cloud(self.rng, self.now)
+        with np.errstate(all="raise", under="ignore"):
+            if self.kind == "gimbal":
+                self.intake.on_gimbal(turn)
+            if self.kind == "transforms":
+                count = int(self.rng.integers(0, 4))
+                more = [cases.random_transform(self.rng, self.now) for _ in range(count)]
+                self.intake.on_transforms(SimpleNamespace(transforms=[turn, *more]))
+            self.intake.on_pose(pose)
+            self.intake.on_cloud(cloud, self.now)
+        notices = self.intake.notices()
+        assert all(len(text) < 1100 and text.isprintable() for _, text in notices)
+        for scan_ in self.intake.ready(self.now):
+            report = self.mapper.update(scan_.points_lidar, scan_.pose, scan_.sweep)
+            assert report.points_used + sum(report.dropped.values()) == report.points
+            self.mapped += 1
+        if self.sent % 20 == 0:
+            cells = self.mapper.snapshot()
+            assert_sound(cells)
+            judge(sent_and_read(cells, self.config), self.selectors)
+        gone = self._refused() - refused
+        if not gone:
+            return TAKEN
+        (reason, _), *_ = gone.items()
+        return str(reason)
+
+    def _pose(self) -> SimpleNamespace:
+        covariance = np.diag([1e-4] * 3 + [1e-8] * 3)
+        turn = (1, 0, 0, 0) if self.kind not in ("gimbal", "transforms") else (0, 0, 0, 1)
+        return samples.pose(self.now, (8.0, 8.0, HEIGHT), turn, covariance)
+
+    def _refused(self) -> Counter[str]:
+        """What cannot be used, of the messages of the kind in question."""
+        word = {"odometry": "pose", "transforms": "transform"}.get(self.kind, self.kind)
+        return Counter({k: n for k, n in self.intake.rejected.items() if k.startswith(word)})
+
+    def close(self, told: Counter[str]) -> None:
+        """The node's own counters are closed, too."""
+        self.intake.finish()
+        refused = self._refused().total()
+        if self.kind == "cloud":
+            assert self.intake.scans + refused == self.sent
+        if self.kind in ("pose", "odometry"):
+            assert 0 <= self.sent - self.intake.poses_taken - refused < PATIENCE
+        assert self.mapped + sum(self.intake.queue.dropped.values()) == self.intake.scans
+        assert self.mapped > 0
+
+
+class Maps:
+    """lss_node's part: ``map/cells`` or ``map/observed`` spoilt."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng, self.kind = rng, kind
+        self.config = one_of(rng, CONFIGS)
+        self.selector = LandingSiteSelector(self.config)
+        self.cells = mapped_scene(self.config).snapshot()
+
+    def send(self) -> str:
+        (_, cloud), (_, grid) = MAKER.of_map(self.cells)
+        for _ in range(self.rng.integers(1, 4)):
+            (self.spoil_cells if self.kind == "map" else self.spoil_observed)(cloud, grid)
+        try:
+            with np.errstate(all="raise", under="ignore"):
+                cells = map_from_messages(cloud, grid, self.config.lss)
+        except MessageError as error:
+            assert str(error).isprintable()
+            return error.reason
+        judge(cells, self.selector)
+        return TAKEN
+
+    def spoil_cells(self, cloud: SimpleNamespace, grid: SimpleNamespace) -> None:
+        rng, which = self.rng, self.rng.integers(8)
+        kinds = record_dtype(CELL_FIELDS)
+        whole = len(cloud.data) % kinds.itemsize == 0
+        if which <= 3 and whole:
+            records = np.frombuffer(bytes(cloud.data), kinds).copy()
+            cases.spoil_values(records[one_of(rng, kinds.names)], rng)
+            cloud.data = array("B", records.tobytes())
+        elif which == 4 and whole:  # another scale
+            records = np.frombuffer(bytes(cloud.data), kinds).copy()
+            scale = 10.0 ** rng.uniform(-25, 25)
+            with np.errstate(all="ignore"):
+                for name in one_of(rng, [["size"], ["size", "x", "y", "z", "elevation"]]):
+                    records[name] *= scale
+            cloud.data = array("B", records.tobytes())
+        elif which == 5:
+            cloud.data = cases.cut(cloud.data, rng)
+        elif which == 6 and whole and len(cloud.data):  # leaves twice, exchanged or left out
+            records = np.frombuffer(bytes(cloud.data), kinds)
+            records = records[rng.integers(0, len(records), len(records) + rng.integers(-1, 2))]
+            cloud.data, cloud.width = array("B", records.tobytes()), len(records)
+        else:
+            cloud.fields = list(cloud.fields)
+            cloud.fields = [SimpleNamespace(**vars(field)) for field in cloud.fields]
+            cases.spoil_cloud(cloud, rng)
+
+    def spoil_observed(self, cloud: SimpleNamespace, grid: SimpleNamespace) -> None:
+        rng, which = self.rng, self.rng.integers(6)
+        if which == 0:
+            setattr(grid.info, one_of(rng, ["width", "height"]), one_of(rng, cases.WHOLE))
+        elif which == 1:
+            setattr(grid.info.origin.position, one_of(rng, "xy"), extreme(rng))
+        elif which == 2:
+            grid.info.resolution = extreme(rng)
+        elif which == 3:
+            grid.data = array("b", rng.integers(-128, 128, len(grid.data), dtype=np.int8).tobytes())
+        elif which == 4:
+            grid.data = array("b", cases.cut(grid.data, rng))
+        else:
+            grid.header.frame_id = one_of(rng, cases.FRAMES)
+
+    def close(self, told: Counter[str]) -> None:
+        assert told[TAKEN] and len(told) > 3
+
+
+class Wishes:
+    """lss_node's part: what guidance says."""
+
+    MAKE: dict[str, Callable[[np.random.Generator], SimpleNamespace]] = {
+        "area": cases.random_polygon,
+        "keep_out": cases.random_polygon,
+        "target": cases.random_target,
+        "dispersion": cases.random_dispersion,
+    }
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng, self.kind = rng, kind
+        self.config = CONFIGS[0] if kind == "dispersion" else one_of(rng, CONFIGS)
+        self.selector = LandingSiteSelector(self.config)
+        self.cells = mapped_scene(self.config).snapshot()
+        self.wishes = LandingWishes("map")
+
+    def send(self) -> str:
+        reason = TAKEN
+        try:
+            with np.errstate(all="raise", under="ignore"):
+                self.wishes.take(self.kind, self.MAKE[self.kind](self.rng))
+        except MessageError as error:
+            assert str(error).isprintable() and self.kind in self.wishes.unusable
+            reason = error.reason
+        judge(self.cells, self.selector, **self.wishes.arguments())
+        return reason
+
+    def close(self, told: Counter[str]) -> None:
+        assert told[TAKEN] and told["frame"]
+
+
+class Settings:
+    """Parameters from declaration to map and sites."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng = rng
+        self.rows = [row for row in parameters() if row.name != "lss.risk_model"]
+
+    def send(self) -> str:
+        rng, values = self.rng, {"domain.max_level": int(self.rng.integers(3, 6))}
+        values["domain.min_level"] = 2
+        values["domain.size"] = float(one_of(rng, [8.0, 16.0, 20.0]))
+        for place in rng.integers(0, len(self.rows), rng.integers(1, 6)):
+            values[self.rows[place].name] = self.value(self.rows[place])
+        if isinstance(level := values["domain.max_level"], int):
+            values["domain.max_level"] = min(level, 7)  # time, not kinds
+        try:
+            config = config_from_values(values)
+        except ConfigError as error:
+            assert str(error).isprintable()
+            return "refused"
+        mapper, d = Mapper(config), config.domain
+        middle = np.array([d.xmin + 0.5 * d.size, d.ymin + 0.5 * d.size, HEIGHT])
+        for k in range(2):
+            pose = make_pose(tuple(middle), 1e-6 * np.eye(6), 10**9 + 10**8 * k)
+            points = np.column_stack(
+                [*(0.5 * d.size * rng.uniform(-1, 1, (2, 400))), HEIGHT + rng.normal(0, 0.03, 400)]
+            )
+            mapper.update(points, pose)
+        cells = mapper.snapshot()
+        assert_sound(cells)
+        selector = LandingSiteSelector(config)
+        for _ in range(2):
+            judge(sent_and_read(cells, config), selector)
+        return TAKEN
+
+    def value(self, row: Any) -> Any:
+        rng = self.rng
+        if rng.random() < 0.1:
+            return one_of(rng, [None, "text", True, 3, [1.0], {}, "", float("nan"), 10**400])
+        if row.choices:
+            return one_of(rng, [*row.choices, "none of them"])
+        if row.type is bool:
+            return bool(rng.integers(2))
+        if row.type is str:
+            return one_of(rng, cases.NAMES)
+        low, high = max(row.low, -1e300), min(row.high, 1e300)
+        if row.type is int:
+            return int(one_of(rng, [low, high, low + 1, high - 1, rng.integers(low, high + 1)]))
+        small = float(np.clip(10.0 ** rng.uniform(-320, 6), low, high))
+        between = low + (high - low) * 10.0 ** rng.uniform(-6, 0)
+        return float(one_of(rng, [low, high, small, between, extreme(rng)]))
+
+    def close(self, told: Counter[str]) -> None:
+        assert told[TAKEN] and told["refused"]
+
+
+class Checkpoints:
+    """A file with right checksums and wrong numbers, taken up; then a good scan."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng = rng
+        self.config = one_of(rng, CONFIGS)
+        self.selector = LandingSiteSelector(self.config)
+        self.good = mapped_scene(self.config)
+        self.state = self.good.export_state()
+        self.sent = 0
+
+    def send(self) -> str:
+        self.sent += 1
+        state = {name: array.copy() for name, array in self.state.items()}
+        touched = set()
+        for _ in range(self.rng.integers(1, 3)):
+            name = one_of(self.rng, ["leaves"] * 9 + [name for name in state if name != "leaves"])
+            column = one_of(self.rng, state[name].dtype.names or [""])
+            touched.add(column or name)
+            values = state[name][column] if column else np.atleast_1d(state[name])
+            cases.spoil_values(values, self.rng)
+            if not column:
+                state[name] = values.reshape(state[name].shape)
+        mapper = Mapper(self.config)
+        try:
+            mapper.import_state(from_bytes(to_bytes(state)))
+        except CheckpointError as error:
+            assert str(error).isprintable()
+            return str(error).partition(":")[0]
+        before = mapper.snapshot()
+        assert_sound(before)
+        cells = sent_and_read(before, self.config)
+        rng = np.random.default_rng(5)
+        for k in range(2):
+            stamp = 2 * 10**9 + 10**8 * k
+            pose = make_pose((8.0, 8.0, HEIGHT), 1e-6 * np.eye(6), stamp)
+            mapper.update(good_points(rng, 300), pose)
+        cells = sent_and_read(mapper.snapshot(), self.config)
+        assert_sound(cells)
+        again = Mapper(self.config)
+        again.import_state(from_bytes(to_bytes(mapper.export_state())))
+        if self.sent % 5 == 0:
+            judge(cells, self.selector)
+        if not touched & {"z", "normal", "low", "high"}:
+            x, y = scattered(rng, 0.0, 0.0, 16.0, 50)
+            known = cells.known[(2 * y).astype(int), (2 * x).astype(int)]
+            off = cells.at(x, y).height - ground(x, y)
+            assert (np.abs(off[known & np.isfinite(off)]) < 2.0).all(), touched
+        return TAKEN
+
+    def close(self, told: Counter[str]) -> None:
+        assert told[TAKEN] and len(told) > 3
+
+
+INPUTS: dict[str, Callable[[np.random.Generator, str], Any]] = {
+    **dict.fromkeys(("cloud", "pose", "odometry", "gimbal", "transforms"), Flight),
+    **dict.fromkeys(("map", "observed"), Maps),
+    **dict.fromkeys(Wishes.MAKE, Wishes),
+    "parameters": Settings,
+    "checkpoint": Checkpoints,
+}
+STRETCH = 200
+"""Cases after which everything begins anew."""
+LONGEST_S = 90.0
+"""For a stretch; a compiled loop that does not end can only be killed."""
+MOST_BYTES = 3_000_000_000
+
+
+@contextmanager
+def bounded() -> Iterator[None]:
+    """NumPy's warnings are errors, and memory has an end."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MOST_BYTES, hard))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def attack(kind: str, seed: int, count: int) -> Counter[str]:
+    """So many cases of one input; what became of them, which is all of them.
+
+    Raises:
+        AssertionError: one broke something; names the stretch in which it did.
+    """
+    total: Counter[str] = Counter()
+    with bounded():
+        for first in range(0, count, STRETCH):
+            faulthandler.dump_traceback_later(LONGEST_S, exit=True)
+            target = INPUTS[kind](np.random.default_rng([seed, first]), kind)
+            told: Counter[str] = Counter()
+            try:
+                for _ in range(min(STRETCH, count - first)):
+                    told[target.send()] += 1
+                target.close(told)
+            except Exception as error:
+                text = f"{kind}, seed {seed}, case {first + told.total()}"
+                raise AssertionError(text) from error
+            total += told
+    assert total.total() == count
+    return total

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``autopilot_node`` as a process, between a model of an autopilot and what lss_node says."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+from autopilot_model import LOITER, Autopilot
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4
+from quadtree_lss.onboard.messages.maps import STATUS_FIELDS, record_dtype
+from quadtree_lss.onboard.messages.outputs import MessageMaker
+from quadtree_lss.onboard.nodes.qos import latched, target
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, header_message, packed
+
+pytestmark = pytest.mark.xdist_group("ros_autopilot")
+FAST = {
+    "gate_height": 5.0,
+    "commit_height": 1.0,
+    "descent_speed": 1.5,
+    "touchdown_speed": 0.5,
+    "transit_speed": 4.0,
+    "max_heartbeat_age": 2.0,
+}
+
+
+class Scene:
+    """A model in the air, the node, and a stand-in for lss_node that speaks when it is stepped."""
+
+    def __init__(self, ros, listener, model, **parameters):
+        self.model, self.listener = model, listener
+        self.place, self.map_age, self.silent = (0.0, 0.0, 0.0), 0.2, False
+        self.states, self.odometry = [], []
+        node = listener.node
+        self._selected = node.create_publisher(
+            PoseWithCovarianceStamped, "landing/selected", target()
+        )
+        self._status = node.create_publisher(PointCloud2, "landing/status", latched())
+        node.create_subscription(DiagnosticStatus, "landing/autopilot", self._on_state, latched())
+        every = QoSProfile(depth=50)
+        node.create_subscription(Odometry, "nav/odometry", self.odometry.append, every)
+        given = {"connection": model.connection, **FAST, **parameters}
+        options = [o for k, v in given.items() for o in ("-p", f"autopilot.{k}:={v}")]
+        self.node = ros.start("autopilot_node", *options)
+        self._maker, self._due = MessageMaker(TYPES, packed, "map"), 0.0
+        timer = node.create_timer(0.1, self._say)
+        assert timer is not None
+
+    def _on_state(self, message):
+        state = {item.key: item.value for item in message.values}["state"]
+        if not self.states or self.states[-1] != state:
+            self.states.append(state)
+
+    def _say(self):
+        if self.silent:
+            return
+        stamp = time.time_ns()
+        message = PoseWithCovarianceStamped(header=header_message(stamp, "map"))
+        at = message.pose.pose.position
+        at.x, at.y, at.z = map(float, self.place)
+        record = np.zeros(1, dtype=record_dtype(STATUS_FIELDS))
+        record["age"], record["offset_z"] = self.map_age, math.nan
+        self._selected.publish(message)
+        self._status.publish(self._maker.cloud(record, STATUS_FIELDS, stamp))
+
+    def wait(self, condition, seconds=40.0):
+        assert self.listener.wait_for(condition, timeout=seconds), (
+            f"{self.states} at {self.model.enu}, {self.model.texts}\n{self.node.output()}"
+        )
+        return self
+
+    def handed_over(self):
+        """The pilot switches, again until it is taken."""
+        kind = self.model.kind
+        self.wait(lambda: self.odometry and self.states)
+        self.wait(lambda: self.model.mode == FOLLOWS[kind] or self.model.switch(FOLLOWS[kind]))
+        return self
+
+    def until(self, state):
+        return self.wait(lambda: self.states and self.states[-1] == state)
+
+    def below(self, height):
+        return self.wait(lambda: self.model.enu[2] < height)
+
+    def flies_up_and_stays(self):
+        """Climbs to the gate without having touched the ground."""
+        self.wait(lambda: self.model.enu[2] > FAST["gate_height"] - 1.0)
+        assert self.model.landed_at is None
+
+
+@pytest.fixture
+def scene(ros):
+    ends = []
+
+    def make(kind=ARDUPILOT, place=(4.0, -3.0, 7.0), **parameters):
+        listener = ros.listen({})
+        ends.append(listener.__exit__)
+        model = Autopilot(kind, place)
+        ends.append(model.__exit__)
+        model.__enter__()
+        listener.__enter__()
+        return Scene(ros, listener, model, **parameters)
+
+    yield make
+    for end in reversed(ends):
+        end()
+
+
+@pytest.mark.parametrize("kind", [ARDUPILOT, PX4])
+def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
+    heard = {}
+    flight = scene(kind, may_command="arming")
+    node = flight.listener.node
+    keep = heard.__setitem__
+    for topic, cls in (
+        ("landing/area", PolygonStamped),
+        ("landing/dispersion", PoseWithCovarianceStamped),
+    ):
+        node.create_subscription(cls, topic, lambda m, topic=topic: keep(topic, m), latched())
+    flight.wait(lambda: flight.odometry)
+    # As poses say, by this computer's clock: no adapter in between.
+    last = flight.odometry[-1]
+    place = last.pose.pose.position
+    np.testing.assert_allclose([place.x, place.y, place.z], flight.model.enu, atol=0.05)
+    assert abs(last.header.stamp.sec - time.time()) < 3.0
+    assert last.header.frame_id == "map" and last.child_frame_id == "base_link"
+    variances = np.diag(np.reshape(last.pose.covariance, (6, 6)))
+    assert (variances > 0.0).all()
+    if kind == PX4:
+        np.testing.assert_allclose(variances[:3], [0.02, 0.01, 0.03], rtol=1e-5)
+    answer = ros.call(flight.listener, "/autopilot_node/land")
+    assert answer.success, answer.message
+    flight.handed_over().until("touchdown")
+    flight.wait(lambda: not flight.model.armed)
+    assert np.hypot(*flight.model.landed_at[:2]) < 0.1 and flight.model.left_offboard == 0
+    assert [s for s in flight.states if s != "pilot"] == [
+        "transit", "descend", "commit", "touchdown",
+    ]  # fmt: skip
+    corners = np.array([(p.x, p.y) for p in heard["landing/area"].polygon.points])
+    np.testing.assert_allclose(np.hypot(*(corners - (4.0, -3.0)).T), 50.0, atol=0.5)
+    sigma = math.sqrt(heard["landing/dispersion"].pose.covariance[0])
+    assert sigma == pytest.approx(math.hypot(0.1, math.sqrt(variances[0])), abs=1e-3)
+
+
+@pytest.mark.parametrize("fault", ["withdrawn", "lss_node killed", "switched"])
+def test_what_happens_to_the_target_on_the_way_down(scene, fault):
+    flight = scene().handed_over().below(2.5)
+    if fault == "switched":
+        flight.place = (5.0, 0.0, 0.0)
+    elif fault == "withdrawn":
+        flight.place = (math.nan,) * 3
+    else:
+        flight.silent = True
+    flight.until("wave_off").flies_up_and_stays()
+    if fault == "switched":
+        flight.until("touchdown")
+        assert np.hypot(*(flight.model.landed_at - (5.0, 0.0, 0.0))[:2]) < 0.1
+        return
+    flight.until("hold")
+    targets = len(flight.model.targets)
+    flight.listener.wait_for(lambda: False, timeout=1.5)
+    assert len(flight.model.targets) == targets, "precision landing hears of it no more"
+    flight.place, flight.silent = (1.0, 1.0, 0.0), False
+    flight.until("touchdown")
+    assert np.hypot(*(flight.model.landed_at - (1.0, 1.0, 0.0))[:2]) < 0.1
+
+
+@pytest.mark.parametrize("fault", ["frozen", "late", "old map", "cut"])
+def test_what_happens_to_poses_map_and_link_on_the_way_down(scene, fault):
+    flight = scene().handed_over().below(3.0)
+    model = flight.model
+    if fault == "frozen":
+        model.frozen = True
+    elif fault == "late":
+        model.delay = 1.0
+    elif fault == "old map":
+        flight.map_age = 9.0
+    else:
+        model.cut = True
+    if fault == "old map":
+        flight.until("wave_off").flies_up_and_stays()
+    else:
+        flight.until("hold")
+        flight.listener.wait_for(lambda: False, timeout=2.0)
+        assert model.enu[2] > 0.5 and model.landed_at is None, "it stands where it was"
+        assert np.hypot(*model.enu[:2]) < 1.0
+    model.frozen, model.cut, model.delay, flight.map_age = False, False, 0.0, 0.2
+    flight.until("touchdown")
+    assert np.hypot(*model.landed_at[:2]) < 0.1
+
+
+def test_the_pilots_switch_and_a_jump_of_navigation(scene):
+    flight = scene().handed_over().below(3.5)
+    model = flight.model
+    model.switch(LOITER)
+    flight.until("pilot")
+    flight.listener.wait_for(lambda: False, timeout=0.3)
+    points = len(model.points)
+    flight.listener.wait_for(lambda: False, timeout=1.0)
+    assert len(model.points) == points and model.enu[2] > 1.5
+    flight.handed_over().until("descend")
+    model.shift[:] = 3.0, 0.0, 0.0
+    flight.until("give_up")
+    assert any("jumped" in text for text in model.texts)
+    assert model.landed_at is None
+
+
+def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
+    flight = scene(place=(0.0, 0.0, 4.5))
+    node = flight.listener.node
+    other = node.create_publisher(PoseWithCovarianceStamped, "landing/selected", target())
+    flight.handed_over().until("wait")
+    flight.listener.wait_for(lambda: False, timeout=1.0)
+    assert flight.states[-1] == "wait" and "2 publishers" in flight.node.output()
+    node.destroy_publisher(other)
+    flight.until("touchdown")
+    answer = ros.call(flight.listener, "/autopilot_node/land")
+    assert not answer.success and "may_command" in answer.message
