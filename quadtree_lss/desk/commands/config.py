@@ -63,14 +63,14 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
     add_config_options(parser)
     add("--poses", type=named, metavar="FILE", help=POSES)
-    text = "suggest for a vehicle of this diameter and clearance, m"
-    add("--vehicle", type=vehicle, metavar="D,C", help=text)
     add(
         "--node",
         default="",
         metavar="NAME",
         help="check: the files are for this node, /uav1/lss_node",
     )
+    text = "suggest for a vehicle of this diameter and clearance, m"
+    add("--vehicle", type=vehicle, metavar="D,C", help=text)
     add("--plain", action="store_true", help="print without the explanations")
     add_json(parser)
 

@@ -61,9 +61,10 @@ def suggest_config(
     poses: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Suggestion:
-    """Domain, range noise, cells and landing grid for a bag and the vehicle of ``config``; the
-    arguments are those of `replay.replay`. Raises `BagError` as that does, and `ReplayError`: no
-    scan has a pose, or none a return."""
+    """Domain, range noise, cells and landing grid for a bag; the arguments are those of
+    `replay.replay`, and what is suggested is checked together with ``config``, whose vehicle it
+    suits. Raises `BagError` as that does, and `ReplayError`: no scan has a pose, or none a return.
+    """
     seen = _Seen()
     stream = Stream()
     with open_recording(bag, poses, config.frames.map) as opened:
