@@ -378,7 +378,8 @@ def test_what_is_no_dispersion_is_refused(beside_a_rock, given):
 def test_reasons_say_what_is_left(beside_a_rock):
     found = probable(dispersion=1.5).assess(beside_a_rock, target=[20.0, 16.0])
     place = np.hypot(*(found.sites.position[:, :2] - 16.0).T)
-    assert all(" safe: the remaining risk is " in reason for reason in found.sites.reasons)
+    assert all(reason.startswith("probability ") for reason in found.sites.reasons)
+    assert all(" %: the remaining risk is " in reason for reason in found.sites.reasons)
     nearest = found.sites.reasons[int(np.argmin(place))]
     assert "an obstacle" in nearest or "too steep" in nearest
 

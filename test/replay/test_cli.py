@@ -353,6 +353,10 @@ def test_config_checks_files_and_explains_keys(tmp_path, capsys):
     code, out, _ = run(capsys, "config", "explain", "lss.margin")
     assert code == 0 and "default" in out and "running node" in out
     assert run(capsys, "config", "explain", "lss")[1].count("default") > 10
+    assert "0.162 x vehicle.diameter" in run(capsys, "config", "explain", "lss.max_gap")[1]
+    out = run(capsys, "config", "explain", "vehicle", "--set", "vehicle.clearance=0.08")[1]
+    (line,) = (line for line in out.splitlines() if line.startswith("  rock_height "))
+    assert "0.04 m " in line and "= 0.5 x vehicle.clearance" in line
     assert "did you mean" not in run(capsys, "config", "explain", "")[2]
     code, _, err = run(capsys, "config", "explain", "lss.margn")
     assert code == 1 and "lss.margin" in err

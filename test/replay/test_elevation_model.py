@@ -71,6 +71,18 @@ def test_a_large_model_gets_coarser_leaves_and_says_so(monkeypatch):
     assert any("3 x 3" in line for line in rank_sites(model(), None, CONFIG).warnings)
 
 
+def test_doubts_are_told_by_the_command_its_files_and_its_page(tmp_path, capsys):
+    dem, out = model(), tmp_path / "out"
+    np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
+    options = ["--set", "vehicle.diameter=9", "--set", "lss.grid_spacing=1", "--out", out]
+    code, _, err = run(capsys, "sites", tmp_path / "dem.npz", *options)
+    told = "was fitted for a vehicle of"
+    summary = json.loads((out / "summary.json").read_text())
+    assert code == 0 and told in err and told in summary["doubts"][0]
+    assert summary["warnings"][: len(summary["doubts"])] == summary["doubts"]
+    assert told in (out / "report.html").read_text()
+
+
 def test_the_command_writes_results_like_a_replay(tmp_path, capsys):
     dem = model()
     np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)

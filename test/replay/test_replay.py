@@ -254,6 +254,7 @@ def test_points_that_miss_the_map_are_counted_and_told(bag):
         return summary, result.warnings, result.assessment.explanation
 
     summary, warnings, _ = run(domain__xmin=-32.0, domain__ymin=-32.0, domain__size=64.0)
+    assert summary["doubts"] and summary["doubts"][0] in warnings
     assert summary["points_used"] > 0.9 * summary["points"]
     assert not any("can be used" in line for line in warnings)
     summary, warnings, explanation = run(domain__xmin=5000.0)

@@ -84,6 +84,9 @@ def explain_text(row: Parameter) -> str:
     unit = f" {row.unit}" if row.unit else ""
     lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
     lines.append(f"  default  {scalar_text(row.default)}{unit}")
+    name = row.name.removeprefix("lss.")
+    if name in Lengths.__dataclass_fields__:
+        lines[-1] += f": {rule(name)}, {getattr(Lengths(), name):g}{unit} of the default vehicle"
     if row.choices:
         lines.append(f"  choices  {', '.join(row.choices)}")
     elif row.type in (int, float):
