@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well the target holds: its changes over simulated flights, judged by the true ground.
 
-A change away from a target that is truly safe costs propellant for nothing unless the new one is
-better in truth: its room, the distance to the nearest truly unsafe ground, must be greater.
+True is the probability of a safe touchdown with the dispersion that the nodes are told, over the
+true ground. A change for a better target is in vain if it gains less than 1 %; a withdrawal is, if
+the lander stands safely there.
 """
 
 from __future__ import annotations
@@ -15,178 +16,207 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from common import Recording, configuration, machine, recording, table
-from scipy.ndimage import distance_transform_edt
+from common import configuration, machine, table
 
-from quadtree_lss.desk.replay.scans import scans
-from quadtree_lss.lab.evaluation.results import Truth, load_truth
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.desk.replay.scans import steps
+from quadtree_lss.lab.evaluation.risk_flights import in_memory, lander_of
+from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
+from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
+from quadtree_lss.lab.simulation.simulation import Simulation
+from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.messages.maps import round_trip
 
-#: Scans between the maps of a flight: 20 Hz mapped, 4 Hz assessed.
-EVERY = 5
-#: The way to hold a site on the subscriber's side: the list's site within this of it, m.
-HOLD = 2.0
+#: Scans between the maps of a flight: 20 Hz mapped, 4 Hz assessed; seconds of one.
+EVERY, PERIOD = 5, 0.25
+#: A change over less is none, m; one after so many seconds is late; least gain of true probability.
+FAR, LATE, GAIN = 1.0, 5.0, 0.01
+#: Withdrawals that the ground is the reason for.
+LOST = (Reason.HAZARD, Reason.UNSEEN, Reason.UNMAPPED, Reason.UNLIKELY)
+#: Told probabilities of failing between which flights are compared, with ``--told``.
+RISKS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)
 
 
 def main() -> None:
     """Print one row a flight and their sums."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", default="541-544", help="first-last")
-    parser.add_argument("--duration", type=float, help="s of each flight, by default all")
-    parser.add_argument("--flights", type=Path, help="folder of <scenario>_<seed>/bag; or simulate")
-    parser.add_argument("--scenario", default="morpheus")
+    parser.add_argument("--seeds", default="541-547", help="first-last; fields take turns")
+    parser.add_argument("--fields", nargs="*", default=list(FIELDS), choices=list(FIELDS))
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="of lss")
+    parser.add_argument("--told", action="store_true", help="the best places: told, end, truth")
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")
     changes = {
         f"lss__{key}": float(value) for key, _, value in (s.partition("=") for s in options.set)
     }
-    config = configuration(options.scenario, **changes)
+    config = configuration("morpheus", **changes)
     print(machine())
-    found = []
+    flights = []
     for seed in range(int(first), int(last or first) + 1):
-        found.append(fly(_flight(seed, config, options), config))
-        print(found[-1].line(seed), flush=True)
-    total = Tally()
-    for one in found:
-        total.add(one)
+        name = options.fields[seed % len(options.fields)]
+        flights.append(fly(seed, name, config))
+        print(f"seed {seed}, {name}: {flights[-1].line()}", flush=True)
+    n = len(flights)
+    moves = [move for flight in flights for move in flight.moves]
+    lost = [move for flight in flights for move in flight.lost]
+    missed = np.array([flight.best - flight.last for flight in flights])
     table(
-        f"{len(found)} flights: {total.assessments} assessments",
-        ["", "changes", "from truly safe", "without gain", "m, mean", "m, greatest"],
-        [[name, *total.of[name].row()] for name in total.of],
+        f"{n} flights",
+        ["", "a flight"],
+        [
+            [f"changes over {FAR:g} m", f"{len(moves) / n:.2f}"],
+            ["- late and over a diameter", f"{sum(m.late for m in moves) / n:.2f}"],
+            [f"- for less than {GAIN:.0%} of true probability", f"{sum(m.vain for m in moves)}"],
+            ["withdrawn from truly safe ground", f"{sum(m.safe for m in lost) / n:.2f}"],
+            ["withdrawn from truly unsafe ground", f"{sum(not m.safe for m in lost) / n:.2f}"],
+            ["first target after, s", f"{np.mean([f.first for f in flights]):.1f}"],
+            ["last target's true probability", f"{np.mean([f.last for f in flights]):.4f}"],
+            ["the best place's", f"{np.mean([f.best for f in flights]):.4f}"],
+            ["between the two, mean and most", f"{missed.mean():.4f}, {missed.max():.4f}"],
+        ],
     )
-    final = np.array([one.final for one in found])
-    print(f"\nroom in truth of the last target: {np.mean(final):.2f} m, least {final.min():.2f} m")
-    best = np.array([one.best for one in found])
-    print(f"the best to be had: {best.mean():.2f} m; share, median {np.median(final / best):.0%}")
+    if options.told:
+        _print_told(np.concatenate([flight.told for flight in flights]))
 
 
-@dataclass
-class Changes:
-    """Changes of one kind."""
+@dataclass(frozen=True)
+class Move:
+    """From a target to another, or to none: when, s, how far, m, and what of true probability it
+    gains; ``safe``: the one that is left was truly safe."""
 
-    count: int = 0
-    safe: int = 0
-    in_vain: int = 0
-    moved: list[float] = field(default_factory=list)
+    time: float
+    away: float
+    gain: float
+    safe: bool
 
-    def note(self, before: Array, after: Array, truth: TrueRoom) -> None:
-        """From one place to another (3,)."""
-        self.count += 1
-        self.safe += truth(before) > 0.0
-        self.in_vain += truth(before) > 0.0 and truth(after) <= truth(before)
-        self.moved.append(float(np.hypot(*(after - before)[:2])))
+    @property
+    def late(self) -> bool:
+        """Late, and over a diameter."""
+        return self.time > LATE and self.away > 3.7
 
-    def row(self) -> list[str]:
-        """Cells of the table."""
-        far = self.moved or [0.0]
-        return [str(n) for n in (self.count, self.safe, self.in_vain)] + [
-            f"{np.mean(far):.1f}",
-            f"{max(far):.1f}",
-        ]
-
-
-KINDS = ("target, for a better one", "target, lost", "first of the list", "held from the list")
+    @property
+    def vain(self) -> bool:
+        """Gains next to nothing."""
+        return self.gain < GAIN
 
 
 @dataclass
 class Tally:
-    """What was seen of one flight, or of many."""
+    """What was seen of one flight; ``told``: (K, 3) risk of the safest aims as told, as told at the
+    end, and in truth."""
 
-    assessments: int = 0
-    of: dict[str, Changes] = field(default_factory=lambda: {name: Changes() for name in KINDS})
-    final: float = 0.0
+    moves: list[Move] = field(default_factory=list)
+    lost: list[Move] = field(default_factory=list)
+    first: float = float("nan")
+    last: float = 0.0
     best: float = 0.0
-    lost: list[str] = field(default_factory=list)
+    told: Array = field(default_factory=lambda: np.empty((0, 3)))
 
-    def add(self, other: Tally) -> None:
-        """Sums."""
-        self.assessments += other.assessments
-        for name, changes in other.of.items():
-            mine = self.of[name]
-            mine.count += changes.count
-            mine.safe += changes.safe
-            mine.in_vain += changes.in_vain
-            mine.moved += changes.moved
-
-    def line(self, seed: int) -> str:
-        """One flight."""
-        counts = ", ".join(f"{name} {c.count} ({c.in_vain})" for name, c in self.of.items())
-        return f"seed {seed}: {counts}; room {self.final:.1f} of {self.best:.1f} m {self.lost}"
+    def line(self) -> str:
+        """In one line."""
+        moves = ", ".join(
+            f"{m.time:.1f} s {m.away:.0f} m {100 * m.gain:+.1f} %" for m in self.moves
+        )
+        lost = ", ".join(f"{m.time:.1f} s {'un' * (not m.safe)}safe" for m in self.lost)
+        return (
+            f"changes {moves or 'none'}; lost {lost or 'none'}; {self.last:.4f} of {self.best:.4f}"
+        )
 
 
-class TrueRoom:
-    """Distance of a place to truly unsafe ground, m; 0 on it and beyond what is known."""
+class Truth:
+    """On the grid of an assessment (ny, nx): where the lander stands, and how likely by an aim."""
 
-    def __init__(self, truth: Truth) -> None:
-        self._x, self._y = truth.safe_x, truth.safe_y
-        self.step = float(self._x[1] - self._x[0])
-        self.room = distance_transform_edt(np.pad(truth.safe, 1))[1:-1, 1:-1] * self.step
+    def __init__(self, simulation: Simulation, found: LandingAssessment, config: Config) -> None:
+        dem, lander = simulation.legs[0].plan.truth, lander_of(config)
+        self.x, self.y = found.x, found.y
+        places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
+        xmin, xmax, ymin, ymax = simulation.box
+        x, y = places[..., 0], places[..., 1]
+        known = (x >= xmin) & (x <= xmax) & (y >= ymin) & (y <= ymax)
+        known[known] = on_dem(dem.x, dem.y, places[known], lander)
+        self.safe: Mask = np.zeros(known.shape, dtype=np.bool_)
+        self.safe[known] = contact_safe(dem.x, dem.y, dem.elevation, places[known], lander)
+        spread = Dispersion.of(None, config.lss)
+        self.probability = 1.0 - aimed(1.0 - self.safe.astype(float), config.lss.spacing, spread)
 
-    def __call__(self, place: Array) -> float:
-        column = int(np.rint((place[0] - self._x[0]) / self.step))
-        row = int(np.rint((place[1] - self._y[0]) / self.step))
-        inside = 0 <= row < len(self._y) and 0 <= column < len(self._x)
-        return float(self.room[row, column]) if inside else 0.0
+    def at(self, place: Array) -> tuple[int, int]:
+        """Row and column."""
+        return int(np.abs(self.y - place[1]).argmin()), int(np.abs(self.x - place[0]).argmin())
 
 
-def fly(flight: Recording, config: Config) -> Tally:
-    """A flight, assessed as it goes."""
-    flown, truth = flight.scans, flight.truth
-    room, tally = TrueRoom(truth), Tally()
-    tally.best = float(room.room.max())
-    mapper, selector = Mapper(config), LandingSiteSelector(config)
-    target = first = held = None
-    for number, scan in enumerate(flown, start=1):
-        mapper.update(scan.points_lidar, scan.pose)
+def fly(seed: int, name: str, config: Config) -> Tally:
+    """A flight over a field, assessed as it goes."""
+    terrain = hazard_field(np.random.default_rng([seed, 1]), FIELDS[name])
+    simulation = Simulation("morpheus", seed, terrain=terrain)
+    selector, tally, truth = LandingSiteSelector(config), Tally(), None
+    held = None
+    before = (float("nan"), float("nan"))
+    told: list[tuple[tuple[int, int], float]] = []
+    for number, (scan, _, mapper) in enumerate(steps(in_memory(simulation), config), start=1):
         if number % EVERY:
             continue
-        found = selector.assess(round_trip(mapper.snapshot()))
-        tally.assessments += 1
-        target = _note_target(tally, found, target, room)
-        ranked = found.sites.position
-        if not len(ranked):
-            continue
-        if first is not None and np.hypot(*(ranked[0] - first)[:2]) > config.lss.vehicle.diameter:
-            tally.of["first of the list"].note(first, ranked[0], room)
-        first = ranked[0]
-        if held is not None:
-            away = np.hypot(*(ranked - held)[:, :2].T)
-            if away.min() > HOLD:
-                tally.of["held from the list"].note(held, ranked[0], room)
-            held = ranked[np.argmin(away)] if away.min() <= HOLD else ranked[0]
-        else:
-            held = ranked[0]
-    tally.final = 0.0 if target is None else room(target)
+        now, height = PERIOD * (number // EVERY), float(scan.pose.position[2])
+        down = (before[1] - height) / (now - before[0]) if before[0] > 0.0 else 0.0
+        before = now, height
+        found = selector.assess(
+            round_trip(mapper.snapshot()), vehicle=(height, down), waited=now - PERIOD
+        )
+        if truth is None:
+            truth = Truth(simulation, found, config)
+            tally.best = float(truth.probability.max())
+        told += [(at, 1.0 - found.probability[at]) for at in _best_places(found)]
+        chosen = found.selected
+        if chosen.id:
+            if held is None:
+                tally.first = now
+            elif np.hypot(*(chosen.position - held)[:2]) > FAR:
+                tally.moves.append(_move(now, held, chosen.position, truth))
+            held = chosen.position
+        elif held is not None and chosen.reason in LOST:
+            tally.lost.append(_move(now, held, held, truth))
+    assert truth is not None
+    tally.last = 0.0 if held is None else float(truth.probability[truth.at(held)])
+    end = 1.0 - found.probability
+    tally.told = np.array([(r, end[at], 1.0 - truth.probability[at]) for at, r in told])
     return tally
 
 
-def _note_target(
-    tally: Tally, found: LandingAssessment, last: Array | None, room: TrueRoom
-) -> Array | None:
-    """The target of this assessment, or the last one while there is none after it."""
-    chosen = found.selected
-    if not chosen.id:
-        if last is not None and chosen.reason != Reason.NO_SITE:
-            tally.lost.append(f"{chosen.reason.key} {last[0]:.2f} {last[1]:.2f} {room(last):.2f}")
-        return last
-    if last is not None and chosen.reason == Reason.FIRST:
-        tally.of["target, lost"].note(last, chosen.position, room)
-    elif last is not None and chosen.reason == Reason.BETTER:
-        tally.of["target, for a better one"].note(last, chosen.position, room)
-    return chosen.position
+def _move(now: float, start: Array, end: Array, truth: Truth) -> Move:
+    a, b = truth.at(start), truth.at(end)
+    gain = float(truth.probability[b] - truth.probability[a])
+    return Move(now, float(np.hypot(*(end - start)[:2])), gain, bool(truth.safe[a]))
 
 
-def _flight(seed: int, config: Config, options: argparse.Namespace) -> Recording:
-    if options.flights is None:
-        return recording(options.scenario, seed, options.duration)
-    at = options.flights / f"{options.scenario}_{seed}"
-    return Recording(list(scans(at / "bag", config)), load_truth(at / "truth.npz"))
+def _best_places(found: LandingAssessment) -> list[tuple[int, int]]:
+    """The safest place of each 8 m square that has one."""
+    value = np.where(found.safe, found.probability, 0.0)
+    side = max(round(8.0 / (found.x[1] - found.x[0])), 1)
+    places = []
+    for row in range(0, len(found.y), side):
+        for column in range(0, len(found.x), side):
+            part = value[row : row + side, column : column + side]
+            if part.max() >= 1.0 - RISKS[-1]:
+                i, j = divmod(int(np.argmax(part)), part.shape[1])
+                places.append((row + i, column + j))
+    return places
+
+
+def _print_told(told: Array) -> None:
+    rows = []
+    for low, high in zip(RISKS, RISKS[1:], strict=False):
+        some = told[(told[:, 0] >= low) & (told[:, 0] < high)]
+        if len(some):
+            off = np.sqrt(np.mean((some[:, 1:] - some[:, :1]) ** 2, axis=0))
+            rows.append(
+                [f"{low:g} to {high:g}", str(len(some))]
+                + [f"{v:.4f}" for v in (*some.mean(axis=0), *off)]
+                + [f"{off[1] / some[:, 0].mean():.2f}"]
+            )
+    heads = ["risk told", "aims", "told", "at the end", "true", "end off by", "truth off by"]
+    table("the safest aims of 8 m squares", [*heads, "share"], rows)
 
 
 if __name__ == "__main__":

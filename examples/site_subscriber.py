@@ -38,7 +38,9 @@ class TargetFollower(Node):
             "landing/selected",
             self._on_selected,
             QoSProfile(**LATCHED, deadline=DEADLINE),
-            event_callbacks=SubscriptionEventCallbacks(deadline=self._on_silence),
+            event_callbacks=SubscriptionEventCallbacks(
+                deadline=self._on_silence, matched=self._on_publishers
+            ),
         )
 
     def _on_selected(self, message):
@@ -51,6 +53,13 @@ class TargetFollower(Node):
 
     def _on_silence(self, event):
         self._take(None, None, "lss_node is not heard of")
+
+    def _on_publishers(self, event):
+        if event.current_count > 1:
+            text = (
+                f"{event.current_count} publishers of landing/selected: the last one's word counts"
+            )
+            self.get_logger().warning(text)
 
     def _take(self, place, header, remark):
         if place == self._target:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from geometry_msgs.msg import PolygonStamped, PoseArray
+from geometry_msgs.msg import PolygonInstanceStamped, PolygonStamped, PoseArray
 from nav_msgs.msg import OccupancyGrid
 from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
 from sensor_msgs.msg import PointCloud2
@@ -44,6 +44,9 @@ class Vehicle:
                 ("landing/keep_out", PolygonStamped),
             )
         }
+        self._publishers["landing/keep_outs"] = node.create_publisher(
+            PolygonInstanceStamped, "landing/keep_outs", latched(5)
+        )
         self.said = []
         node.create_subscription(PoseArray, "landing/sites", self._on_sites, latched())
 

@@ -48,8 +48,8 @@ SMALL = {
     ),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (
-        ["--seeds", "201", "--duration", "2"],
-        ["target, for a better one", "the best to be had"],
+        ["--seeds", "201", "--told"],
+        ["withdrawn from truly safe ground", "truth off by"],
     ),
     "live": (["--seconds", "3"], ["scans sent", "mapping_node", "lss_node"]),
     "start": (["--starts", "1"], ["first scan mapped", "memory"]),

@@ -422,7 +422,7 @@ def test_the_zone_lies_in_the_landing_area_and_off_the_keep_out(cells):
 
 
 def test_near_the_target_is_better(level_ground):
-    config = small(weight_target=100.0, sites=1)
+    config = small(target_risk=1.0, sites=1)
     for target in ((4.0, 11.0), (4.0, 11.0, 250.0), (100.0, 8.0)):
         first = assess(level_ground, config, target=target).sites.position[0]
         nearest = np.clip(target[:2], 1.0, 15.0)  # first grid point beyond the radius
@@ -430,13 +430,13 @@ def test_near_the_target_is_better(level_ground):
     plain = assess(level_ground, config)
     aimed = assess(level_ground, config, target=(4.0, 11.0))
     x, y = np.meshgrid(plain.x, plain.y)
-    added = 100.0 * np.hypot(x - 4.0, y - 11.0)
+    added = 20.0 * np.hypot(x - 4.0, y - 11.0)
     np.testing.assert_allclose(aimed.score, plain.score + added, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("hysteresis", "stays"), [(0.0, False), (0.005, False), (1.0, True)])
 def test_hysteresis_keeps_the_first_site_while_it_is_good_enough(level_ground, hysteresis, stays):
-    selector = LandingSiteSelector(small(hysteresis=hysteresis, weight_target=0.1, sites=2))
+    selector = LandingSiteSelector(small(hysteresis=hysteresis, target_risk=0.005, sites=2))
     first = selector.assess(level_ground, target=(5.0, 5.0)).sites.position[0]
     second = selector.assess(level_ground, target=(6.0, 5.0)).sites
     assert np.array_equal(second.position[0], first) == stays
@@ -568,7 +568,7 @@ def test_a_polygon_that_crosses_itself_has_both_its_lobes_inside(level_ground):
 
 @pytest.mark.parametrize("far", [1e3, 1e7, 1e12])
 def test_a_target_far_outside_is_flown_towards(level_ground, far):
-    found = assess(level_ground, small(weight_target=1.0, sites=1), target=(far, 8.0))
+    found = assess(level_ground, small(target_risk=0.05, sites=1), target=(far, 8.0))
     assert found.sites.position[0, 0] == 15.0
     assert np.isfinite(found.sites.score).all()
 

@@ -11,14 +11,22 @@ from core.builders import configured, flat, mapped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.config.settings import LssConfig, config_from_values
 from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
-from quadtree_lss.onboard.core.landing.target import Candidates, Choice, Reason, TargetKeeper
+from quadtree_lss.onboard.core.landing.target import (
+    Candidates,
+    Choice,
+    Descent,
+    Reason,
+    State,
+    TargetKeeper,
+)
 
 NAN = np.nan
+LSS = config_from_values({"lss.switch_margin": 0.5}).lss
 AXIS = np.arange(4.0)
 
 
@@ -30,31 +38,38 @@ def ground(merit, safe=None, axis=AXIS):
     )
 
 
-def choose(keeper: TargetKeeper, *seen: Candidates, margin: float = 0.5) -> Choice:
-    """The last choice over some assessments."""
+def choose(keeper: TargetKeeper, *seen: Candidates, **others: object) -> Choice:
+    """The last choice over some assessments, by a margin of 0.5."""
     for each in seen:
         choice = keeper.choose(
             each,
-            margin=margin,
+            LSS,
             reach=0.9,
             why_not=lambda row, column: Reason.HAZARD,
             why_none=Reason.NO_SITE,
+            **others,
         )
     return choice
 
 
+def there(column: int, number: int, reason: Reason, state: State = State.HOLDS) -> Choice:
+    """A target in the row."""
+    return Choice((0, column), number, reason, state)
+
+
 def test_ground_seen_for_the_first_time_is_no_target_yet():
     keeper = TargetKeeper()
-    assert choose(keeper, ground([1, 2, 3, NAN])) == Choice(None, 0, Reason.UNCONFIRMED)
+    first = choose(keeper, ground([1, 2, 3, NAN]))
+    assert first == Choice(None, 0, Reason.UNCONFIRMED, best=(0, 2))
     first = choose(keeper, ground([1, 2, NAN, 9]))
-    assert first == Choice((0, 1), 1, Reason.FIRST), "the best of what was safe before"
+    assert first == there(1, 1, Reason.FIRST), "the best of what was safe before"
 
 
 def test_it_stays_until_another_is_better_by_the_margin():
     keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
     assert choose(keeper, seen, seen).place == (0, 1)
     assert choose(keeper, ground([1, 2, 1, 2.5])).reason is Reason.HOLDS
-    assert choose(keeper, ground([1, 1.9, 1, 2.5])) == Choice((0, 3), 2, Reason.BETTER)
+    assert choose(keeper, ground([1, 1.9, 1, 2.5])) == there(3, 2, Reason.BETTER)
     assert choose(keeper, ground([1, 1.9, 1, 1.5])).place == (0, 3), "nor does it go back"
 
 
@@ -62,14 +77,14 @@ def test_newly_seen_ground_does_not_take_it_over_at_once():
     keeper, seen = TargetKeeper(), ground([1, 2, NAN, NAN])
     choose(keeper, seen, seen)
     assert choose(keeper, ground([1, 2, 9, NAN])).reason is Reason.HOLDS
-    assert choose(keeper, ground([1, 2, 9, NAN])) == Choice((0, 2), 2, Reason.BETTER)
+    assert choose(keeper, ground([1, 2, 9, NAN])) == there(2, 2, Reason.BETTER)
 
 
 def test_a_lost_one_is_withdrawn_before_another_comes():
     keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
     choose(keeper, seen, seen)
-    assert choose(keeper, ground([1, NAN, 1, 3])) == Choice(None, 0, Reason.HAZARD)
-    assert choose(keeper, ground([1, NAN, 1, 3])) == Choice((0, 3), 2, Reason.FIRST)
+    assert choose(keeper, ground([1, NAN, 1, 3])) == Choice(None, 0, Reason.HAZARD, best=(0, 3))
+    assert choose(keeper, ground([1, NAN, 1, 3])) == there(3, 2, Reason.FIRST)
     assert choose(keeper, ground([NAN] * 4)).reason is Reason.HAZARD
     assert choose(keeper, ground([NAN] * 4)).reason is Reason.NO_SITE
     assert choose(keeper, seen, seen).id == 3, "a number is never given twice"
@@ -85,7 +100,7 @@ def test_a_released_one_gives_way_to_the_best():
     keeper, seen = TargetKeeper(), ground([1, 2, 1, 2.2])
     choose(keeper, ground([1, 2, 1, 1]), ground([1, 2, 1, 1]), seen)
     keeper.release()
-    assert choose(keeper, seen) == Choice((0, 3), 2, Reason.RELEASED)
+    assert choose(keeper, seen) == there(3, 2, Reason.RELEASED)
     assert choose(keeper, seen).reason is Reason.HOLDS
 
 
@@ -95,7 +110,101 @@ def test_a_place_excluded_by_wish_keeps_its_number():
     kept_out = ground([1, NAN, 1, 1], safe=[True] * 4)
     choose(keeper, kept_out, kept_out)
     keeper.release()
-    assert choose(keeper, seen) == Choice(before.place, before.id, Reason.RELEASED)
+    assert choose(keeper, seen) == there(before.place[1], before.id, Reason.RELEASED)
+
+
+def unsafe(risks, **others):
+    """Grid points in a row of which the cost is the probability that a touchdown fails."""
+    found = ground([-risk for risk in risks], **others)
+    return dataclasses.replace(found, unsafe=found.cost)
+
+
+def test_a_gain_less_than_it_is_uncertain_by_moves_nothing():
+    lss = config_from_values({"lss.switch_margin": 0.01}).lss
+    for risk, moves in ((0.06, False), (0.02, True)):
+        keeper, seen = TargetKeeper(), unsafe([0.5, 0.08, 0.5, 0.5])
+        choose(keeper, seen, seen)
+        better = unsafe([0.5, 0.08, 0.5, risk])
+        for _ in range(2):
+            choice = keeper.choose(
+                better, lss, reach=0.9, why_not=lambda *_: Reason.HAZARD, why_none=Reason.NO_SITE
+            )
+        # 0.02 of gain are uncertain by 0.05, 0.06 by 0.041.
+        assert (choice.place == (0, 3)) is moves
+
+
+def test_a_divert_costs_more_the_lower_it_begins():
+    for height, moves in ((200.0, True), (41.0, False), (2.0, False)):
+        keeper, wide = TargetKeeper(), AXIS * 10.0
+        seen = ground([1, 1, 1, 0.5], axis=wide)
+        choose(keeper, seen, seen)
+        better = ground([1, 1, 1, 2.0], axis=wide)
+        # 30 m: half of the reach at 41 m of height, where 0.5 of margin are 1.9.
+        descent = Descent(height, 3.8)
+        choice = choose(keeper, better, better, descent=descent)
+        assert (choice.place == (0, 3)) is moves, descent.reach
+
+
+def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
+    """Checked against the path: half the time at 1 m/s^2, half at -1 m/s^2."""
+    time, steps = np.linspace(0.0, 8.0, 8001, retstep=True)
+    speed = np.cumsum(np.where(time < 4.0, 1.0, -1.0)) * steps
+    assert Descent(80.0, 10.0).reach == pytest.approx(np.sum(speed) * steps, rel=2e-3)
+    assert Descent(10.0, 0.0).reach == 10.0, "not more steeply than 45 degrees"
+    assert Descent(-1.0, 1.0).reach == 0.0
+
+
+def test_below_the_height_of_commitment_only_a_hazard_takes_it_away():
+    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
+    choose(keeper, seen, seen)
+    low = Descent(LSS.commit_height - 1.0, 2.0)
+    better = ground([1, 2, 3, 1])
+    assert choose(keeper, better, better, descent=low) == there(1, 1, Reason.HOLDS, State.COMMITTED)
+    assert choose(keeper, ground([1, NAN, 3, 1]), descent=low).reason is Reason.HAZARD, "no risks"
+    assert choose(keeper, better, descent=low) == there(2, 2, Reason.FIRST, State.COMMITTED)
+
+
+def test_a_risk_that_would_not_be_chosen_is_no_hazard_before_it_is_great():
+    """Of 0.9 % from above, three times what may be chosen, and of a tenth when it is committed."""
+    low = Descent(LSS.commit_height - 1.0, 2.0)
+    for risk, descent, reason in (
+        (0.05, None, Reason.HAZARD),
+        (0.0091, None, Reason.HAZARD),
+        (0.0089, None, Reason.HOLDS),
+        (0.05, low, Reason.HOLDS),
+        (0.2, low, Reason.HAZARD),
+    ):
+        keeper, seen = TargetKeeper(), unsafe([0.3, 0.01, 0.3, 0.3])
+        choose(keeper, seen, seen)
+        risky = dataclasses.replace(seen, safe=seen.safe & (AXIS != 1.0))
+        risky = dataclasses.replace(risky, cost=np.where(risky.safe, seen.cost, NAN))
+        risky.unsafe[0, 1] = risk
+        assert choose(keeper, risky, descent=descent).reason is reason
+        if risk == 0.0089:
+            free = np.array([[-1.0, NAN, 0.3, 0.3]]), np.array([[0.0, risk, 0.3, 0.3]])
+            free = dataclasses.replace(risky, cost=free[0], unsafe=free[1])
+            assert choose(keeper, free).reason is Reason.BETTER, "it gives way all the same"
+
+
+def test_it_waits_until_it_is_settled_or_asked():
+    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
+    waits = Choice(None, 0, Reason.SETTLING, State.SETTLING, (0, 1))
+    assert choose(keeper, seen, seen, settled=False) == waits
+    assert choose(keeper, seen) == there(1, 1, Reason.FIRST)
+    assert choose(keeper, seen, settled=False).reason is Reason.HOLDS, "once is enough"
+    low = Descent(LSS.commit_height, 2.0)
+    assert choose(TargetKeeper(), seen, seen, settled=False, descent=low).id == 1
+
+
+def test_an_unlikely_aim_is_no_target():
+    keeper = TargetKeeper()
+    few = unsafe([0.3, 0.2, 0.3, 0.3])
+    assert choose(keeper, few, few) == Choice(None, 0, Reason.UNLIKELY, best=(0, 1))
+    some = unsafe([0.3, 0.2, 0.3, 0.05])
+    assert choose(keeper, some) == there(3, 1, Reason.FIRST)
+    low = Descent(5.0, 2.0)
+    assert choose(keeper, few, descent=low).state is State.COMMITTED, "too low for another"
+    assert choose(keeper, few).reason is Reason.UNLIKELY
 
 
 @settings(max_examples=200, deadline=None)
@@ -174,7 +283,7 @@ def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground
 
 
 def test_a_preference_for_another_place_does_not_move_the_target_by_a_little(level_ground):
-    selector = LandingSiteSelector(small(weight_target=0.1))
+    selector = LandingSiteSelector(small(target_risk=0.005))
     before = target_of(selector, level_ground, target=(5.0, 5.0)).selected
     after = selector.assess(level_ground, target=(5.0, 5.0)).selected
     assert (after.id, after.reason) == (before.id, Reason.HOLDS)
@@ -189,6 +298,7 @@ def test_a_preference_for_another_place_does_not_move_the_target_by_a_little(lev
         ({"keep_out": "around"}, Reason.KEEP_OUT, True),
         ({"withheld": "the map is too old"}, Reason.WITHHELD, False),
         ({"keep_out": [(0.0, 0.0)]}, Reason.WITHHELD, False),
+        ({"keep_outs": "around"}, Reason.KEEP_OUT, True),
     ],
 )
 def test_a_withdrawn_target_says_why(level_ground, where, reason, pending):
@@ -196,6 +306,8 @@ def test_a_withdrawn_target_says_why(level_ground, where, reason, pending):
     place = target_of(selector, level_ground).selected.position
     if where.get("keep_out") == "around":
         where = {"keep_out": around(place, 1.0)}
+    if where.get("keep_outs") == "around":
+        where = {"keep_out": around((2.0, 2.0), 1.0), "keep_outs": [around(place, 1.0)]}
     found = selector.assess(level_ground, **where)
     assert (found.selected.id, found.selected.reason) == (0, reason)
     assert found.pending is pending
@@ -217,7 +329,7 @@ def test_a_new_area_asks_for_a_target_in_it(level_ground):
 
 def test_guidance_that_tells_what_it_can_reach_keeps_its_target(level_ground):
     """Area and aim come anew with every second of a flight."""
-    selector = LandingSiteSelector(small(weight_target=0.1))
+    selector = LandingSiteSelector(small(target_risk=0.005))
     held = target_of(selector, level_ground, area=around((8.0, 8.0), 8.0)).selected
     for half in (7.0, 6.0):
         area, aim = around(held.position, half), held.position[:2] + 0.3
@@ -245,6 +357,32 @@ def test_unseen_ground_withdraws_the_target(level_ground):
     observed[int(held[1] / 0.5) - 3 :, :] = False
     found = selector.assess(dataclasses.replace(level_ground, observed=observed), target=(5.0, 5.0))
     assert found.selected.reason is Reason.UNSEEN
+
+
+def test_it_waits_for_a_share_of_the_area_or_some_time(level_ground):
+    observed = level_ground.observed.copy()
+    observed[:, : observed.shape[1] // 4] = False
+    cells = dataclasses.replace(level_ground, observed=observed)
+    some = LandingSiteSelector(small(settle_share=0.9, settle_time=3.0))
+    for waited, state in ((0.0, State.SETTLING), (2.9, State.SETTLING), (3.0, State.HOLDS)):
+        found = some.assess(cells, waited=waited)
+        assert found.selected.state is state and not found.pending
+        assert found.seen == pytest.approx(0.77, abs=0.03)
+    east = LandingSiteSelector(small(settle_share=0.9, settle_time=3.0))
+    area = [(5.0, 1.0), (15.0, 1.0), (15.0, 15.0), (5.0, 15.0)]
+    assert east.assess(cells, waited=0.0, area=area).pending
+    found = east.assess(cells, waited=0.0, area=area)
+    assert found.seen == 1.0 and found.selected.id == 1
+
+
+def test_the_vehicle_is_committed_by_its_height_over_the_target(level_ground):
+    """The ground is at 3 m."""
+    selector = LandingSiteSelector(small())
+    target_of(selector, level_ground)
+    states = [
+        selector.assess(level_ground, vehicle=(z, 2.0)).selected.state for z in (23.1, 22.9, 40.0)
+    ]
+    assert states == [State.HOLDS, State.COMMITTED, State.HOLDS]
 
 
 def test_other_limits_do_not_release_the_target(level_ground):

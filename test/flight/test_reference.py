@@ -69,7 +69,7 @@ def test_straight_down_it_is_least_thrust_then_greatest():
 
 
 def test_what_guidance_says_it_reaches_lies_within_what_can_be_reached():
-    pilot = Pilot(VEHICLE, Rules(), np.zeros(3), avoid=True, surveys=False)
+    pilot = Pilot(VEHICLE, Rules(), np.zeros(3), avoid=True, commit_height=20.0)
     pilot.guide(0.0, START, SPEED, VEHICLE.mass)
     area = pilot.area()
     descent = Descent(VEHICLE, LIMITS)

@@ -25,6 +25,7 @@ GROUND = {
 """Configuration that fits the ground these bags show."""
 
 POLYGON, POINT = "geometry_msgs/msg/PolygonStamped", "geometry_msgs/msg/PointStamped"
+INSTANCE = "geometry_msgs/msg/PolygonInstanceStamped"
 KEEP_OUT = [(0.0, -15.0), (15.0, -15.0), (15.0, 15.0), (0.0, 15.0)]
 """The eastern half of this ground."""
 
@@ -132,6 +133,13 @@ class LandingRecorder(Recorder):
         polygon = self.type("geometry_msgs/msg/Polygon")(points)
         message = self.type(POLYGON)(self.header(received_ns, frame), polygon)
         self.write(topic, message, POLYGON, received_ns)
+
+    def keep_out(self, number, corners, received_ns, frame="map"):
+        points = [self.type("geometry_msgs/msg/Point32")(x, y, 0.0) for x, y in corners]
+        polygon = self.type("geometry_msgs/msg/Polygon")(points)
+        one = self.type("geometry_msgs/msg/PolygonInstance")(polygon, number)
+        message = self.type(INSTANCE)(self.header(received_ns, frame), one)
+        self.write("/landing/keep_outs", message, INSTANCE, received_ns)
 
     def target(self, topic, x, y, received_ns):
         place = self.type("geometry_msgs/msg/Point")(x, y, 0.0)

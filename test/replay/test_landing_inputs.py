@@ -15,7 +15,14 @@ from quadtree_lss.cli import main
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.landing_inputs import (
+    MAX_KEEP_OUTS,
+    LandingWishes,
+    Navigation,
+)
 
 CONFIG = config_from_values({**GROUND, "domain.max_level": 5})
 WEST = [(-15.0, -15.0), (0.0, -15.0), (0.0, 15.0), (-15.0, 15.0)]
@@ -82,6 +89,63 @@ def test_a_keep_out_that_cannot_be_used_withholds_all_sites(tmp_path):
     assert len(sites(bag, landing={"keep_out": None}).sites.score)
 
 
+def test_keep_outs_hold_together_each_until_its_id_is_sent_again(tmp_path):
+    """The ground is 32 m wide: the east and the west leave nothing."""
+    small = [(1.0, 1.0), (2.0, 1.0), (2.0, 2.0)]
+
+    def say(recorder):
+        recorder.keep_out(7, KEEP_OUT, START)
+        recorder.keep_out(-8, WEST, START)
+        recorder.polygon("/landing/keep_out", small, START)
+        recorder.keep_out(-8, small, START + 5 * SECOND // 10)
+        recorder.keep_out(7, [], START + 8 * SECOND // 10)
+
+    bag = write(tmp_path / "bag", say)
+    assert not len(sites(bag, duration=0.4).sites)
+    west = sites(bag, duration=0.7)
+    assert len(west.sites) and east(west) == 0.0
+    result = replay(bag, None, CONFIG, report=False)
+    assert east(result.assessment) > 0.0
+    held = result.summary["landing"]
+    assert held == dict.fromkeys(("keep_out", "keep_outs/-8"), [list(c) for c in small])
+    assert len(sites(bag, duration=0.4, landing={"keep_outs": None}).sites)
+    assert not len(sites(bag, landing={"keep_outs": [KEEP_OUT, WEST]}).sites)
+
+
+def test_a_keep_out_of_the_set_that_cannot_be_used_withholds_until_its_id_comes_again():
+    make = Messages()
+    wishes = LandingWishes("map")
+    for number in range(MAX_KEEP_OUTS):
+        wishes.take("keep_outs", make.polygon(START, KEEP_OUT, number))
+    assert len(wishes.arguments()["keep_outs"]) == MAX_KEEP_OUTS
+    with pytest.raises(MessageError, match="already"):
+        wishes.take("keep_outs", make.polygon(START, KEEP_OUT, -1))
+    assert "keep_outs/-1" in wishes.withheld
+    for number in (3, -1):
+        wishes.take("keep_outs", make.polygon(START, [], number))
+    assert not wishes.withheld and len(wishes.arguments()["keep_outs"]) == MAX_KEEP_OUTS - 1
+    with pytest.raises(MessageError):
+        wishes.take("keep_outs", make.polygon(START, KEEP_OUT[:2], 4))
+    assert "keep_outs/4" in wishes.withheld
+    assert wishes.use_frame("moon").keys() >= {"keep_outs/5", "keep_outs/4"}
+    assert not wishes.arguments()["keep_outs"] and "keep_outs/5" in wishes.withheld
+
+
+def test_height_and_speed_are_those_of_the_poses():
+    navigation, make = Navigation(), Messages()
+    poses = [(0.1 * k, 100.0 - 0.7 * k) for k in range(31)] + [(3.1, np.nan), (60.0, 20.0)]
+    told = []
+    for time, z in poses:
+        level = np.array([0.0, 0.0, 0.0, 1.0])
+        pose = make.pose(START + round(time * SECOND), np.array([1.0, 2.0, z]), level, np.eye(6))
+        navigation.take(pose)
+        told.append(navigation.vehicle("map"))
+    assert told[0] == (100.0, 0.0) and told[31] == told[30]
+    assert told[30] == (pytest.approx(79.0), pytest.approx(7.0))
+    assert told[-1] == (20.0, 0.0), "a time jump"
+    assert navigation.vehicle("moon") is None
+
+
 def test_several_topics_of_one_name_are_ambiguous(tmp_path):
     def say(recorder):
         recorder.polygon("/a/landing/area", WEST, START)
@@ -104,6 +168,9 @@ def test_the_command_line_says_where_to_land(tmp_path, free):
     assert run(free, tmp_path, f"--keep-out={corners}", "--target=-8,1", "--area=none") == 0
     told = json.loads((tmp_path / "summary.json").read_text())["landing"]
     assert told == {"keep_out": [list(c) for c in KEEP_OUT], "target": [-8.0, 1.0]}
+    assert run(free, tmp_path, f"--keep-out={corners}", "--keep-out=-1,-1 -2,-1 -2,-2") == 0
+    told = json.loads((tmp_path / "summary.json").read_text())["landing"]
+    assert list(told) == ["keep_out", "keep_outs/1"] and told["keep_outs/1"][2] == [-2.0, -2.0]
     rows = np.loadtxt(tmp_path / "sites.csv", delimiter=",", skiprows=1, ndmin=2)
     assert len(rows) and (rows[:, 1] < 0.0).all()
 

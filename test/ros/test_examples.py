@@ -74,3 +74,7 @@ def test_the_subscriber_follows_the_target_until_it_is_withdrawn(ros, run):
         assert listener.wait_for(says(math.nan)), log.read_text()
         assert listener.wait_for(says(4.0)), log.read_text()
         assert listener.wait_for(lambda: math.isnan(place())), "a dead lss_node is noticed"
+        assert "publishers of landing/selected" not in log.read_text()
+        publisher_of_selected(listener)
+        seen = lambda: "2 publishers of landing/selected" in log.read_text()  # noqa: E731
+        assert listener.wait_for(seen), "whose target it is nobody knows"

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import (
     Point32,
     PointStamped,
+    PolygonInstanceStamped,
     PolygonStamped,
     PoseWithCovarianceStamped,
 )
@@ -91,6 +92,25 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
         lss.process.wait(10.0)
         vehicle.said.clear()
         vehicle.send("landing/area", polygon([]))
+
+
+def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
+    """West, then the east but for its north; the west comes again, smaller, and is removed."""
+    wait = vehicle.listener.wait_for
+    south = [(4, -16), (16, -16), (16, 0), (4, 0)]
+    for number, corners in ((1, WEST), (2, south), (3, WEST), (3, [])):
+        message = PolygonInstanceStamped(header=header_message(1, "map"))
+        message.polygon.polygon, message.polygon.id = polygon(corners).polygon, number
+        vehicle.send("landing/keep_outs", message)
+    stamp = vehicle.send_map(0)
+    for _ in range(2):
+        lss = ros.start("lss_node")
+        assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+        said = [places for _, _, places in vehicle.said]
+        assert all(east(places).all() and (places[:, 1] > 0.0).all() for places in said), said
+        lss.process.kill()
+        lss.process.wait(10.0)
+        vehicle.said.clear()
 
 
 def test_a_required_input_is_waited_for(ros, vehicle):

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import itertools
 import signal
 import sys
 import time
@@ -17,11 +19,11 @@ from ros.conftest import process
 from ros_vehicle import Vehicle, flat_map
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS, STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import cloud_records
-from quadtree_lss.onboard.nodes.qos import latched, target
+from quadtree_lss.onboard.nodes.qos import latched, stream, target
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 pytestmark = pytest.mark.xdist_group("ros_target")
@@ -101,6 +103,38 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
     number = pilot.status()["answer"]
     assert wait(lambda: (cloud_records(pilot.tables[-1], SITE_FIELDS)["answer"] == number).all())
     assert wait(lambda: pilot.values().get("target.reason") in ("first", "holds")), lss.output()
+
+
+def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
+    """A map that stays the same: without the poses the target would only hold."""
+    wait = pilot.listener.wait_for
+    navigation = pilot.listener.node.create_publisher(
+        PoseWithCovarianceStamped, "nav/pose", stream(5, reliable=True)
+    )
+    observed = pilot.cells.observed.copy()
+    observed[:, : observed.shape[1] // 4] = False
+    pilot.cells = dataclasses.replace(pilot.cells, observed=observed)
+    lss = ros.start("lss_node", "-p", "lss.settle_share:=1.0", "-p", "lss.settle_time:=9.0")
+    pilot.send_map(0)
+
+    def is_in(state):
+        return pilot.status() is not None and pilot.status()["state"] == state
+
+    assert wait(functools.partial(is_in, State.SETTLING)), lss.output()
+    status = pilot.status()
+    assert 0.5 < status["seen"] < 1.0 and not pilot.targets, "silent before it has decided"
+    assert wait(pilot.has_target), lss.output()
+    assert pilot.status()["state"] == State.HOLDS and 0.9 < pilot.status()["probability"] <= 1.0
+    number = itertools.count(1)
+
+    def low():
+        pose = PoseWithCovarianceStamped(header=header_message(next(number) * 10**8, "map"))
+        pose.pose.pose.position.z = pilot.place()[2] + 19.0
+        navigation.publish(pose)
+        pilot.send_map(next(number))
+        return is_in(State.COMMITTED)
+
+    assert wait(low), lss.output()
 
 
 def test_a_released_target_is_chosen_anew(ros, pilot):

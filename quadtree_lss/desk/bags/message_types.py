@@ -12,7 +12,7 @@ from collections.abc import Collection
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from quadtree_lss.onboard.messages.landing_inputs import POINT_TYPE, POLYGON_TYPE
+from quadtree_lss.onboard.messages.landing_inputs import INSTANCE_TYPE, POINT_TYPE, POLYGON_TYPE
 from quadtree_lss.onboard.messages.outputs import CLOUD_TYPE, GRID_MAP_TYPE, GRID_TYPE, POSES_TYPE
 
 SCAN_TYPE = CLOUD_TYPE
@@ -53,7 +53,9 @@ _FIELDS = {
     GIMBAL_TYPE: f"{_HEADER}\nstring child_frame_id\ngeometry_msgs/Transform transform",
     TRANSFORMS_TYPE: "geometry_msgs/TransformStamped[] transforms",
     GRID_TYPE: f"{_HEADER}\nnav_msgs/MapMetaData info\nint8[] data",
+    "geometry_msgs/msg/PolygonInstance": "geometry_msgs/Polygon polygon\nint64 id",
     POLYGON_TYPE: f"{_HEADER}\ngeometry_msgs/Polygon polygon",
+    INSTANCE_TYPE: f"{_HEADER}\ngeometry_msgs/PolygonInstance polygon",
     POINT_TYPE: f"{_HEADER}\ngeometry_msgs/Point point",
     POSES_TYPE: f"{_HEADER}\ngeometry_msgs/Pose[] poses",
     GRID_MAP_TYPE: f"{_HEADER}\ngrid_map_msgs/GridMapInfo info\nstring[] layers\n"
@@ -62,7 +64,7 @@ _FIELDS = {
 }
 """By type its fields, a line each."""
 OURS = (SCAN_TYPE, *POSE_TYPES, GIMBAL_TYPE, TRANSFORMS_TYPE, GRID_TYPE, POLYGON_TYPE, POINT_TYPE)
-OURS = (*OURS, POSES_TYPE, GRID_MAP_TYPE)
+OURS = (*OURS, INSTANCE_TYPE, POSES_TYPE, GRID_MAP_TYPE)
 
 
 def typestore(ros1: bool, wanted: Collection[str] = OURS) -> Typestore:

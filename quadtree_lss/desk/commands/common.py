@@ -217,17 +217,22 @@ def chosen_config(options: argparse.Namespace) -> Config:
 
 def add_landing_options(parser: argparse._ActionsContainer, default: str) -> None:
     """``--area``, ``--keep-out`` and ``--target``; ``default`` says what holds without them."""
-    for name, what in (("area", "land inside"), ("keep-out", "never land in")):
-        text = f"{what} this polygon, map frame, m{default}"
-        parser.add_argument(f"--{name}", metavar="'X,Y X,Y X,Y ...'", type=polygon, help=text)
+    corners: dict[str, Any] = {"metavar": "'X,Y X,Y X,Y ...'", "type": polygon}
+    text = f"this polygon, map frame, m{default}"
+    parser.add_argument("--area", **corners, help=f"land inside {text}")
+    text = f"never land in {text}; may be given several times"
+    parser.add_argument("--keep-out", **corners, action="append", help=text)
     text = "land near this place, or none; as --area" if default else "land near this place"
     parser.add_argument("--target", metavar="X,Y", type=place, help=text)
 
 
 def landing_of(options: argparse.Namespace) -> dict[str, Any]:
     """What the options say of landing, by name."""
-    given = {"area": options.area, "keep_out": options.keep_out, "target": options.target}
-    return {name: value[0] for name, value in given.items() if value is not None}
+    given = {"area": options.area, "target": options.target}
+    found = {name: value[0] for name, value in given.items() if value is not None}
+    if options.keep_out is not None:
+        found["keep_out"], *found["keep_outs"] = [value[0] for value in options.keep_out]
+    return found
 
 
 def polygon(text: str) -> tuple[list[list[float]] | None]:

@@ -18,6 +18,7 @@ from pathlib import Path
 import rclpy
 from geometry_msgs.msg import (
     PointStamped,
+    PolygonInstanceStamped,
     PolygonStamped,
     PoseWithCovarianceStamped,
     TransformStamped,
@@ -47,6 +48,7 @@ from quadtree_lss.desk.bags.topics import (
 from quadtree_lss.desk.player.clock import SECOND_NS, PlayTime, keys_pressed
 from quadtree_lss.desk.replay.stream import MapPairs, Stream
 from quadtree_lss.onboard.errors import QuadtreeLssError
+from quadtree_lss.onboard.messages.landing_inputs import MAX_KEEP_OUTS
 from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED
 from quadtree_lss.onboard.nodes.qos import latched, stream
 
@@ -62,12 +64,13 @@ KINDS = {
     GIMBAL_TOPIC: TransformStamped,
     "/landing/area": PolygonStamped,
     "/landing/keep_out": PolygonStamped,
+    "/landing/keep_outs": PolygonInstanceStamped,
     "/landing/target": PointStamped,
     "/landing/dispersion": PoseWithCovarianceStamped,
     f"/{CELLS}": PointCloud2,
     f"/{OBSERVED}": OccupancyGrid,
 }
-LANDING_TOPICS = ("/landing/area", "/landing/keep_out", "/landing/target", "/landing/dispersion")
+LANDING_TOPICS = tuple(name for name in KINDS if name.startswith("/landing/"))
 OPTIONAL = (GIMBAL_TOPIC, *LANDING_TOPICS)
 """Played though nobody may listen."""
 MAP_TOPICS = (f"/{CELLS}", f"/{OBSERVED}")
@@ -108,8 +111,8 @@ def play(
     """Plays a ROS 2 bag on ``lidar/points`` and ``nav/pose``, as fast as it was recorded.
 
     Odometry goes out on ``nav/odometry`` instead. ``lidar/gimbal`` and latched ``landing/area``,
-    ``landing/keep_out`` and ``landing/target`` are played if they were recorded, the last three
-    with what was said before the part that is played. A bag that holds maps and no scans is played
+    keep-outs and ``landing/target`` are played if they were recorded, the last three with what was
+    said before the part that is played. A bag that holds maps and no scans is played
     on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses, or maps, have a
     subscriber, and at the end until all was acknowledged. The services ``/bag_player/pause``,
     ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of its terminal.
@@ -233,7 +236,9 @@ def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
         recorded: node.create_publisher(
             KINDS[name],
             name.lstrip("/"),
-            latched() if name in (*MAP_TOPICS, *LANDING_TOPICS) else stream(DEPTH, reliable=True),
+            latched(MAX_KEEP_OUTS if name == "/landing/keep_outs" else 1)
+            if name in (*MAP_TOPICS, *LANDING_TOPICS)
+            else stream(DEPTH, reliable=True),
         )
         for recorded, name in names.items()
     }

@@ -18,6 +18,7 @@ from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
 #: Leaves along a side, at most.
 MOST_CELLS = 1 << 10
@@ -85,7 +86,7 @@ def rank_sites(
         "crs": model.crs,
         "duration": time.perf_counter() - began,
         "maps": 1,
-        "landing": {key: np.asarray(value).tolist() for key, value in wanted.items()},
+        "landing": LandingWishes(None, wanted).as_lists(),
         "target": found.selected.id,
         "target_changes": int(found.selected.id > 0),
         "explanation": found.explanation,

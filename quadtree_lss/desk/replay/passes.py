@@ -6,10 +6,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
+from math import inf
 from typing import Any, NamedTuple, Protocol
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip
 
@@ -61,6 +63,8 @@ class Passes:
         self.cells: CellMap | None = None
         self.last: LandingAssessment | None = None
         self.lss_ms = float("nan")
+        self._began_ns: int | None = None
+        self._settle_time = config.lss.settle_time
         self.changes: list[TargetChange] = []
 
     def changed(self) -> None:
@@ -75,6 +79,7 @@ class Passes:
         """Makes what is due at a time of the bag."""
         if self._map.due(now_ns):
             self._make_map(now_ns, snapshot)
+        self._landing.changed |= self._settling and self._waited(now_ns) >= self._settle_time
         if self._landing.due(now_ns):
             self._assess(now_ns)
 
@@ -82,8 +87,16 @@ class Passes:
         """Makes the last state, however soon it comes after the one before."""
         if self._map.changed or self._snapshot is None:
             self._make_map(now_ns, snapshot)
-        while self._landing.changed:
-            self._assess(now_ns)
+        while self._landing.changed or self._settling:
+            self._assess(now_ns, waited=inf)
+
+    @property
+    def _settling(self) -> bool:
+        return self.last is not None and self.last.selected.state == State.SETTLING
+
+    def _waited(self, now_ns: int) -> float:
+        """Since the first map, s."""
+        return 0.0 if self._began_ns is None else 1e-9 * (now_ns - self._began_ns)
 
     def _make_map(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
         """A map that nobody looks at need not be taken.
@@ -91,6 +104,8 @@ class Passes:
         Where the next one is due before an answer is, it either comes first or is the same.
         """
         self._map.sent(now_ns)
+        if self._began_ns is None or now_ns < self._began_ns:  # a recorder's clock stepped back
+            self._began_ns = now_ns
         self._snapshot, self.cells = cache(snapshot), None
         self._landing.changed = True
         if self._landing.due_ns < self._map.due_ns:
@@ -98,14 +113,15 @@ class Passes:
         for sink in self._sinks:
             sink.map(now_ns, self._snapshot)
 
-    def _assess(self, now_ns: int) -> None:
+    def _assess(self, now_ns: int, waited: float | None = None) -> None:
         self._landing.sent(now_ns)
         if self._snapshot is None:
             return
         if self.cells is None:
             self.cells = round_trip(self._snapshot())
         began = time.perf_counter()
-        found = self._selector.assess(self.cells, **self._restrictions())
+        waited = self._waited(now_ns) if waited is None else waited
+        found = self._selector.assess(self.cells, waited=waited, **self._restrictions())
         self.lss_ms = 1e3 * (time.perf_counter() - began)
         self._note(found)
         self.last, self._landing.changed = found, found.pending

@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from dataclasses import replace as changed
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.bags.bag import Bag
@@ -60,8 +59,9 @@ def replay(
         duration: Seconds to process, None for all.
         report: Also draw figures and ``report.html``.
         record: New bag for what the nodes would have published (see `record.Recorder`).
-        landing: By ``area``, ``keep_out`` (V, 2) and ``target`` (2,), map frame, m, or None for
-            none: what holds whatever the bag says. Those not in it are read from the topics
+        landing: By ``area``, ``keep_out`` (V, 2), ``keep_outs``, a list of such, and ``target``
+            (2,), map frame, m, or None for none: what holds whatever the bag says. Those not in it
+            are read from the topics
             ``landing/…`` of the bag.
         progress: See `run.Progress`.
         stop: Asked after each message; True ends the replay there, and the results are those of
@@ -83,8 +83,8 @@ def replay(
             stream.resolve(opened, config)
         else:
             stream.limit(opened)
-        fixed = {name: None if v is None else np.asarray(v) for name, v in (landing or {}).items()}
-        wishes = LandingWishes(config.frames.map, fixed)
+        wishes = LandingWishes(config.frames.map, landing)
+        stream.navigation = wishes.navigation
         run.landing = LandingTopics(wishes, opened, stream.start_ns)
         made = _make_folder(folder)
         try:

@@ -25,7 +25,7 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.intake import Intake, Notice
-from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes, Navigation
 from quadtree_lss.onboard.messages.outputs import (
     CELLS,
     GRID_TYPE,
@@ -77,6 +77,7 @@ class Stream:
         pose_type: Type of the poses' messages.
         start_ns, stop_ns: Times of reception: start_ns <= t < stop_ns.
         seconds: Length of the part.
+        navigation: Hears the poses.
     """
 
     scan_topic: str | None = None
@@ -91,6 +92,7 @@ class Stream:
     start_ns: int = field(default=0, init=False)
     stop_ns: int = field(default=0, init=False)
     seconds: float = field(default=0.0, init=False)
+    navigation: Navigation = field(default_factory=Navigation, init=False)
     _stamps: dict[str, Span] = field(default_factory=dict, init=False)
     _transforms: list[Any] = field(default_factory=list, init=False)
     _undecoded: dict[str, list[str]] = field(default_factory=dict, init=False)
@@ -163,6 +165,7 @@ class Stream:
             return intake.on_cloud(msg, message.received_ns)
         if what == "pose":
             intake.on_pose(msg)
+            self.navigation.take(msg)
         else:
             intake.on_gimbal(msg)
         return None

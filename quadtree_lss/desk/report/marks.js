@@ -40,7 +40,8 @@ function drawWishes(c) { // landing area, keep-out, target
     c.closePath(); c.setLineDash([8, 4]); c.lineWidth = 2; c.strokeStyle = colour; c.stroke();
     c.setLineDash([]);
   };
-  shape(data.landing.area, "#0072b2"); shape(data.landing.keep_out, "#d00");
+  shape(data.landing.area, "#0072b2");
+  for (const name in data.landing) if (name.startsWith("keep_out")) shape(data.landing[name], "#d00");
   if (data.landing.target) {
     const [x, y] = data.landing.target, p = px(x), q = py(y);
     c.strokeStyle = "#0072b2"; c.lineWidth = 3; c.beginPath();

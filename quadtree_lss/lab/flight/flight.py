@@ -22,6 +22,7 @@ from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.loading import load_config
 
 TICK = 0.01
 """s; a pose each, and ..."""
@@ -98,7 +99,9 @@ class Flight:
         if settings.avoidance == "perfect":
             best = self.ground.best()
             planned = planned if best is None else best
-        self.pilot = Pilot(settings.vehicle, settings.rules, planned, avoid=avoid, surveys=avoid)
+        commit = load_config(["flight"], dict(settings.config)).lss.commit_height
+        flown = settings.vehicle, settings.rules, planned
+        self.pilot = Pilot(*flown, avoid=avoid, commit_height=commit)
         self.looks = avoid
         self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half)
         self._lidar = FlashLidar(
@@ -227,7 +230,6 @@ class Flight:
         before = self._seen_from
         self.gimbal.step(self.time, position, velocity, pilot.target, TICK, pilot.aim)
         rotation = self.gimbal.rotation()
-        pilot.surveyed = self.gimbal.passes > 1
         self._seen_from = (self.lander.position.copy(), rotation)
         if "pose_gap" not in self.active:
             xyzw = quaternion(rotation)
@@ -242,8 +244,7 @@ class Flight:
             # Where navigation believes to be off, and what guidance adds to it.
             variances = np.diag(self._covariance)[:2] + self.settings.rules.miss**2
             yield from self._ask("landing/dispersion", variances)
-            if pilot.surveyed:
-                yield from self._ask("landing/target", pilot.aim)
+            yield from self._ask("landing/target", pilot.aim)
         if self.active.get("keep_out", 0.0) and "landing/keep_out" not in self._asked:
             square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
             yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * square)

@@ -56,7 +56,7 @@ def _side(axes: Axes, flown: Flown) -> None:
     height = rows[:, 3] - place[2]
     away = rows[:, 1] - place[0]
     axes.plot(away, height, color=PATH, lw=2)
-    axes.axhline(flight.settings.rules.latest_divert, color="0.5", lw=1, ls=":")
+    axes.axhline(flight.pilot.commit_height, color="0.5", lw=1, ls=":")
     for number, (began, what) in enumerate(_episodes(flown)):
         k = int(np.abs(rows[:, 0] - began).argmin())
         axes.plot(away[k], height[k], "o", color=PLACE, zorder=3)

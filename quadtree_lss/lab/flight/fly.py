@@ -25,7 +25,7 @@ PAPER = {
     "lss.assessment": "paper",
     "lss.ranking": "score",
     "lss.switch_margin": 0.08,
-    "lss.weight_target": 0.004,  # a metre of way against 0.2 m of room
+    "lss.target_risk": 0.0002,  # a metre of way against 0.2 m of room
 }
 """The paper's rules and score."""
 

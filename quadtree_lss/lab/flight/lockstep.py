@@ -73,16 +73,18 @@ class LockstepNodes:
 
     def take(self, sent: Sent, now_ns: int) -> None:
         """A message arrives."""
-        topic = sent.topic
+        topic, message = sent.topic, sent.message(self._make)
+        if topic == "nav/pose":
+            self._wishes.navigation.take(message)
         if topic.startswith("landing/"):
-            self._wishes.take(topic.removeprefix("landing/"), sent.message(self._make))
+            self._wishes.take(topic.removeprefix("landing/"), message)
             self._passes.landing_changed()
         elif "mapping" in self._down:
             return
         elif topic == "nav/pose":
-            self._intake.on_pose(sent.message(self._make))
+            self._intake.on_pose(message)
         else:
-            self._intake.on_cloud(sent.message(self._make), now_ns)
+            self._intake.on_cloud(message, now_ns)
 
     def work(self, now_ns: int) -> Target | None:
         """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""

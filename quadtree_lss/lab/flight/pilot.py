@@ -31,8 +31,6 @@ class Rules:
             choice: the rest is for diverts and errors.
         gate: Height over the aim from which it is straight down.
         gate_speed, touchdown_speed: Downwards there, and to the ground.
-        latest_divert: Height over the aim below which no other target is flown to.
-        trim: No more than so far from the aim, another target is followed down to the gate.
         hover: Height over the aim at which to wait for a target.
         patience: How long.
         miss: 1 sigma, along x and along y, that ``landing/dispersion`` tells besides navigation's:
@@ -48,8 +46,6 @@ class Rules:
     gate: float = 8.0
     gate_speed: float = 1.5
     touchdown_speed: float = 1.2
-    latest_divert: float = 20.0
-    trim: float = 2.0
     hover: float = 60.0
     patience: float = 60.0
     miss: float = 0.5
@@ -83,22 +79,21 @@ class Pilot:
         rules: How.
         planned: (3,) point to be flown to until something is known.
         avoid: False flies to the planned point whatever is said.
-        surveys: Targets are taken only once ``surveyed`` was set.
+        commit_height: ``lss.commit_height``: lower over the aim, no other target is flown to, m.
 
     Attributes:
         aim: (3,) where it is going to land by now.
-        surveyed: All of the candidate area was looked at once.
         target: The one that holds, None while there is none.
         mode: See above.
         decisions: What was done, in order.
     """
 
     def __init__(
-        self, vehicle: Vehicle, rules: Rules, planned: Array, *, avoid: bool, surveys: bool
+        self, vehicle: Vehicle, rules: Rules, planned: Array, *, avoid: bool, commit_height: float
     ) -> None:
         self.vehicle, self.rules, self.avoid = vehicle, rules, avoid
         self.aim = np.array(planned, dtype=np.float64)
-        self.surveyed = not surveys
+        self.commit_height = commit_height
         self.target: Array | None = None
         self.mode = "approach"
         self.decisions: list[Decision] = []
@@ -111,11 +106,11 @@ class Pilot:
     @property
     def committed(self) -> bool:
         """Too low for another target."""
-        return self._height < self.rules.latest_divert
+        return self._height < self.commit_height
 
     def hear(self, said: Target) -> None:
         """Takes what ``landing/selected`` says, as often as it says it."""
-        if not (self.avoid and self.surveyed) or self.mode in ("terminal", "abort"):
+        if not self.avoid or self.mode in ("terminal", "abort"):
             return
         if said.place is None:
             if self.target is not None:
@@ -130,7 +125,7 @@ class Pilot:
             if first:
                 self._resume("target")
             return
-        if self.committed and np.hypot(*(place - self.aim)[:2]) > self.rules.trim:
+        if self.committed:
             self._note("too late", place)
             return
         if not self._reaches(place):

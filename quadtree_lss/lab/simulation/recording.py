@@ -72,13 +72,15 @@ class Messages:
         point = self._point("Point", xyz)
         return self._types["geometry_msgs/msg/PointStamped"](header=header, point=point)
 
-    def polygon(self, stamp_ns: int, corners: Array) -> Any:
-        """Corners (K, 2) in the map."""
+    def polygon(self, stamp_ns: int, corners: Array, number: int | None = None) -> Any:
+        """Corners (K, 2) in the map; with a number, of a set of polygons."""
         points = [self._point("Point32", (x, y, 0.0)) for x, y in corners]
-        return self._types["geometry_msgs/msg/PolygonStamped"](
-            header=self._header(stamp_ns, self._frame),
-            polygon=self._types["geometry_msgs/msg/Polygon"](points=points),
-        )
+        polygon, kind = self._types["geometry_msgs/msg/Polygon"](points=points), "Polygon"
+        if number is not None:
+            kind = "PolygonInstance"
+            polygon = self._types[f"geometry_msgs/msg/{kind}"](polygon=polygon, id=number)
+        header = self._header(stamp_ns, self._frame)
+        return self._types[f"geometry_msgs/msg/{kind}Stamped"](header=header, polygon=polygon)
 
     def _header(self, stamp_ns: int, frame: str) -> Any:
         seconds, nanoseconds = divmod(stamp_ns, 10**9)

@@ -216,13 +216,10 @@ class LssConfig:
         (-1.0, 1000.0),
         "m",
     )
-    weight_target: float = _live(
-        0.02, "added score per metre from the target, when one is given", (0.0, 1e6)
-    )
     target_risk: float = _live(
         0.001,
-        "what a metre nearer to the target is worth, as a probability of a safe touchdown, when"
-        " sites are ranked by that",
+        "what a metre nearer to the place of landing/target is worth, as a probability of a safe"
+        " touchdown; 20 times that in the score",
         (0.0, 1.0),
         "1/m",
     )
@@ -247,10 +244,32 @@ class LssConfig:
     )
     switch_margin: float = _live(
         0.01,
-        "the target gives way to a site that is better by more than this, in the unit of the "
-        "ranking: 0.01 is one per cent more probably safe; with ranking score 0.08 buys 4 m more "
-        "room to the nearest hazard, or 4.6 degrees less slope",
+        "the target gives way to a site that is better by more than this, what the gain is "
+        "uncertain by and the way costs (docs/landing.md), in the unit of the ranking: 0.01 is one "
+        "per cent more probably safe; with ranking score 0.08 buys 4 m more room to the nearest "
+        "hazard, or 4.6 degrees less slope",
         (0.0, 1e6),
+    )
+    min_probability: float = _live(
+        0.9,
+        "no target is given out at which a touchdown is less probably safe; when sites are ranked "
+        "by that",
+        (0.0, 1.0),
+    )
+    settle_share: float = _live(
+        0.5,
+        "there is no target before so much of the area, or of the domain, is seen ...",
+        (0.0, 1.0),
+    )
+    settle_time: float = _live(
+        5.0, "... or so much time has gone by since the first map", (0.0, 1e5), "s"
+    )
+    commit_height: float = _live(
+        20.0,
+        "lower than this over the target, a hazard or who asks for it takes it away, and nothing "
+        "better does; lss_node hears poses for that",
+        (0.0, 1e5),
+        "m",
     )
     hysteresis: float = _live(
         0.0,

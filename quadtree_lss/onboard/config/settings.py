@@ -57,6 +57,7 @@ REMOVED = {
     "lss.touchdown_roughness": "it is five sixths of vehicle.clearance",
     "lss.touchdown_yaws": "it is fixed at 12 headings",
     "lss.hazard_distance_cap": "it follows from vehicle.diameter",
+    "lss.weight_target": "it is 20 times lss.target_risk",
     "lss.weight_slope": "it is fixed at 1 per radian (Eq. 58)",
     "lss.weight_roughness": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
     "lss.weight_hazard_distance": "it is fixed, in proportion to vehicle.diameter (Eq. 58)",

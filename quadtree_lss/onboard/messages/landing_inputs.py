@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What guidance says: ``landing/area``, ``keep_out``, ``target`` and ``dispersion``."""
+"""What guidance says: ``landing/area``, keep-outs, ``target`` and ``dispersion``; where it is."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,18 +14,21 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.poses import check_frame
 
 AREA, KEEP_OUT, TARGET, DISPERSION = "area", "keep_out", "target", "dispersion"
+KEEP_OUTS = "keep_outs"
 """Their topics are ``landing/`` and this."""
 
 POLYGON_TYPE, POINT_TYPE = "geometry_msgs/msg/PolygonStamped", "geometry_msgs/msg/PointStamped"
+INSTANCE_TYPE = "geometry_msgs/msg/PolygonInstanceStamped"
 DISPERSION_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TYPES = {
     AREA: POLYGON_TYPE,
     KEEP_OUT: POLYGON_TYPE,
+    KEEP_OUTS: INSTANCE_TYPE,
     TARGET: POINT_TYPE,
     DISPERSION: DISPERSION_TYPE,
 }
 
-BINDING = (AREA, KEEP_OUT)
+BINDING = (AREA, KEEP_OUT, KEEP_OUTS)
 """Topics without regard to which no site may be given out."""
 
 KNOWN_HEADING, WIDEST = np.radians(15.0), 100.0
@@ -32,6 +36,12 @@ KNOWN_HEADING, WIDEST = np.radians(15.0), 100.0
 
 MAX_VERTICES = 1000
 """More are taken for a damaged message."""
+
+SPEED_S = 0.5
+"""Over which the vehicle's speed is taken."""
+
+MAX_KEEP_OUTS = 200
+"""Of the set; another one is refused."""
 
 
 def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
@@ -41,7 +51,8 @@ def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
         MessageError: with reason ``frame`` or ``polygon``.
     """
     check_frame(msg.header.frame_id, map_frame, "polygon")
-    corners = np.array([(p.x, p.y) for p in msg.polygon.points], dtype=np.float64)
+    polygon = getattr(msg.polygon, "polygon", msg.polygon)  # of one of a set, which has an id
+    corners = np.array([(p.x, p.y) for p in polygon.points], dtype=np.float64)
     if not len(corners):
         return None
     if not 3 <= len(corners) <= MAX_VERTICES or not (np.abs(corners) <= FARTHEST).all():
@@ -95,6 +106,7 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
 DECODE = {
     AREA: polygon_from_message,
     KEEP_OUT: polygon_from_message,
+    KEEP_OUTS: polygon_from_message,
     TARGET: target_from_message,
     DISPERSION: dispersion_from_message,
 }
@@ -105,71 +117,128 @@ class LandingWishes:
 
     An area or a keep-out that was sent and cannot be used could be anywhere: no site may be given
     out then. Of a target or dispersion that cannot be used the one before holds; it only makes
-    sites better.
+    sites better. Each keep-out of the set has a name of its own, ``keep_outs/`` and its id.
 
     Args:
         frame: Of the map; None as long as it is not known: any frame will do.
-        fixed: Values (V, 2), (2,) or None by name that no message changes.
+        fixed: Values (V, 2), (2,) or None by name that no message changes; of ``keep_outs`` a list.
 
     Attributes:
         values: What holds by name, None if nothing was asked for.
         unusable: Why the last message of a name cannot be used, where it cannot.
         heard: The last message by name.
+        navigation: Of the vehicle.
     """
 
-    def __init__(self, frame: str | None, fixed: dict[str, Array | None] | None = None) -> None:
+    def __init__(self, frame: str | None, fixed: Mapping[str, Any] | None = None) -> None:
         self._frame = frame
         self.fixed = dict(fixed or {})
-        self.values: dict[str, Array | None] = dict.fromkeys(TYPES) | self.fixed
+        single = (name for name in TYPES if name != KEEP_OUTS)
+        self.values: dict[str, Array | None] = dict.fromkeys(single) | self.fixed
+        for number, polygon in enumerate(self.values.pop(KEEP_OUTS, None) or (), 1):
+            self.values[f"{KEEP_OUTS}/{number}"] = polygon
         self.unusable: dict[str, str] = {}
         self.heard: dict[str, Any] = {}
+        self.navigation = Navigation()
 
-    def take(self, name: str, msg: Any) -> None:
+    def take(self, topic: str, msg: Any) -> None:
         """A message of the topic ``landing/`` and this name.
 
         Raises:
             MessageError: it cannot be used.
         """
-        if name in self.fixed:
+        if topic in self.fixed:
             return
-        self.heard[name] = msg
-        self.unusable.pop(name, None)
-        frame = msg.header.frame_id if self._frame is None else self._frame
+        name = name_of(topic, msg)
+        full = name not in self.heard and len(self.heard) >= MAX_KEEP_OUTS
+        if not full:
+            self.heard[name] = msg
         try:
-            self.values[name] = DECODE[name](msg, frame)
+            frame = msg.header.frame_id if self._frame is None else self._frame
+            value = DECODE[topic](msg, frame)
+            if full and value is not None:
+                raise MessageError("number", f"there are {MAX_KEEP_OUTS} already")
         except MessageError as error:
             self.refuse(name, error)
             raise
+        self.values[name] = value
+        self.unusable.pop(name, None)
+        if topic == KEEP_OUTS and value is None and self._frame is not None:
+            del self.values[name]
+            self.heard.pop(name, None)
 
     def use_frame(self, frame: str) -> dict[str, MessageError]:
         """The map is in this frame: what was heard counts for it or not; what is wrong, by name."""
         wrong: dict[str, MessageError] = {}
         if frame != self._frame:
             self._frame = frame
-            for name, msg in self.heard.items():
+            for name, msg in list(self.heard.items()):
                 self.values[name] = None
                 try:
-                    self.take(name, msg)
+                    self.take(topic_of(name), msg)
                 except MessageError as error:
                     wrong[name] = error
         return wrong
 
     def refuse(self, name: str, error: MessageError) -> None:
         """A message of this name cannot be used."""
-        if name not in self.fixed:
+        known = name in self.unusable or len(self.unusable) < 2 * MAX_KEEP_OUTS
+        if known and topic_of(name) not in self.fixed:
             self.unusable[name] = f"landing/{name} cannot be used: {error}"
-            if name in BINDING:
+            if topic_of(name) in BINDING:
                 self.values[name] = None
 
     @property
     def withheld(self) -> str:
         """Why no site may be given out, empty if nothing speaks against it."""
-        return "; ".join(self.unusable[name] for name in BINDING if name in self.unusable)
+        return "; ".join(why for name, why in self.unusable.items() if topic_of(name) in BINDING)
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of ``LandingSiteSelector.assess``."""
-        return {**self.values, "withheld": self.withheld}
+        single = {name: v for name, v in self.values.items() if topic_of(name) == name}
+        many = [v for k, v in self.values.items() if k not in single and v is not None]
+        vehicle = self.navigation.vehicle(self._frame or "")
+        return {**single, KEEP_OUTS: many, "withheld": self.withheld, "vehicle": vehicle}
 
     def as_lists(self) -> dict[str, Any]:
         """Those that hold, for a summary."""
-        return {name: v.tolist() for name, v in self.values.items() if v is not None}
+        return {k: np.asarray(v).tolist() for k, v in self.values.items() if v is not None}
+
+
+class Navigation:
+    """Height and speed of the vehicle by its poses: its descent, on which its reach depends."""
+
+    def __init__(self) -> None:
+        self._frame = ""
+        self._vehicle: tuple[float, float] | None = None
+        self._from = (0, float("nan"))
+
+    def take(self, msg: Any) -> None:
+        """A ``PoseWithCovarianceStamped`` or ``Odometry``; what is no height is passed over."""
+        z = float(msg.pose.pose.position.z)
+        now = 10**9 * msg.header.stamp.sec + msg.header.stamp.nanosec
+        if not abs(z) <= FARTHEST:
+            return
+        self._frame = str(msg.header.frame_id).lstrip("/")
+        seconds = 1e-9 * (now - self._from[0])
+        if not 0.0 <= seconds < 5.0 * SPEED_S:  # the first one, or a time jump
+            self._from, self._vehicle = (now, z), (z, 0.0)
+        elif seconds >= SPEED_S:
+            self._vehicle = z, (self._from[1] - z) / seconds
+            self._from = now, z
+        elif self._vehicle is not None:
+            self._vehicle = z, self._vehicle[1]
+
+    def vehicle(self, frame: str) -> tuple[float, float] | None:
+        """Height, m, and speed downwards, m/s, in a frame; None if nobody knows."""
+        return self._vehicle if self._frame == frame.lstrip("/") else None
+
+
+def name_of(topic: str, msg: Any) -> str:
+    """Of what a message sets: of a set, each id has its own."""
+    return f"{topic}/{msg.polygon.id}" if topic == KEEP_OUTS else topic
+
+
+def topic_of(name: str) -> str:
+    """Without the id of one of a set."""
+    return name.partition("/")[0]

@@ -92,6 +92,9 @@ STATUS_FIELDS: tuple[tuple[str, str], ...] = (
     ("id", "u4"),
     ("answer", "u4"),
     ("reason", "u1"),
+    ("state", "u1"),
+    ("seen", "f4"),
+    ("probability", "f4"),
 )
 
 
@@ -293,6 +296,8 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     out["age"] = age
     out["offset_z"], out["offset_variance"] = assessment.offset_z, assessment.offset_variance
     out["id"], out["answer"], out["reason"] = selected.id, assessment.number, selected.reason
+    out["state"], out["seen"] = selected.state, assessment.seen
+    out["probability"] = selected.probability
     return out
 
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What guidance says: ``landing/area``, ``keep_out``, ``target`` and ``dispersion``."""
+"""What guidance says: ``landing/area``, keep-outs, ``target`` and ``dispersion``."""
 
 from __future__ import annotations
 
 import functools
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +16,17 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.landing_inputs import BINDING, TYPES, LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import (
+    AREA,
+    BINDING,
+    KEEP_OUT,
+    KEEP_OUTS,
+    MAX_KEEP_OUTS,
+    TYPES,
+    LandingWishes,
+    name_of,
+    topic_of,
+)
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.qos import latched, stream, subscribe
 from quadtree_lss.onboard.nodes.ros_messages import TYPES as ROS_TYPES
@@ -52,36 +63,36 @@ class LandingTopics:
         self, node: Node, problems: Problems, changed: Callable[[], None], required: str
     ) -> None:
         self.wishes = LandingWishes(None)
-        self._required = BINDING if required == "both" else (required,)
+        self._required = (AREA, KEEP_OUT) if required == "both" else (required,)
         self._node, self._problems, self._changed = node, problems, changed
         self._joined = self._heard = time.monotonic()
         self._began: float | None = None
         self._timer: Timer | None = None
         self._settled = False
-        self._samples: dict[str, tuple[int, int]] = {}
+        self._samples: dict[str, deque[tuple[int, int]]] = {}
         self._latched: dict[str, Any] = {}
         for name, kind in TYPES.items():
             take = functools.partial(self._take, name)
             kind, topic = ROS_TYPES[kind], f"landing/{name}"
-            subscribe(node, kind, topic, take, stream(5, reliable=True))
+            kept = MAX_KEEP_OUTS if name == KEEP_OUTS else 1
+            self._samples[name] = deque(maxlen=2 * kept)
+            subscribe(node, kind, topic, take, stream(max(kept, 5), reliable=True))
             quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
             self._latched[name] = node.create_subscription(
-                kind, topic, take, latched(), event_callbacks=quiet
+                kind, topic, take, latched(kept), event_callbacks=quiet
             )
 
     def states(self) -> dict[str, object]:
         """Whether each is set, for the diagnostics."""
-        wishes = self.wishes
-        return {
-            name: "unusable" if name in wishes.unusable else wishes.values[name] is not None
-            for name in TYPES
-        }
+        values, unusable = self.wishes.values, {topic_of(k) for k in self.wishes.unusable}
+        held = {topic_of(name) for name, value in values.items() if value is not None}
+        return {name: "unusable" if name in unusable else name in held for name in TYPES}
 
     def use_frame(self, frame: str) -> None:
         """The map is in this frame: what is held counts for it or does not, whenever it came."""
         before = dict(self.wishes.unusable)
         for name, error in self.wishes.use_frame(frame).items():
-            if self.wishes.unusable[name] != before.get(name):
+            if self.wishes.unusable.get(name) != before.get(name):
                 self._report(name, error)
 
     def settled(self) -> bool:
@@ -99,16 +110,20 @@ class LandingTopics:
         unheard = self.unheard()
         if any(name in self._required for name in unheard):
             return False
-        expected = any(self._latched[name].get_publisher_count() for name in unheard)
+        heard = {topic_of(name) for name in self.wishes.heard}
+        there = {name for name in BINDING if self._latched[name].get_publisher_count()}
+        expected = bool(there - heard)
         time_out = self._began + (UNHEARD_S if expected else SETTLE_S)
         in_time = now >= max(self._joined + JOIN_S, time_out)
-        complete = not unheard and now >= self._heard + QUIET_S
+        complete = not (unheard or expected) and now >= self._heard + QUIET_S
         self._settled = in_time or complete
         return self._settled
 
     def unheard(self) -> list[str]:
-        """Which of area and keep-out have not come."""
-        return [name for name in BINDING if name not in self.wishes.heard]
+        """Which of area and keep-out have not come; one of the set is a keep-out, too."""
+        heard = {topic_of(name) for name in self.wishes.heard}
+        heard |= {KEEP_OUT} if KEEP_OUTS in heard else set()
+        return [name for name in (AREA, KEEP_OUT) if name not in heard]
 
     def _look(self) -> None:
         """Whoever asked in vain is told, whoever else may have asked in between."""
@@ -116,23 +131,25 @@ class LandingTopics:
             self._timer.cancel()
             self._changed()
 
-    def _take(self, name: str, message: Any, info: dict[str, int]) -> None:
+    def _take(self, topic: str, message: Any, info: dict[str, int]) -> None:
         sample = (info["source_timestamp"], info["publication_sequence_number"])
-        if sample == self._samples.get(name) and sample[0] > 0:  # 0: the middleware does not say
-            return  # the one that is held, come by the other way
-        self._samples[name], self._heard = sample, time.monotonic()
-        value, unusable = self.wishes.values[name], self.wishes.unusable.get(name)
+        if sample in self._samples[topic] and sample[0] > 0:  # 0: the middleware does not say
+            return  # one that was taken, come by the other way
+        self._samples[topic].append(sample)
+        self._heard = time.monotonic()
+        wishes, name = self.wishes, name_of(topic, message)
+        value, unusable = wishes.values.get(name), wishes.unusable.get(name)
         try:
-            self.wishes.take(name, message)
+            wishes.take(topic, message)
         except MessageError as error:
             self._report(name, error)
-        same = np.array_equal(self.wishes.values[name], value)  # type: ignore[arg-type]
-        if not same or self.wishes.unusable.get(name) != unusable:
+        same = np.array_equal(wishes.values.get(name), value)  # type: ignore[arg-type]
+        if not same or wishes.unusable.get(name) != unusable:
             self._changed()
 
     def _report(self, name: str, error: MessageError) -> None:
         effect = "what was set before holds"
-        if name in BINDING:
+        if topic_of(name) in BINDING:
             effect = "no site is given out until one comes that can"
-        text = f"{self.wishes.unusable[name]}; {effect}"
-        self._problems.report(f"{name}_{error.reason}", text)
+        text = f"{self.wishes.unusable.get(name, error)}; {effect}"
+        self._problems.report(f"{topic_of(name)}_{error.reason}", text)

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import PoseArray
-from nav_msgs.msg import OccupancyGrid
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -34,7 +35,7 @@ from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
-from quadtree_lss.onboard.nodes.qos import advertise, latched, subscribe
+from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
 from quadtree_lss.onboard.nodes.ros_messages import GridMap, message_maker
 from quadtree_lss.onboard.nodes.target_output import TargetOutput
@@ -72,6 +73,12 @@ class LssNode(Node):
         subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._map_publishers.changed)
         subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
         self._waiting = Waiting(self.get_logger())
+        kind: Any = PoseWithCovarianceStamped
+        kind, poses = (Odometry, "odometry") if config.pose.source == "odometry" else (kind, "pose")
+        # Best effort: it matches any publisher, and the newest is enough.
+        take = self._inputs.wishes.navigation.take
+        subscribe(self, kind, f"nav/{poses}", take, stream(1, reliable=False))
+        self._began = float("nan")
         self._result: LandingAssessment | None = None
         self._failed = ""
         self._assessed: CellMap | None = None
@@ -147,10 +154,20 @@ class LssNode(Node):
         return "; ".join(reason for reason in reasons if reason)
 
     def _look_around(self) -> None:
-        """Withdraws the sites when the map has become too old; says what it waits for."""
+        """Withdraws the sites when the map has become too old; says what it waits for; ends the
+        wait for a target."""
         self._waiting.tell(self._lacks())
-        if self._result is not None and self._withhold() != self._withheld:
+        if self._result is None:
+            return
+        if self._withhold() != self._withheld:
             self._output.now()
+        settling = self._result.selected.reason.key == "settling"
+        if settling and self._waited() >= self._settings.config.lss.settle_time:
+            self._ask()
+
+    def _waited(self) -> float:
+        """Since the first map, s."""
+        return time.monotonic() - self._began
 
     def _lacks(self) -> str:
         """What there is not yet of all that the first answer takes, empty after it."""
@@ -167,6 +184,7 @@ class LssNode(Node):
         if cells is None:
             return
         self._inputs.use_frame(self._map.frame)
+        self._began = time.monotonic() if math.isnan(self._began) else self._began
         withheld = self._withhold()
         if cells is self._assessed and withheld == self._withheld and not self._asked:
             return  # what came was refused
@@ -179,7 +197,7 @@ class LssNode(Node):
         try:
             self._failed = ""
             with self._target.held_up():
-                result = self._selector.assess(cells, **restrictions)
+                result = self._selector.assess(cells, waited=self._waited(), **restrictions)
             self._give(result, new)
         except Exception as error:
             self._failed = failure("the landing site pass", error, self.get_logger())
@@ -261,6 +279,9 @@ class LssNode(Node):
                 "sites": count,
                 "target.id": result.selected.id,
                 "target.reason": result.selected.reason.key,
+                "target.state": result.selected.state.name.lower(),
+                "target.probability": result.selected.probability,
+                "seen": result.seen,
                 "explanation": result.explanation,
             }
         )

@@ -24,9 +24,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 
-def latched() -> QoSProfile:
-    """One message that late subscribers get as well."""
-    profile = stream(1, reliable=True)
+def latched(depth: int = 1) -> QoSProfile:
+    """One message, or the newest ``depth``, that late subscribers get as well."""
+    profile = stream(depth, reliable=True)
     profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
     return profile
 

@@ -13,7 +13,7 @@ from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Numbers
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.grid import GridSampler
 from quadtree_lss.onboard.core.landing.score import PointAssessment
-from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
@@ -68,12 +68,17 @@ class Selected:
 
     Attributes:
         reason: Why it is this one, or why there is none.
+        state: What is going on.
+        probability: Of a safe touchdown if the lander aims there; without a target, at the best
+            place that is permitted; NaN if there is none, or nobody asked for it.
         site: One row, none if there is no target.
         covariance: (6, 6) of x, y, z and rotations about fixed axes, map frame; see
             ``covariance.ground_covariance``. NaN if there is no target.
     """
 
     reason: Reason
+    state: State
+    probability: float
     site: Sites
     covariance: Array
 
@@ -96,6 +101,7 @@ class LandingAssessment:
         stamp_ns: The map's stamp.
         number: Of the assessment, from 1: no two of a selector have the same.
         selected: The target that holds from assessment to assessment.
+        seen: Share of the area, or without one of the domain, of which the ground is known.
         pending: There is no target, but another assessment, be it of the same map, would give one.
         sites: Ranked sites, none if no ground is safe.
         x, y: (nx,), (ny,) of the grid points, m.
@@ -116,6 +122,7 @@ class LandingAssessment:
     stamp_ns: int
     number: int
     selected: Selected
+    seen: float
     pending: bool
     sites: Sites
     x: Array
@@ -133,8 +140,8 @@ class LandingAssessment:
 
     @property
     def undecided(self) -> bool:
-        """Only a second look at safe ground makes a target of it: this was the first."""
-        return self.selected.reason == Reason.UNCONFIRMED
+        """Whether there is a target will be decided: more is to be seen, or seen again, first."""
+        return self.selected.reason in (Reason.UNCONFIRMED, Reason.SETTLING)
 
     def __repr__(self) -> str:
         ny, nx = self.score.shape
@@ -162,9 +169,11 @@ class LandingAssessment:
         return self._layer(lambda at, points: np.degrees(at.nearest(points.around.planes.slope)))
 
 
-def no_target(reason: Reason) -> Selected:
+def no_target(
+    reason: Reason, state: State = State.NONE, probability: float = float("nan")
+) -> Selected:
     """There is none."""
-    return Selected(reason, no_sites(), np.full((6, 6), np.nan))
+    return Selected(reason, state, probability, no_sites(), np.full((6, 6), np.nan))
 
 
 def no_sites() -> Sites:
@@ -183,6 +192,7 @@ def nothing_mapped(
         stamp_ns=cells.stamp_ns,
         number=number,
         selected=no_target(reason),
+        seen=0.0,
         pending=False,
         sites=no_sites(),
         x=x,

@@ -183,7 +183,7 @@ def aim(
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks:
         np.copyto(score, np.nan, where=np.isnan(cost))
-    candidates = Candidates(at.x, at.y, safe, cost)
+    candidates = Candidates(at.x, at.y, safe, cost, unsafe if ranks else None)
     return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld)
 
 

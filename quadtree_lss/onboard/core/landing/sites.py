@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
+from math import inf, isnan
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +46,7 @@ from quadtree_lss.onboard.core.landing.score import (
 from quadtree_lss.onboard.core.landing.target import (
     Candidates,
     Choice,
+    Descent,
     Reason,
     Restrictions,
     TargetKeeper,
@@ -52,6 +55,8 @@ from quadtree_lss.onboard.core.landing.target import (
 from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
+#: Why there is no target, where the same map would not give one either.
+WAITING = (Reason.SETTLING, Reason.UNLIKELY)
 #: Any heading is as good as another: variance of an angle of which nothing is known, rad^2.
 ANY_HEADING = np.pi**2 / 3.0
 
@@ -99,25 +104,33 @@ class LandingSiteSelector:
         *,
         area: ArrayLike | None = None,
         keep_out: ArrayLike | None = None,
+        keep_outs: Sequence[ArrayLike] = (),
         target: ArrayLike | None = None,
         dispersion: ArrayLike | None = None,
         withheld: str = "",
+        vehicle: tuple[float, float] | None = None,
+        waited: float = inf,
     ) -> LandingAssessment:
         """Rank landing sites on a map.
 
         Args:
             cells: The map message's content; points are never needed.
-            area, keep_out, target, withheld: As of `Restrictions`: where landing is wanted.
+            area, keep_outs, target, withheld: As of `Restrictions`: where landing is wanted.
+            keep_out: One more of ``keep_outs``.
             dispersion: Deviations of the touchdown from its aim along x and y, m, and the lander's
                 heading, rad, NaN for any; None for ``lss.dispersion``, and any. Limits alone are
                 looked at for one heading: a risk is that of the worst.
+            vehicle: Its height, map frame, m, and speed downwards, m/s; None if nobody knows.
+            waited: Since the first map, s: for as long as ``lss.settle_time`` says there is no
+                target before enough is seen.
 
         Raises:
             ValueError: the dispersion is none.
         """
         lss = self.config.lss
         at = users_grid(cells.domain, lss.spacing)
-        wanted = Restrictions(area, keep_out, target, withheld)
+        keep_outs = [*([] if keep_out is None else [keep_out]), *keep_outs]
+        wanted = Restrictions(area, keep_outs, target, withheld)
         self._number += 1
         spread = Dispersion.of(dispersion, lss)
         self._target.heed(wanted, self._reach(), lss)
@@ -133,7 +146,7 @@ class LandingSiteSelector:
             worst = self._check.worst(raster, around.judged, heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
         aims = aim(points, at, spread, wanted, lss)
-        return self._choose_sites(points, aims, spread, wanted)
+        return self._choose_sites(points, aims, spread, wanted, (vehicle, waited))
 
     def withhold(self, cells: CellMap, why: str) -> LandingAssessment:
         """Neither site nor target, because a map could not be assessed."""
@@ -148,15 +161,19 @@ class LandingSiteSelector:
         self, cells: CellMap, at: GridSampler, reason: Reason, bits: Bytes
     ) -> LandingAssessment:
         nowhere = np.full((len(at.y), len(at.x)), np.nan)
-        self._choose(
-            Candidates(at.x, at.y, np.isfinite(nowhere), nowhere), lambda *_: reason, reason
-        )
+        ground = Candidates(at.x, at.y, np.isfinite(nowhere), nowhere)
+        self._choose(ground, why_not=lambda *_: reason, why_none=reason)
         return nothing_mapped(cells, self._number, reason, at.x, at.y, at.any(touching(bits)))
 
     def _choose_sites(
-        self, points: PointAssessment, aims: Aims, spread: Dispersion, wanted: Restrictions
+        self,
+        points: PointAssessment,
+        aims: Aims,
+        spread: Dispersion,
+        wanted: Restrictions,
+        now: tuple[tuple[float, float] | None, float],
     ) -> LandingAssessment:
-        """The best aims, and the target."""
+        """The best aims, and the target; ``now`` is ``vehicle`` and ``waited`` of `assess`."""
         lss, cells, at = self.config.lss, points.raster.cells, aims.at
         doubts: tuple[str, ...] = ()
         if self._doubts is not None:
@@ -167,16 +184,15 @@ class LandingSiteSelector:
         if not safe.any():
             explanation = _why_none(points, lss)
         elif not landable:
-            explanation = "no safe ground within the landing area and outside the keep-out"
+            explanation = "no safe ground within the landing area and outside the keep-outs"
         if aims.withheld:
             explanation = f"no site is given out: {aims.withheld}"
 
         def why_not(row: int, column: int) -> Reason:
             if aims.withheld:
                 return Reason.WITHHELD
-            if safe[row, column]:
-                held = wanted.area_holds(at.x[column], at.y[row], lss)
-                return Reason.KEEP_OUT if held else Reason.OUTSIDE_AREA
+            if unwanted := wanted.fault(at.x[column], at.y[row], lss):
+                return unwanted
             if at.nearest(points.around.room)[row, column] >= (1.0 - SLACK) * zone_radius(lss):
                 return Reason.HAZARD
             away = at.nearest(points.around.to_unmapped)[row, column]
@@ -184,15 +200,24 @@ class LandingSiteSelector:
             return Reason.UNMAPPED if away < reach else Reason.UNSEEN
 
         none = Reason.WITHHELD if aims.withheld else Reason.NO_SITE
-        choice = self._choose(aims.candidates, why_not, none)
+        (vehicle, waited), seen = now, wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
+        settled = seen >= lss.settle_share or waited >= lss.settle_time
+        choice = self._choose(
+            aims.candidates,
+            why_not=why_not,
+            why_none=none,
+            descent=None if vehicle is None else self._descent(points, at, *vehicle),
+            settled=settled,
+        )
         ranked = self._rank(cost, at.x, at.y)
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             number=self._number,
-            selected=self._selected(choice, found, points.raster),
-            pending=choice.place is None and landable,
+            selected=self._selected(choice, found, aims, points.raster),
+            seen=seen,
+            pending=landable and choice.place is None and choice.reason not in WAITING,
             sites=found.of(slice(len(ranked))),
             x=at.x,
             y=at.y,
@@ -208,27 +233,37 @@ class LandingSiteSelector:
             doubts=doubts,
         )
 
-    def _choose(
-        self, ground: Candidates, why_not: Callable[[int, int], Reason], why_none: Reason
-    ) -> Choice:
-        margin, reach = self.config.lss.switch_margin, self._reach()
-        return self._target.choose(
-            ground, margin=margin, reach=reach, why_not=why_not, why_none=why_none
-        )
+    def _choose(self, ground: Candidates, **situation: Any) -> Choice:
+        return self._target.choose(ground, self.config.lss, reach=self._reach(), **situation)
+
+    def _descent(
+        self, points: PointAssessment, at: GridSampler, height: float, speed: float
+    ) -> Descent:
+        """Over the target; without one, or where its ground is not seen, over all of the ground."""
+        held, ground = self._target.held, float("nan")
+        if held is not None and (place := grid_point(at.x, at.y, *held)):
+            row, column = (near[k] for near, k in zip(at.near, place, strict=True))
+            ground = float(points.around.planes.elevation[row, column])
+        if isnan(ground):
+            ground = float(np.mean(points.raster.elevation[points.raster.seen]))
+        return Descent(height - ground, speed)
 
     def _reach(self) -> float:
         """How far from each other sites are the same, m: no two of a ranking are."""
         lss = self.config.lss
         return 0.49 * min(lss.vehicle.diameter, lss.separation)
 
-    def _selected(self, choice: Choice, found: Sites, raster: TerrainRaster) -> Selected:
+    def _selected(
+        self, choice: Choice, found: Sites, aims: Aims, raster: TerrainRaster
+    ) -> Selected:
         """The target, described in the last row of ``found``."""
         if choice.place is None:
-            return no_target(choice.reason)
+            best = float("nan") if choice.best is None else float(aims.probability[choice.best])
+            return no_target(choice.reason, choice.state, best)
         site = replace(found.of(slice(-1, None)), id=np.array([choice.id], dtype=np.uint32))
         place_x, place_y, _ = site.position[0]
         covariance = ground_covariance(raster, place_x, place_y, ground_radius(self.config.lss))
-        return Selected(choice.reason, site, covariance)
+        return Selected(choice.reason, choice.state, float(site.probability[0]), site, covariance)
 
     def _rank(self, cost: Array, x: Array, y: Array) -> list[tuple[int, int]]:
         """The best grid points, one after the other, each ``min_separation`` from those before."""

@@ -1,8 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where landing is wanted, the one target that holds, and numbers for places.
 
-The target is a grid point. It stays while landing there is permitted, whatever else the map offers,
-until a grid point that is better by a margin is permitted, or somebody asks for another.
+The target is a grid point. There is none until enough is seen to choose from. Then it stays while
+landing there is permitted, whatever else the map offers, until another grid point is better by more
+than the gain is uncertain by and the way there costs, or somebody asks for another. With c the cost
+of a grid point, p the probability of a safe touchdown if the lander aims there, it gives way if
+
+    c(target) - c > M / (1 - d / r) + 0.5 hypot(1 - p(target), 1 - p),    d < r,
+
+where M is ``lss.switch_margin``, d the distance between the two and r how far aside the vehicle
+still gets (`Descent`). Below ``lss.commit_height`` nothing better moves it.
 Ground that was just seen for the first time often looks different after the next scans: it becomes
 the target only if the assessment before found it safe, too. A place keeps its number as long as its
 ground is safe.
@@ -11,10 +18,10 @@ ground is safe.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from math import dist
+from math import dist, inf
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +32,18 @@ from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 
 #: Places that are remembered; of more the oldest are forgotten.
 MAX_PLACES = 1000
+#: Deviation of the truth from what is told of a probability p, as a share of 1 - p: of the safest
+#: places on maps of simulated flights (benchmark/target.py --told).
+DOUBT = 0.5
+#: Ground under the target, or beside it, that is found less safe than to be chosen is a hazard if
+#: touchdown fails with so many times ``lss.max_risk``.
+KEPT = 3.0
+#: A metre nearer to the place that is asked for counts so much more in the score: what makes 0.1 %
+#: of probability makes 1 m of room.
+TARGET_SCORE = 20.0
+#: How a vehicle gets aside on its way down: acceleration, m/s^2, and the least speed downwards that
+#: its time is reckoned with, m/s.
+ASIDE, SLOWEST = 1.0, 0.5
 
 
 class Reason(IntEnum):
@@ -44,11 +63,43 @@ class Reason(IntEnum):
     OUTSIDE_MAP = 23
     UNCONFIRMED = 24
     UNMAPPED = 25
+    SETTLING = 26
+    UNLIKELY = 27
 
     @property
     def key(self) -> str:
         """In files and diagnostics."""
         return self.name.lower()
+
+
+class State(IntEnum):
+    """No target; none before enough is seen; one that may give way to a better one; one that only a
+    hazard, or who asks for it, takes away."""
+
+    NONE = 0
+    SETTLING = 1
+    HOLDS = 2
+    COMMITTED = 3
+
+
+@dataclass(frozen=True)
+class Descent:
+    """What is left of the way down.
+
+    Attributes:
+        height: Of the vehicle over the ground, m.
+        speed: Downwards, m/s.
+    """
+
+    height: float
+    speed: float
+
+    @property
+    def reach(self) -> float:
+        """How far aside it still comes down, m: speeding up for half of the time, slowing down for
+        the other; and not farther than it is high."""
+        seconds = self.height / max(self.speed, SLOWEST)
+        return max(min(self.height, 0.25 * ASIDE * seconds**2), 0.0)
 
 
 @dataclass(frozen=True)
@@ -57,7 +108,7 @@ class Restrictions:
 
     Attributes:
         area: (V, 2) polygon that the landing zone must lie in.
-        keep_out: (V, 2) polygon that the zone must not touch.
+        keep_outs: (V, 2) polygons that the zone must not touch.
         target: (2,) or (3,) place to be near to.
         withheld: Why no site may be given out, however safe the ground, such as a keep-out that
             cannot be read; empty if nothing speaks against it.
@@ -68,7 +119,7 @@ class Restrictions:
     """
 
     area: ArrayLike | None = None
-    keep_out: ArrayLike | None = None
+    keep_outs: Sequence[ArrayLike] = ()
     target: ArrayLike | None = None
     withheld: str = ""
 
@@ -94,22 +145,21 @@ class Restrictions:
             ValueError, TypeError: a polygon with fewer than three finite vertices, a target that is
                 not finite, or not numbers.
         """
-        if self.area is None and self.keep_out is None and self.target is None:
+        if self.area is None and not self.keep_outs and self.target is None:
             return
         # Only what is left is looked at: areas come with every second of a flight.
         row, column = np.nonzero(np.isfinite(cost))
         left, zone = cost[row, column], 0.5 * lss.vehicle_diameter + lss.margin
         if self.area is not None:
             left[signed_distance(self.area, x[column], y[row]) < zone] = np.nan
-        if self.keep_out is not None:
-            left[signed_distance(self.keep_out, x[column], y[row]) > -zone] = np.nan
+        for polygon in self.keep_outs:
+            left[signed_distance(polygon, x[column], y[row]) > -zone] = np.nan
         if self.target is not None:
             goal = np.asarray(self.target, dtype=np.float64)
             if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
                 msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
                 raise ValueError(msg)
-            by_score = lss.ranking == "score"
-            weight = lss.weight_target if by_score else lss.target_risk
+            weight = (TARGET_SCORE if lss.ranking == "score" else 1.0) * lss.target_risk
             left += weight * np.hypot(x[column] - goal[0], y[row] - goal[1])
         cost[row, column] = left
 
@@ -119,6 +169,25 @@ class Restrictions:
             None if given is None else np.ravel(np.asarray(given, dtype=object)).tolist()
             for given in (self.area, self.target)
         )
+
+    def share(self, seen: Mask, x: Array, y: Array) -> float:
+        """Of the grid points (ny, nx) in the area, if there is one, those that are seen."""
+        if self.area is not None:
+            step = max(len(x) // 64, 1)  # so many say it to a hundredth
+            seen, (xs, ys) = seen[::step, ::step], np.meshgrid(x[::step], y[::step])
+            try:
+                seen = seen[signed_distance(self.area, xs, ys) >= 0.0]
+            except (TypeError, ValueError):
+                return 0.0
+        return float(np.mean(seen)) if seen.size else 0.0
+
+    def fault(self, x: float, y: float, lss: LssConfig) -> Reason | None:
+        """Why landing is not wanted at a place, None if nothing speaks against it."""
+        if not self.area_holds(x, y, lss):
+            return Reason.OUTSIDE_AREA
+        zone, at = 0.5 * lss.vehicle_diameter + lss.margin, (np.array([x]), np.array([y]))
+        touched = any(signed_distance(polygon, *at)[0] > -zone for polygon in self.keep_outs)
+        return Reason.KEEP_OUT if touched else None
 
     def area_holds(self, x: float, y: float, lss: LssConfig) -> bool:
         """Whether the area, if there is one, holds the zone about a place."""
@@ -148,12 +217,15 @@ class Candidates:
         safe: (ny, nx) landing is allowed by the ground.
         cost: (ny, nx) how bad it is, less is better; NaN where it is not permitted, be it for the
             ground or for where landing is wanted.
+        unsafe: (ny, nx) probability that touchdown fails if the lander aims there; NaN or None if
+            nobody asked for it.
     """
 
     x: Array
     y: Array
     safe: Mask
     cost: Array
+    unsafe: Array | None = None
 
     def at(self, x: float, y: float) -> tuple[int, int] | None:
         """Row and column of the grid point at a place, None if there is none."""
@@ -172,11 +244,15 @@ class Choice:
         place: Row and column of its grid point, None if there is no target.
         id: Number of its place, 0 if there is none.
         reason: Why it is this one, or why there is none.
+        state: What is going on.
+        best: Without a target, row and column of the best that is permitted, None if nothing is.
     """
 
     place: tuple[int, int] | None
     id: int
     reason: Reason
+    state: State = State.NONE
+    best: tuple[int, int] | None = None
 
 
 class Places:
@@ -252,14 +328,21 @@ class TargetKeeper:
         if not kept:
             self.release()
 
+    @property
+    def held(self) -> tuple[float, float] | None:
+        """x and y of the target, m."""
+        return self._held
+
     def choose(
         self,
         ground: Candidates,
+        lss: LssConfig,
         *,
-        margin: float,
         reach: float,
         why_not: Callable[[int, int], Reason],
         why_none: Reason,
+        descent: Descent | None = None,
+        settled: bool = True,
     ) -> Choice:
         """The target after one more assessment.
 
@@ -268,46 +351,89 @@ class TargetKeeper:
 
         Args:
             ground: What was assessed.
-            margin: By how much another must be better, in the unit of ``cost``.
+            lss: Margin, height of commitment and least probability.
             reach: Places no farther from each other are the same one, m.
             why_not: Why landing is not permitted at a row and column.
             why_none: Reason to be given if landing is permitted nowhere.
+            descent: Of the vehicle, None if nobody knows.
+            settled: Enough is seen to choose from, or the time for it is up.
         """
         self.places.forget(ground)
-        permitted = np.isfinite(ground.cost)
-        best = self._best(ground, permitted)
+        permitted = likely = np.isfinite(ground.cost)
+        least = lss.min_probability
+        if ground.unsafe is not None:
+            likely = permitted & ~(ground.unsafe > 1.0 - least)
+        best = _least(np.where(permitted, ground.cost, inf)) if permitted.any() else None
+        before, self._before = self._before, ground
+        again = before is not None and ground.same_grid(before)
+        seen_again = likely & before.safe if before and again else np.zeros_like(likely)
         held, released = self._held, self._released
         self._held, self._released = None, False
+        committed = descent is not None and descent.height <= lss.commit_height
         reason = Reason.FIRST if held is None else Reason.RELEASED
-        if not permitted.any():
-            lost = None if held is None or released else ground.at(*held)
-            return Choice(None, 0, why_none if lost is None else why_not(*lost))
         if held is not None and not released:
-            place = ground.at(*held)
+            place, reason = ground.at(*held), Reason.HOLDS
             if place is None:
-                return Choice(None, 0, Reason.OUTSIDE_MAP)
+                return Choice(None, 0, Reason.OUTSIDE_MAP, best=best)
             if not permitted[place]:
-                return Choice(None, 0, why_not(*place))
-            reason = Reason.BETTER
-            if best is None or ground.cost[place] - ground.cost[best] <= margin:
-                best, reason = place, Reason.HOLDS
-        if best is None:
-            return Choice(None, 0, Reason.UNCONFIRMED)
-        self._held = float(ground.x[best[1]]), float(ground.y[best[0]])
+                why = why_not(*place)
+                most = 1.0 - least if committed else min(KEPT * lss.max_risk, 1.0 - least)
+                bears = ground.unsafe is not None and ground.unsafe[place] <= most
+                if not (bears and why == Reason.HAZARD):
+                    return Choice(None, 0, why, best=best)
+            elif not (likely[place] or committed):
+                return Choice(None, 0, Reason.UNLIKELY, best=best)
+            better = None if committed else self._better(ground, seen_again, place, descent, lss)
+            if better is not None:
+                place, reason = better, Reason.BETTER
+        elif best is None:
+            return Choice(None, 0, why_none)
+        elif not (settled or committed or released):
+            return Choice(None, 0, Reason.SETTLING, State.SETTLING, best)
+        elif not likely.any():
+            return Choice(None, 0, Reason.UNLIKELY, best=best)
+        elif not seen_again.any():
+            return Choice(None, 0, Reason.UNCONFIRMED, best=best)
+        else:
+            place = _least(np.where(seen_again, ground.cost, inf))
+        self._held = float(ground.x[place[1]]), float(ground.y[place[0]])
         if reason != Reason.HOLDS:
             self._id = self.places.number(*self._held, reach)
         self.places.pin(self._id, *self._held)
-        return Choice(best, self._id, reason)
+        return Choice(place, self._id, reason, State.COMMITTED if committed else State.HOLDS)
 
-    def _best(self, ground: Candidates, permitted: Mask) -> tuple[int, int] | None:
-        """The best grid point of those that were safe in the last assessment, too."""
-        before, self._before = self._before, ground
-        if before is None or not ground.same_grid(before):
+    def _better(
+        self,
+        ground: Candidates,
+        allowed: Mask,
+        held: tuple[int, int],
+        descent: Descent | None,
+        lss: LssConfig,
+    ) -> tuple[int, int] | None:
+        """The grid point to which the target gives way; the equation is the module's."""
+        cost = ground.cost[held]
+        if ground.unsafe is not None and np.isnan(cost):  # it would not be chosen any more
+            cost = ground.unsafe[held]
+        row, column = np.nonzero(allowed & (ground.cost < cost - lss.switch_margin))
+        if not len(row):
             return None
-        again = np.flatnonzero(before.safe & permitted)
-        if not len(again):
-            return None
-        return divmod(int(again[np.argmin(ground.cost.take(again))]), len(ground.x))
+        gain = cost - ground.cost[row, column]
+        margin = np.full(len(row), lss.switch_margin)
+        if descent is not None:
+            away = np.hypot(ground.x[column] - ground.x[held[1]], ground.y[row] - ground.y[held[0]])
+            part = away / max(descent.reach, 1e-9)
+            margin = np.where(part < 1.0, margin / np.maximum(1.0 - part, 1e-9), inf)
+        if ground.unsafe is not None:
+            doubt = np.hypot(ground.unsafe[row, column], ground.unsafe[held])
+            margin += DOUBT * np.nan_to_num(doubt)
+        best = int(np.argmax(gain - margin))
+        return (int(row[best]), int(column[best])) if gain[best] > margin[best] else None
+
+
+def _least(values: Array) -> tuple[int, int]:
+    """Row and column of the least."""
+    row, column = divmod(int(np.argmin(values)), values.shape[1])
+    return row, column
 
 
 def grid_point(x: Array, y: Array, place_x: float, place_y: float) -> tuple[int, int] | None:
