@@ -41,8 +41,11 @@ TOPICS = {
     "lss_node": (
         "map/cells",
         "map/observed",
+        "nav/pose",
+        "nav/odometry",
         "landing/area",
         "landing/keep_out",
+        "landing/keep_outs",
         "landing/target",
         "landing/dispersion",
         "landing/sites",

@@ -36,7 +36,9 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.loading import dump_config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.messages.outputs import map_from_messages
-from quadtree_lss.onboard.nodes.qos import latched, stream
+from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.nodes.losses import Publishers
+from quadtree_lss.onboard.nodes.qos import latched, stream, subscribe
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
 KINDS = {
@@ -177,8 +179,10 @@ class _Link:
         }
         self._said: list[Target] = []
         self.heard: list[Heard] = []
-        kind = PoseWithCovarianceStamped
-        self.node.create_subscription(kind, "landing/selected", self._hear, latched())
+        kind, effect = PoseWithCovarianceStamped, "targets of either are flown to"
+        problems, name = Problems(self.node.get_logger()), "/landing/selected"
+        publishers = Publishers(name, "target_publishers", effect, problems)
+        subscribe(self.node, kind, name, self._hear, latched(), publishers.changed)
         self.map: tuple[Any, Any] | None = None
         self._halves: dict[str, Any] = {}
         halves = {"map/cells": PointCloud2, "map/observed": OccupancyGrid}
