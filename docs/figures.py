@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the documents, and whether they are of now: `python docs/figures.py [--make]`.
+"""Figures of the documents, and whether they are of now: `python docs/figures.py`.
 
 In a page a figure (tables, a picture) stands between two comments:
 
@@ -9,7 +9,7 @@ In a page a figure (tables, a picture) stands between two comments:
 
 HASH is of the parameters whose names match NAMES, so a changed default is seen. `--make` writes
 the tables of `quick` commands anew; `hours` and `idle` (needs an idle computer) are listed.
-`earlier` after NAMES: an earlier build made it, and the text between the comments says so.
+`--earlier` marks what has other parameters by now: `earlier` after NAMES, and a note for readers.
 """
 
 import argparse
@@ -76,24 +76,34 @@ def make(figure):
         text=True,
         check=True,
     )
-    body = figure.body if "--figure" in figure.command else done.stdout.strip() + "\n"
-    made = f"{build.name()[:8]}, {datetime.date.today()}"
-    text, old = figure.page.read_text(encoding="utf-8"), f"<!-- figure: {figure.command}\n"
-    start = text.index(old)
+    made = f"build {build.name()[:8]}, {datetime.date.today()}"
+    write(figure, made, None if "--figure" in figure.command else done.stdout.strip() + "\n")
+
+
+def write(figure, made, body=None):
+    """Replaces a figure's head, and its body or the note that an earlier build made it."""
+    if made:
+        made = f" = {parameters_hash(figure.config, figure.names)}; {made}"
+    bare = re.sub(r"\AEarlier build.*?\n\n", "", figure.body, flags=re.DOTALL)
+    body = body or ("" if made else "Earlier build.\n\n") + bare
+    text, head = figure.page.read_text(encoding="utf-8"), f"<!-- figure: {figure.command}\n"
+    start = text.index(head)
     end = text.index("<!-- end -->", start)
-    now = parameters_hash(figure.config, figure.names)
-    head = f"{old}{figure.effort}; {figure.config}: {figure.names} = {now}; build {made} -->\n"
+    head += f"{figure.effort}; {figure.config}: {figure.names}{made or '; earlier'} -->\n"
     figure.page.write_text(text[:start] + head + body + text[end:], encoding="utf-8")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--make", action="store_true", help="make the quick ones anew")
-    again = parser.parse_args().make
+    parser.add_argument("--earlier", action="store_true", help="mark those of other parameters")
+    options = parser.parse_args()
     for figure in list(figures()):
+        stale = figure.hash not in (None, parameters_hash(figure.config, figure.names))
         state = f"build {figure.made}" if figure.made else "of an earlier build"
-        if figure.hash not in (None, parameters_hash(figure.config, figure.names)):
-            state += ", other parameters"
+        state += ", of other parameters" if stale else ""
         print(f"{figure.page.name}: {figure.command} ({figure.effort}; {state})", flush=True)
-        if again and figure.effort == "quick":
+        if options.make and figure.effort == "quick":
             make(figure)
+        elif options.earlier and stale:
+            write(figure, None)

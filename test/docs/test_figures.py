@@ -18,7 +18,7 @@ def test_a_figure_is_of_the_present_defaults_or_says_so(figure):
     if figure.hash is None:
         assert "earlier build" in figure.body.lower(), "the reader has to see that"
     else:
-        remedy = "make it again (docs/figures.py), or mark it `earlier`"
+        remedy = "docs/figures.py makes it again, or with --earlier says so"
         assert figure.hash == parameters_hash(figure.config, figure.names), remedy
 
 
@@ -69,3 +69,7 @@ def test_a_figure_is_made_where_it_stands(tmp_path, monkeypatch):
     assert made.body == "| markdown |\n" and kept == other
     assert made.hash == parameters_hash("parabola", "lidar.*") and made.made
     assert page.read_text().startswith("before\n") and "\nafter\n" in page.read_text()
+    FIGURES["write"](made, None)
+    marked, kept = FIGURES["figures"]()
+    assert marked.body == "Earlier build.\n\n| markdown |\n" and kept == other
+    assert marked.hash is None and marked[:5] == made[:5]
