@@ -308,7 +308,7 @@ class Settings:
             assert str(error).isprintable()
             return "refused"
         mapper, d = Mapper(config), config.domain
-        points = d.size / config.lss.grid_spacing
+        points = d.size / config.lss.spacing
         if max(points, pass_seconds(d.size, 1 << d.max_level, config.lss) * 1e3) > 1e3:
             return "too slow for thousands"
         middle = np.array([d.xmin + 0.5 * d.size, d.ymin + 0.5 * d.size, HEIGHT])
