@@ -13,7 +13,16 @@ from collections.abc import Callable, Sequence
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.desk.commands import compare, completion, config, export, info, replay, sites
+from quadtree_lss.desk.commands import (
+    compare,
+    completion,
+    config,
+    doctor,
+    export,
+    info,
+    replay,
+    sites,
+)
 from quadtree_lss.desk.commands.common import (
     DONE,
     ERROR,
@@ -121,6 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add(commands)
     export.add(commands)
     info.add(commands)
+    doctor.add(commands)
     config.add(commands)
     simulate.add(commands)
     evaluate.add(commands)

@@ -124,8 +124,9 @@ def test_from_below_the_gate_it_climbs_first():
         {"target_age": CONFIG.max_target_age + 0.1},
         {"target": SITE + (4.0, 0.0, 0.0)},
         {"target": SITE + (-80.0, 0.0, 0.0)},
+        {"target": SITE + (0.0, 0.0, 15.0)},
     ],
-    ids=["withdrawn", "silent", "moved", "out of reach"],
+    ids=["withdrawn", "silent", "moved", "out of reach", "above"],
 )
 def test_what_is_lost_below_the_gate_is_answered_by_a_climb(height, fault):
     flight = Flight().until(below(height))
@@ -216,6 +217,7 @@ def test_a_jump_of_navigation_ends_at_the_pilot():
     assert flight.order.state == GIVE_UP and "jumped" in flight.order.text
     assert flight.height == pytest.approx(CONFIG.gate_height, abs=0.1)
     assert flight.on(60.0).order.state == GIVE_UP, "until the pilot has taken over"
+    assert flight.order.target is None, "whoever takes over by LAND does not land there"
 
 
 def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_than_it_may():

@@ -8,9 +8,10 @@ import pytest
 
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import OPTICAL_FROM_FLU
-from quadtree_lss.onboard.messages.lost_points import likely_reason
+from quadtree_lss.onboard.messages.lost_points import likely_reason, misplaced, unused_points_text
 
 DOMAIN = {"domain.xmin": -32.0, "domain.ymin": -32.0, "domain.size": 64.0}
 GLIDE = np.radians(30.0)
@@ -69,3 +70,25 @@ def test_a_cloud_in_the_maps_frame_is_told():
 def test_nothing_is_made_up(points):
     assert reason(points) == ""
     assert reason(optical_points() + [0.0, 0.0, 5e4]) == ""
+
+
+@pytest.mark.parametrize("mistake", ["ned", "no mount"])
+def test_ground_above_the_lidar_is_refused_with_the_likely_reason(mistake):
+    """Poses in NED and a forgotten mount, both inside of the domain: the map stays as it was."""
+    config = config_from_values({**DOMAIN, "lidar.outlier_gate": 0.0})
+    down, place = np.diag([1.0, -1.0, -1.0]), np.array([5.0, 3.0, 30.0])
+    points = optical_points(down, place)
+    mapper, covariance = Mapper(config), np.diag([1e-4] * 3 + [1e-8] * 3)
+    assert mapper.update(points, Pose(1, place, down, covariance)).points_used == len(points) ** 2
+    before = mapper.export_state()
+    ned = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    turn, at = (ned @ down, ned @ place) if mistake == "ned" else (np.eye(3), place)
+    wrong = Pose(2, at, turn, covariance)
+    report = mapper.update(points, wrong)
+    assert report.points_used == 0 and report.dropped["above"] == len(points) ** 2
+    assert misplaced(report)
+    after = mapper.export_state()
+    assert all(before[name].tobytes() == after[name].tobytes() for name in before)
+    text = unused_points_text(report, mapper.domain, likely_reason(points, wrong, config))
+    assert "above the lidar" in text
+    assert ("x east, y north, z up" if mistake == "ned" else "mount.roll_deg 180") in text

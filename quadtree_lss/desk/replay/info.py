@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass, field
@@ -13,8 +14,9 @@ import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.cloud_files import open_recording
-from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPE
+from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_TYPE
 from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.replay.doctor import Finding, Heard
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.points import points_line, points_warning
 from quadtree_lss.desk.replay.run import Progress
@@ -61,8 +63,8 @@ class BagInfo:
 
     ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; of two topics, empty if not
     found. Some scans could be mapped (``scans_with_pose``, with ``points``), others not
-    (``scans_dropped``, by reason), and so it is with the former's points. ``problems`` say why it
-    cannot be replayed, ``notes`` what to know, ``losses`` what cannot be read, one line each.
+    (``scans_dropped``, by reason), and so it is with the former's points. ``findings`` are what is
+    wrong, with what mends it, and what to know; ``losses`` what cannot be read, one line each.
     """
 
     path: str
@@ -76,9 +78,18 @@ class BagInfo:
     scans_dropped: dict[str, int] = field(default_factory=dict)
     points: int = 0
     points_dropped: dict[str, int] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
+
+    @property
+    def problems(self) -> list[str]:
+        """Why it cannot be replayed, one line each; empty if it can."""
+        return [told(finding) for finding in self.findings if finding.fatal]
+
+    @property
+    def notes(self) -> list[str]:
+        """What else is wrong, or to know, one line each."""
+        return [told(finding) for finding in self.findings if not finding.fatal]
 
     @property
     def works(self) -> bool:
@@ -87,7 +98,9 @@ class BagInfo:
 
     def as_dict(self) -> dict[str, Any]:
         """In JSON's types."""
-        content: dict[str, Any] = plain({"works": self.works, **asdict(self)})
+        told = {"works": self.works, "problems": self.problems, "notes": self.notes}
+        content: dict[str, Any] = plain({**told, **asdict(self)})
+        content["findings"] = [finding._asdict() for finding in self.findings]
         return content
 
     def table(self) -> str:
@@ -120,20 +133,18 @@ def inspect_bag(
             stream.resolve(opened, config)
         except BagError as error:
             if pairs is None:
-                info.problems.append(str(error))
+                info.findings.append(Finding("topics", str(error), _other_poses(info), fatal=True))
             else:
                 info.kind = "maps"
-                info.notes.append(
-                    "maps and no scans: replay ranks landing sites on the last map, `replay"
-                    " --record` on every one"
-                )
+                text = "maps and no scans: replay ranks landing sites on the last map, `replay"
+                info.findings.append(Finding("maps", f"{text} --record` on every one"))
         else:
             info.kind = "scans"
             info.scan_topic, info.pose_topic = stream.scans, stream.poses
             _read(info, opened, stream, config, progress)
         _rates_by_reception(info, opened)
         info.losses = [*opened.losses, *stream.losses]
-        info.notes += opened.notes
+        info.findings += [Finding("bag", text) for text in opened.notes]
     return info
 
 
@@ -153,7 +164,7 @@ def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
 def _read(
     info: BagInfo, bag: Bag, stream: Stream, config: Config, progress: Progress | None
 ) -> None:
-    intake = stream.intake(config)
+    intake, heard = stream.intake(config), Heard()
     d = config.domain
     domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
     dropped: Counter[str] = Counter()
@@ -163,16 +174,15 @@ def _read(
     texts: dict[str, str] = {}
     shown = time.monotonic()
     for message in stream.messages(bag):
-        kind = SCAN_TYPE if message.topic == stream.scans else stream.pose_type
-        if message.topic != stream.gimbal:
-            seen[message.topic].add(bag, message, kind)
+        with contextlib.suppress(MessageError):  # counted and told by the intake
+            _hear(heard, bag, message, stream, seen[message.topic])
         stream.take(bag, intake, message)
         for ready in intake.ready(message.received_ns):
             info.scans_with_pose += 1
             scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
             info.points += ready.points_lidar.size // 3
             dropped.update(lost)
-            if missed_at is None and not len(scan.key):
+            if not why and not len(scan.key):
                 missed_at = scan.centre
                 why = likely_reason(ready.points_lidar, ready.pose, config)
         for notice in intake.notices():
@@ -184,12 +194,35 @@ def _read(
     for notice in intake.notices():
         texts.setdefault(notice.reason, notice.text)
     info.scans_dropped, info.points_dropped = dict(intake.dropped), dict(dropped)
-    warning = points_warning(info.points, dropped, domain, missed_at, why)
-    if warning is not None:
-        (info.notes if info.points > dropped.total() else info.problems).append(warning)
     for topic in info.topics:
         seen[topic.name].tell(topic)
-    _judge(info, texts, config)
+    heard.mount = intake.mount
+    info.findings += _judge(info, texts, config)
+    wrong = heard.findings(config)
+    warning = points_warning(info.points, dropped, domain, missed_at, why)
+    if warning is not None:
+        mend = "" if wrong else MENDS["outside"]
+        fatal = info.points == dropped.total()
+        wrong.append(Finding("outside", warning, mend, fatal))
+    info.findings += wrong
+
+
+def _hear(heard: Heard, bag: Bag, message: RawMessage, stream: Stream, seen: _Stamps) -> None:
+    """A message as it stands.
+
+    Raises:
+        MessageError: it cannot be read.
+    """
+    if message.topic == stream.gimbal:
+        heard.add_gimbal(bag.decode(message.raw, GIMBAL_TYPE))
+        return
+    kind = SCAN_TYPE if message.topic == stream.scans else stream.pose_type
+    msg = bag.decode(message.raw, kind)
+    seen.add(msg, message.received_ns)
+    if kind == SCAN_TYPE:
+        heard.add_cloud(msg)
+    else:
+        heard.add_pose(msg)
 
 
 class _Stamps:
@@ -202,16 +235,12 @@ class _Stamps:
         self.frames: Counter[str] = Counter()
         self.layouts: Counter[str] = Counter()
 
-    def add(self, bag: Bag, message: RawMessage, kind: str) -> None:
-        try:
-            msg = bag.decode(message.raw, kind)
-            stamp = stamp_ns(msg.header)
-        except MessageError:
-            return  # counted and told by the intake
+    def add(self, msg: Any, received_ns: int) -> None:
+        stamp = stamp_ns(msg.header)
         self.stamps.append(stamp)
-        self.delays.append((message.received_ns - stamp) / SECOND_NS)
+        self.delays.append((received_ns - stamp) / SECOND_NS)
         self.frames[one_line(msg.header.frame_id, 80)] += 1
-        if kind == SCAN_TYPE:
+        if hasattr(msg, "fields"):
             self.points.append(msg.width * msg.height)
             self.layouts[_layout(msg)] += 1
 
@@ -241,41 +270,89 @@ def _layout(msg: Any) -> str:
     return f"{fields}; {msg.point_step} bytes a point, {order} endian, {shape}"
 
 
-def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> None:
+MENDS = {
+    "pose_quaternion": "publish unit quaternions x, y, z, w; no rotation is x, y, z: 0, w: 1",
+    "pose_attitude": "publish the attitude's covariance in rad^2, or zeros where it is unknown",
+    "pose_covariance": "publish a symmetric covariance without negative eigenvalues, m and rad",
+    "outside": "quadtree-lss config suggest BAG writes a domain that fits",
+}
+"""What mends that which the intake tells, by its keys."""
+OF_OTHER_TYPES = ("PoseStamped", "TransformStamped", "VehicleOdometry", "TFMessage", "Imu")
+
+
+def told(finding: Finding) -> str:
+    """In one line."""
+    return f"{finding.text}; mend: {finding.mend}" if finding.mend else finding.text
+
+
+def _other_poses(info: BagInfo) -> str:
+    """What could be turned into poses, where there are none."""
+    others = [t for t in info.topics if t.type.endswith(OF_OTHER_TYPES)]
+    if not others:
+        return ""
+    names = ", ".join(f"{t.name} ({t.type})" for t in others)
+    return f"if no pose is there, turn one of {names} into PoseWithCovarianceStamped or Odometry"
+
+
+def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding]:
+    """Of headers, rates and what the intake refused."""
     by_name = {topic.name: topic for topic in info.topics}
     scans, poses = by_name[info.scan_topic], by_name[info.pose_topic]
-    told = [f"{key}: {text}" for key, text in texts.items()]
-    if not info.scans_with_pose:
-        info.problems += told or ["no scan has a pose at its stamp"]
-    else:
-        info.notes += told
+    found = []
+    lacks = not info.scans_with_pose
     for topic in (scans, poses):
         if topic.first_stamp_ns is None:
-            info.problems.append(f"{topic.name}: no message has a usable header")
+            text = f"{topic.name}: no message has a usable header"
+            found.append(Finding("header", text, fatal=True))
             continue
         if topic.backward:
-            info.notes.append(f"{topic.name}: {topic.backward} stamps go back in time")
+            found.append(Finding("order", f"{topic.name}: {topic.backward} stamps go back in time"))
         if topic.first_stamp_ns < OLD_STAMP_NS:
-            info.notes.append(
+            text = (
                 f"{topic.name}: stamps of 1970: they count from a computer's start, which is fine"
-                " as long as scans and poses agree"
             )
+            found.append(Finding("boot", f"{text} as long as scans and poses agree"))
         if len(topic.frames) > 1:
-            info.notes.append(f"{topic.name}: several frames: {', '.join(topic.frames)}")
+            found.append(
+                Finding("frames", f"{topic.name}: several frames: {', '.join(topic.frames)}")
+            )
     both = (scans.first_stamp_ns, scans.last_stamp_ns, poses.first_stamp_ns, poses.last_stamp_ns)
     if None not in both:
         first, last, begin, end = (value or 0 for value in both)
         if first > end or last < begin:
             gap = max(first - end, begin - last) / SECOND_NS
-            info.problems.append(
-                f"stamps of scans and poses do not overlap, {gap:.3f} s lie between them:"
-                " different clocks?"
-            )
+            text = f"stamps of scans and poses do not overlap, {gap:.3f} s lie between them:"
+            mend = _clock_mend(scans, poses)
+            found.append(Finding("clocks", f"{text} different clocks?", mend, fatal=True))
+    wrong_frame = lacks and "pose_frame" in texts and len(poses.frames) == 1
+    for key, text in texts.items():
+        mend = MENDS.get(key, "")
+        if key == "pose_frame" and wrong_frame:
+            mend = f"frames.map: {next(iter(poses.frames))}"
+        found.append(Finding(key, f"{key}: {text}", mend, fatal=lacks))
+    if lacks and not texts:
+        found.append(Finding("no_pose", "no scan has a pose at its stamp", fatal=True))
     if poses.rate < scans.rate:
-        info.notes.append(
+        gap = config.pose.max_gap
+        text = (
             f"poses come at {poses.rate:.1f} Hz, scans at {scans.rate:.1f} Hz: interpolation over"
-            f" up to pose.max_gap = {config.pose.max_gap:g} s"
         )
+        mend = ""
+        if poses.rate * gap < 1.0:
+            mend = (
+                f"raise the poses' rate above the scans', or pose.max_gap: {1.5 / poses.rate:.2g}"
+            )
+        found.append(Finding("rate", f"{text} up to pose.max_gap = {gap:g} s", mend))
+    return found
+
+
+def _clock_mend(scans: TopicInfo, poses: TopicInfo) -> str:
+    """By which of the two clocks is not that of reception."""
+    off = max(scans, poses, key=lambda topic: abs(topic.delay))
+    return (
+        f"stamp {off.name} by the clock of the other: its stamps are {abs(off.delay):.1f} s"
+        f" {'before' if off.delay > 0.0 else 'after'} their reception"
+    )
 
 
 def _lines(info: BagInfo) -> list[str]:

@@ -46,8 +46,8 @@ def points_warning(
         text += f"; {domain_text(domain)}"
         if missed_at is not None:
             text += f", the middle of the first scan that missed it is at x {missed_at[0]:.1f},"
-            text += f" y {missed_at[1]:.1f}{'; ' if why else ''}{why}"
-    return text
+            text += f" y {missed_at[1]:.1f}"
+    return f"{text}; {why}" if why else text
 
 
 def share_text(part: int, of: int) -> str:

@@ -22,7 +22,12 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
-from quadtree_lss.onboard.messages.lost_points import MAP_OVERRULED, likely_reason, overruled_text
+from quadtree_lss.onboard.messages.lost_points import (
+    MAP_OVERRULED,
+    likely_reason,
+    misplaced,
+    overruled_text,
+)
 
 if TYPE_CHECKING:
     from quadtree_lss.desk.replay.history import History
@@ -191,7 +196,7 @@ class Run:
         if self.history is not None:
             self.history.scan(scan)
         self.points_dropped.update(report.dropped)
-        if not report.points_used and report.dropped["outside"] and self._missed_at is None:
+        if misplaced(report) and not self._missed_why:
             self._missed_at = report.centre
             self._missed_why = likely_reason(scan.points_lidar, scan.pose, self.config)
         overruled = overruled_text(report)

@@ -148,6 +148,7 @@ class Landing:
         if seen.pose_age <= self._config.max_pose_age and self.state != TOUCHDOWN:
             self._move(point, seen, target, dt)
         self._point = point
+        target = None if self.state == GIVE_UP else target
         return Order(self.state, self._text, point.copy(), target)
 
     def _leave(self, seen: Seen) -> None:
@@ -172,6 +173,9 @@ class Landing:
         away = float(np.hypot(*(target.place - self._home)[:2]))
         if away > config.reach:
             return None, f"the target is {away:.0f} m from where the pilot handed over"
+        if target.place[2] > seen.position[2] + AT_M:
+            over = target.place[2] - seen.position[2]
+            return None, f"the target lies {over:.1f} m above the vehicle: quadtree-lss doctor"
         return target, ""
 
     def _decide(self, seen: Seen, target: Target | None, why: str) -> None:

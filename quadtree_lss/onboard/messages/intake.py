@@ -110,6 +110,11 @@ class Intake:
         self._notices: list[Notice] = []
 
     @property
+    def mount(self) -> Pose | None:
+        """The lidar on the body where that does not move; None where it is not known."""
+        return self._extrinsics.mount
+
+    @property
     def dropped(self) -> dict[str, int]:
         """Scans that were not mapped, by reason: unusable clouds and those without a pose."""
         clouds = {k: v for k, v in self.rejected.items() if k.startswith("cloud_")}

@@ -29,9 +29,16 @@ REASONS = {
     "range": "out of range (lidar.min_range, lidar.max_range)",
     "isolated": "isolated (lidar.outlier_gate)",
     "outside": "outside the domain",
+    "above": "of scans above the lidar (poses or mount upside down)",
     "contradiction": "contradicting the map (their pose is farther off than it claims)",
 }
 """What became of points that did not enter the map, by the keys of ``ScanReport.dropped``."""
+
+
+def misplaced(report: ScanReport) -> bool:
+    """Whether no point entered the map because they lie elsewhere or above the lidar."""
+    lost = report.dropped.get("outside", 0) + report.dropped.get("above", 0)
+    return not report.points_used and lost > 0
 
 
 def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str | None:
@@ -48,8 +55,7 @@ def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str
         text += f"; {domain_text(domain)}"
         if report.centre is not None:
             text += f", the scan's middle is at x {report.centre[0]:.1f}, y {report.centre[1]:.1f}"
-        text += f"; {why}" if why else ""
-    return text
+    return f"{text}; {why}" if why else text
 
 
 def overruled_text(report: ScanReport) -> str | None:
@@ -83,7 +89,7 @@ LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
-    """What would bring a scan into the domain that misses it with all points; empty if unknown.
+    """What would bring a scan into the domain and below the lidar, if all points are not there.
 
     Each usual mistake about axes and frames is mended on some of the points: which of them lie in
     the domain then, and below the lidar, decides. ``points_lidar``: (..., 3) as they were mapped,
@@ -105,11 +111,12 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
         ("poses whose orientation takes the lidar's axes to the map's, not back", r.T, p),
         ("the pose of a body with z up and a lidar that looks down from it: mount.roll_deg 180",
          own @ LOOKING_DOWN, p),
-        ("poses with x east, y north, z up instead of north, east, down",
-         NED_FROM_ENU @ r, NED_FROM_ENU @ p),
         ("a cloud in the lidar's axes: this one is in the map's frame already",
          np.eye(3), np.zeros(3)),
     ]  # fmt: skip
+    north = ("poses with x east, y north, z up instead of north, east, down",
+             NED_FROM_ENU @ r, NED_FROM_ENU @ p)  # fmt: skip
+    tries.insert(0 if p[2] < 0.0 else len(tries), north)
     shares = [
         _share_inside(points @ turn.T + place, config, place[2] if place.any() else p[2])
         for _, turn, place in tries
@@ -117,7 +124,8 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
     best = int(np.argmax(shares))
     if shares[best] < 0.5:
         return ""
-    return f"it would lie inside with {tries[best][0]} ({100 * shares[best]:.0f} % of its points)"
+    share = f"{100 * shares[best]:.0f} % of its points"
+    return f"it would lie inside, below the lidar, with {tries[best][0]} ({share})"
 
 
 def _share_inside(points_map: Array, config: Config, lidar_z: float) -> float:

@@ -25,6 +25,7 @@ from quadtree_lss.onboard.messages.lost_points import (
     MAP_OVERRULED,
     NO_POINTS_USED,
     likely_reason,
+    misplaced,
     overruled_text,
     unused_points_text,
 )
@@ -272,8 +273,8 @@ class MappingNode(Node):
         self._divisions_refused += report.refused_divisions
         self._points_dropped.update(report.dropped)
         config = self._settings.config
-        missed = not report.points_used and report.dropped["outside"]
-        why = likely_reason(scan.points_lidar, scan.pose, config) if missed else ""
+        wrong = misplaced(report)
+        why = likely_reason(scan.points_lidar, scan.pose, config) if wrong else ""
         unused = unused_points_text(report, self._mapper.domain, why)
         if unused is not None:
             self._problems.report(NO_POINTS_USED, unused)

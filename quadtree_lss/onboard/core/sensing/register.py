@@ -60,7 +60,8 @@ def register(
 
     Returns:
         The scan and how many points were dropped, by reason: ``no_return``, ``range``,
-        ``isolated``, ``outside`` (of the domain).
+        ``isolated``, ``outside`` (of the domain); ``above`` are all others of a scan most of which
+        lies above the lidar: no ground does, so its pose is of other axes.
     """
     flat = points_lidar.reshape(-1, 3)
     if flat.dtype not in (np.float32, np.float64):
@@ -110,6 +111,7 @@ def register(
     middle = None
     if sound and not inside:
         middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
+    above = inside if 2 * np.count_nonzero(points[:inside, 2] > 0.0) > inside else 0
     scan = RegisteredScan(
         pose=Pose(
             pose.stamp_ns,
@@ -118,8 +120,8 @@ def register(
             sound_covariance(pose.covariance),
         ),
         origin=pose.position,
-        points=points[:inside],
-        key=key[:inside],
+        points=points[: inside - above],
+        key=key[: inside - above],
         centre=None if middle is None else (middle[0], middle[1]),
     )
     dropped = {
@@ -128,7 +130,7 @@ def register(
         "isolated": isolated,
         "outside": sound - inside,
     }
-    return scan, dropped
+    return scan, dropped | ({"above": above} if above else {})
 
 
 class _Workspace:

@@ -1,0 +1,411 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with clouds and poses, and the line that mends it.
+
+Frames, axes, units, lag and mount are judged by the ground itself: scans that are placed right lie
+below the lidar and agree with each other. Each usual mistake is mended in turn, and what brings the
+scans together is named.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.geometry.rotations import (
+    exp,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.mount import AXES, cloud_turn, fixed_mount
+from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.onboard.messages.lost_points import LOOKING_DOWN, NED_FROM_ENU
+from quadtree_lss.onboard.messages.poses import mount_from_message
+
+MOST_SCANS, MOST_POINTS = 60, 800
+"""Looked at of a bag, in pairs of neighbours, which see the same ground, and of each scan."""
+CELLS_ACROSS = 12
+"""Cells over a scan's footprint, in each of which the scans are compared about one plane."""
+FEWEST = 8
+"""Points, of two scans at least, by which a cell is compared."""
+OVERLAP = 0.3
+"""Share of the points in such cells; with less the scans do not see the same ground."""
+BETTER, NOISES = 0.4, 3.0
+"""What is mended must be so much better, and what there is worse than the noise by this."""
+ALIKE = 10.0
+"""Scans that see no common ground must see it so well when mended, in deviations of the noise."""
+MOST_ABOVE, MENDED_ABOVE = 0.5, 0.05
+"""Share of points above the lidar: of houses about one that stands, and of what is mended."""
+LAGS, FINER = np.linspace(-0.5, 0.5, 21), np.linspace(-0.04, 0.04, 9)
+LEAST_LAG, LAG_GAIN = 0.03, 0.8
+"""s; and the share of the disagreement that is left without the lag."""
+LEVEL_DEG, LEAST_DEG, SURE = 3.0, 2.0, 3.0
+"""Of ground: how far from level it may be on the whole; of a mount: what is no error; sigmas."""
+GROUNDS = 5.0
+"""Independent grounds that a flight sees: neighbouring scans see the same slopes."""
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+class Finding(NamedTuple):
+    """Something that is wrong, or to know.
+
+    Attributes:
+        key: Short name.
+        text: What, in one line.
+        mend: What to do about it, in one line; empty where nothing need be done.
+        fatal: Whether nothing can be mapped.
+    """
+
+    key: str
+    text: str
+    mend: str = ""
+    fatal: bool = False
+
+
+class Heard:
+    """What messages say before anybody has judged them: some scans, all poses and gimbal angles."""
+
+    def __init__(self) -> None:
+        self._scans: list[tuple[int, Array]] = []
+        self._every, self._count = 1, 0
+        self._poses: list[tuple[int, Array, Array, bool]] = []
+        self._gimbal: list[Pose] = []
+        self.mount: Pose | None = None
+
+    def add_cloud(self, msg: Any) -> None:
+        """One scan, of which some points are kept."""
+        self._count += 1
+        if (self._count - 1) // 2 % self._every:
+            return
+        try:
+            points = points_from_cloud(msg).reshape(-1, 3).astype(np.float64)
+            stamp = stamp_ns(msg.header)
+        except MessageError:
+            return
+        points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+        if len(points) >= FEWEST:
+            self._scans.append((stamp, points[:: max(len(points) // MOST_POINTS, 1)]))
+        if len(self._scans) == 2 * MOST_SCANS:
+            self._scans, self._every = _thinned(self._scans, 2), 2 * self._every
+
+    def add_pose(self, msg: Any) -> None:
+        """One pose as it stands, whatever its frame."""
+        pose = msg.pose.pose
+        place = np.array([pose.position.x, pose.position.y, pose.position.z])
+        q = pose.orientation
+        turn = np.array([q.x, q.y, q.z, q.w])
+        if np.isfinite(place).all() and np.linalg.norm(turn) > 0.5:
+            covariance = np.asarray(msg.pose.covariance)
+            unit = turn / np.linalg.norm(turn)
+            known = bool(covariance.any())
+            self._poses.append((stamp_ns(msg.header), place, unit, known))
+
+    def add_gimbal(self, msg: Any) -> None:
+        """One angle of the gimbal."""
+        self._gimbal.append(mount_from_message(msg))
+
+    def findings(self, config: Config) -> list[Finding]:
+        """What is wrong with covariances, frames, axes, units, lag and mount."""
+        found = []
+        if self._poses and not any(known for *_, known in self._poses):
+            sigmas = config.pose.unknown_position_sigma, config.pose.unknown_attitude_sigma_deg
+            text = "the poses' covariances are all zero: nothing says how well they are known"
+            mend = "publish the filter's own, or set pose.unknown_position_sigma (now {:g} m) and"
+            mend = f"{mend.format(sigmas[0])} pose.unknown_attitude_sigma_deg (now {sigmas[1]:g})"
+            found.append(Finding("covariance", text, mend))
+        flight = self._flight(config)
+        return found if flight is None else found + _judged(flight, config)
+
+    def _flight(self, config: Config) -> _Flight | None:
+        """What can be compared; None where scans and poses are of other times, or too few."""
+        by_stamp = {stamp: (place, turn) for stamp, place, turn, _ in self._poses}
+        stamps = np.array(sorted(by_stamp))
+        if len(stamps) < 2:
+            return None
+        start = int(stamps[0])
+        places = np.array([by_stamp[s][0] for s in stamps.tolist()])
+        turns = np.array([by_stamp[s][1] for s in stamps.tolist()])
+        body = _Path(1e-9 * (stamps - start), places, turns)
+        mount = fixed_mount(config.mount) if self.mount is None else self.mount
+        gimbal = None
+        if config.mount.gimbal and len(self._gimbal) > 1:
+            angles = sorted(self._gimbal, key=lambda pose: pose.stamp_ns)
+            rotations = np.array([a.rotation_map_lidar for a in angles])
+            times = np.array([1e-9 * (a.stamp_ns - start) for a in angles])
+            offsets = np.array([a.position for a in angles])
+            gimbal = _Path(times, offsets, quaternion_from_rotation(rotations))
+        scans = [(1e-9 * (stamp - start), points) for stamp, points in self._scans]
+        scans = [(t, points) for t, points in scans if 0.0 <= t <= body.times[-1]]
+        if len(scans) < 3:
+            return None
+        scans = _thinned(scans, -(-len(scans) // MOST_SCANS))
+        if mount is None:
+            mount = Pose(0, np.zeros(3), cloud_turn(config.mount), np.zeros((6, 6)))
+        return _Flight(scans, body, gimbal, mount)
+
+
+def _thinned(scans: list[Any], every: int) -> list[Any]:
+    """Of pairs every so-manieth."""
+    return [scan for k, scan in enumerate(scans) if k // 2 % every == 0]
+
+
+class _Path:
+    """Poses over time, at any time in between."""
+
+    def __init__(self, times: Array, places: Array, turns: Array) -> None:
+        self.times, self._places, self._turns = times, places, turns
+
+    def at(self, times: Array) -> tuple[Array, Array]:
+        """Places (K, 3) and rotations (K, 3, 3) at times (K,) s; at an end where beyond it."""
+        k = np.clip(np.searchsorted(self.times, times) - 1, 0, len(self.times) - 2)
+        share = (times - self.times[k]) / (self.times[k + 1] - self.times[k])
+        share = np.clip(share, 0.0, 1.0)[:, None]
+        places = self._places[k] + share * (self._places[k + 1] - self._places[k])
+        before, after = self._turns[k], self._turns[k + 1]
+        sign = np.where(np.sum(before * after, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+        return places, rotation_from_quaternion((1.0 - share) * before + share * sign * after)
+
+
+class _Flight:
+    """Scans and where the lidar was."""
+
+    def __init__(
+        self, scans: list[tuple[float, Array]], body: _Path, gimbal: _Path | None, mount: Pose
+    ) -> None:
+        self.times = np.array([time for time, _ in scans])
+        self.points = np.concatenate([points for _, points in scans])
+        self.of = np.repeat(np.arange(len(scans)), [len(points) for _, points in scans])
+        self._body, self._gimbal, self._mount = body, gimbal, mount
+        self.places, self.body = body.at(self.times)
+        self.arms, self.mounts = self._on_body(self.times)
+        self.range = float(np.median(np.linalg.norm(self.points, axis=1)))
+        self.last = float(body.times[-1])
+        spreads, self.normals = [], np.empty((len(scans), 3))
+        for k, (_, points) in enumerate(scans):
+            _, sizes, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+            self.normals[k] = axes[2]
+            spreads.append(4.0 * sizes[1] / np.sqrt(len(points)))
+        self.cell = float(np.median(spreads)) / CELLS_ACROSS
+
+    def _on_body(self, times: Array) -> tuple[Array, Array]:
+        if self._gimbal is not None:
+            return self._gimbal.at(times)
+        shape = (len(times), 1, 1)
+        return np.tile(self._mount.position, shape[:2]), np.tile(
+            self._mount.rotation_map_lidar, shape
+        )
+
+    def late(self, lag: float, chosen: NDArray[np.bool_]) -> float:
+        """Disagreement of some scans with the poses of so many seconds later, m."""
+        places, body = self._body.at(self.times + lag)
+        arms, mounts = self._on_body(self.times + lag)
+        origins = places + np.einsum("kij,kj->ki", body, arms)
+        return self.disagreement(origins, body @ mounts, chosen=chosen)[0]
+
+    def disagreement(
+        self, origins: Array, turns: Array, scale: float = 1.0,
+        chosen: NDArray[np.bool_] | None = None,
+    ) -> tuple[float, float]:  # fmt: skip
+        """How far the scans lie from common planes in cells, m, and the share above the lidar.
+
+        In each cell with `FEWEST` points of two scans z = a + b x + c y is fitted; of the variances
+        of what is left the median over the points counts. Infinite where scans do not overlap.
+
+        Args:
+            origins, turns: (K, 3) and (K, 3, 3) of the lidar.
+            scale: Of the points.
+            chosen: Of the scans; None for all.
+        """
+        points, of = scale * self.points, self.of
+        if chosen is not None:
+            points, of = points[chosen[of]], of[chosen[of]]
+        placed = np.einsum("nij,nj->ni", turns[of], points) + origins[of]
+        above = float(np.mean(placed[:, 2] > origins[of, 2]))
+        cell = max(scale * self.cell, 1e-6)
+        corner = np.floor(placed[:, :2] / cell)
+        corner -= corner.min(axis=0)
+        key = (corner[:, 0] * 2.0**26 + corner[:, 1]).astype(np.int64)
+        cells, inside = np.unique(key, return_inverse=True)
+        scans = np.unique(inside.astype(np.int64) * 2**20 + of) >> 20
+        x, y = (placed[:, :2] / cell - np.floor(placed[:, :2] / cell) - 0.5).T
+        z = placed[:, 2] - float(np.median(placed[:, 2]))
+        m = len(cells)
+        basis = np.stack([np.ones_like(x), x, y])
+        normal = np.array(
+            [[np.bincount(inside, a * b, m) for a in basis] for b in basis]
+        ).transpose(2, 0, 1)
+        right = np.array([np.bincount(inside, a * z, m) for a in basis]).T
+        count = normal[:, 0, 0]
+        good = (count >= FEWEST) & (np.bincount(scans, minlength=m) >= 2)
+        if count[good].sum() < OVERLAP * len(x):
+            return np.inf, above
+        weak = normal + np.diag([1e-6, 1e-3, 1e-3])
+        theta = np.linalg.solve(weak, right[..., None])[..., 0]
+        left = np.bincount(inside, (z - np.sum(theta[inside] * basis.T, axis=1)) ** 2, m)
+        variance = left[good] / (count[good] - 3.0)
+        order = np.argsort(variance)
+        middle = np.searchsorted(np.cumsum(count[good][order]), 0.5 * count[good].sum())
+        return float(np.sqrt(variance[order[middle]])), above
+
+
+class _Try(NamedTuple):
+    """A mistake, mended: where the lidar was then, and what is said of it."""
+
+    key: str
+    text: str
+    mend: str
+    origins: Array
+    turns: Array
+    scale: float = 1.0
+
+
+def _tries(flight: _Flight, config: Config) -> list[_Try]:
+    """The usual mistakes; the first of those that explain the scans alike is the likelier."""
+    p, b, m = flight.places, flight.body, flight.mounts
+    at = p + np.einsum("kij,kj->ki", b, flight.arms)
+    own = m @ cloud_turn(config.mount).T
+    tries = [
+        _Try("axes", f"clouds and poses are of different axes ({name.replace('_', ' ')})",
+             f"mount.axes: {name}", at, b @ own @ turn)
+        for name, turn in AXES.items() if name != config.mount.axes
+    ]  # fmt: skip
+    if not np.allclose(own, np.eye(3)):
+        text = "poses are the lidar's own, and a mount is set"
+        tries.append(_Try("mount", text, "leave out mount.*", p, b @ cloud_turn(config.mount)))
+    pitched = exp([0.0, 0.5 * np.pi, 0.0])
+    for mend, turn in (("roll_deg: 180", LOOKING_DOWN), ("pitch_deg: 90", pitched)):
+        text = "poses are a level body's, and the lidar looks down from it"
+        tries.append(_Try("mount", text, f"mount: {{{mend}}}", at, b @ own @ turn))
+    mend = "convert them (docs/connecting.md), or take autopilot_node's or MAVROS's nav/odometry"
+    ned = NED_FROM_ENU
+    north = [
+        _Try("ned", "poses are in north, east, down; the map is east, north, up", mend,
+             p @ ned.T + np.einsum("kij,kj->ki", ned @ b @ body, flight.arms), ned @ b @ body @ m)
+        for body in (np.eye(3), FLIP)
+    ]  # fmt: skip
+    tries = north + tries if np.median(p[:, 2]) < 0.0 else tries + north
+    mend = "exchange them: x, y, z, w = q[1], q[2], q[3], q[0]"
+    first = rotation_from_quaternion(quaternion_from_rotation(b)[:, [1, 2, 3, 0]])
+    tries.append(_Try("quaternion", "orientations have w first", mend, at, first @ m))
+    text = "orientations take the map's axes to the lidar's, not back"
+    mend = "publish their inverse: -x, -y, -z, w"
+    tries.append(_Try("inverse", text, mend, p, b.transpose(0, 2, 1) @ m))
+    for scale, unit in ((1e-3, "millimetres"), (1e-2, "centimetres")):
+        text, mend = f"clouds are in {unit}", f"publish metres: x, y, z times {scale:g}"
+        tries.append(_Try("units", text, mend, at, b @ m, scale))
+        text, mend = f"poses are in {unit}", f"publish metres: positions times {scale:g}"
+        shifted = scale * p + at - p
+        tries.append(_Try("pose_units", text, mend, shifted, b @ m))
+    text, mend = "clouds are in the map's frame already", "publish them in the lidar's own axes"
+    here = np.tile(np.eye(3), (len(p), 1, 1))
+    tries.append(_Try("map_cloud", text, mend, np.zeros_like(p), here))
+    return tries
+
+
+def _judged(flight: _Flight, config: Config) -> list[Finding]:
+    """What the ground says: of axes, frames and units first, then of lag, then of the mount."""
+    at = flight.places + np.einsum("kij,kj->ki", flight.body, flight.arms)
+    turns = flight.body @ flight.mounts
+    cost, above = flight.disagreement(at, turns)
+    noise, lidar = config.lidar.range_noise, config.lidar
+    sound = above <= MOST_ABOVE and lidar.min_range <= flight.range <= lidar.max_range
+    best: tuple[float, _Try] | None = None
+    for tried in _tries(flight, config):
+        if not lidar.min_range <= tried.scale * flight.range <= lidar.max_range:
+            continue
+        if sound and (tried.scale != 1.0 and cost < 30.0 * noise):
+            continue
+        height = flight.places[:, 2] if not tried.origins.any() else tried.origins[:, 2]
+        origins = tried.origins
+        found, over = flight.disagreement(origins, tried.turns, tried.scale)
+        if tried.key == "map_cloud":
+            over = float(np.mean(flight.points[:, 2] > height[flight.of]))
+        if over <= MENDED_ABOVE and (best is None or found < 0.8 * best[0]):
+            best = found, tried
+    limit = BETTER * cost if np.isfinite(cost) else ALIKE * noise
+    wrong = not sound or (cost > NOISES * noise and best is not None and best[0] < limit)
+    if wrong and best is not None and (np.isfinite(best[0]) or not sound):
+        return [
+            Finding(best[1].key, f"{best[1].text}: {_state(cost, above, best[0])}", best[1].mend)
+        ]
+    if above > MOST_ABOVE:
+        text = f"{100 * above:.0f} % of the ground lies above the lidar, and no usual mistake"
+        mend = "look at frames and axes (docs/connecting.md)"
+        return [Finding("above", f"{text} explains it", mend)]
+    return _lag(flight) or _mount(flight, config)
+
+
+def _state(cost: float, above: float, mended: float) -> str:
+    """What speaks for it."""
+    words = [f"{100 * above:.0f} % of the ground lies above the lidar"] * (above > MOST_ABOVE)
+    if np.isfinite(mended):
+        far = f"{cost:.2g} m" if np.isfinite(cost) else "not at all"
+        words.append(f"scans agree to {mended:.2g} m with it, without {far}")
+    return ", ".join(words)
+
+
+def _lag(flight: _Flight) -> list[Finding]:
+    """A constant delay between clouds and poses that brings the scans together."""
+    chosen = (flight.times > -LAGS[0]) & (flight.times < flight.last - LAGS[-1])
+    if np.count_nonzero(chosen) < 3:
+        return []
+    costs = np.array([flight.late(lag, chosen) for lag in LAGS])
+    now, near = costs[len(LAGS) // 2], LAGS[int(np.argmin(costs))] + FINER
+    costs = np.array([flight.late(lag, chosen) for lag in near])
+    best = int(np.argmin(costs))
+    lag = float(near[best])
+    if not (np.isfinite(now) and abs(lag) >= LEAST_LAG and costs[best] < LAG_GAIN * now):
+        return []
+    late = "late" if lag < 0.0 else "early"
+    text = f"clouds are stamped {abs(lag):.2f} s too {late} against the poses: scans agree to"
+    text += f" {costs[best]:.2g} m with the poses of then, to {now:.2g} m with those of their stamp"
+    mend = f"add {lag:+.2f} s to the clouds' stamps (the driver's time offset), or mend the poses'"
+    return [Finding("lag", text, mend)]
+
+
+def _mount(flight: _Flight, config: Config) -> list[Finding]:
+    """Roll and pitch of the mount by which the ground keeps its slope, and is about level.
+
+    Unknown are a small turn d of the lidar about two axes across the ground's normal and the
+    ground's own normal n. Each scan k, whose normal is m_k in lidar axes, says R_k exp(d) m_k = n.
+    """
+    turns = flight.body @ flight.mounts
+    upward = np.sign(np.einsum("ki,ki->k", turns[:, 2, :], flight.normals))
+    normals = flight.normals * np.where(upward == 0.0, 1.0, upward)[:, None]
+    middle = normals.mean(axis=0)
+    middle /= np.linalg.norm(middle)
+    across = np.linalg.svd(middle[None])[2][1:]  # two axes
+
+    def residuals(unknown: Array) -> Array:
+        tilt = np.array([unknown[2], unknown[3], 1.0])
+        told = np.einsum("kij,kj->ki", turns @ exp(unknown[:2] @ across), normals)
+        return np.asarray(told - tilt / np.linalg.norm(tilt))
+
+    deviation = 0.02
+    for _ in range(3):  # the slopes' own deviation, and by it the weights
+        sigma = deviation * np.sqrt(len(turns) / GROUNDS)
+
+        def weighted(unknown: Array, sigma: float = sigma) -> Array:
+            prior = unknown / np.radians([20.0, 20.0, LEVEL_DEG, LEVEL_DEG])
+            return np.concatenate([residuals(unknown).ravel() / sigma, prior])
+
+        fit = least_squares(weighted, np.zeros(4))
+        deviation = max(1.2 * float(np.median(np.linalg.norm(residuals(fit.x), axis=1))), 0.002)
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+    angle = float(np.degrees(np.linalg.norm(fit.x[:2])))
+    unsure = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])))
+    if angle < max(LEAST_DEG, SURE * unsure) or config.mount.gimbal:
+        return []
+    mount = flight.mounts[0] @ exp(fit.x[:2] @ across) @ cloud_turn(config.mount).T
+    angles = np.round(Rotation.from_matrix(mount).as_euler("xyz", degrees=True), 1)
+    roll, pitch, yaw = np.where(angles == -180.0, 180.0, angles)
+    text = f"the lidar looks {angle:.1f} deg ({unsure:.1f}) beside where its mount says: the ground"
+    text += " turns with the vehicle, or is far from level"
+    mend = f"mount: {{roll_deg: {roll:.1f}, pitch_deg: {pitch:.1f}, yaw_deg: {yaw:.1f}}}"
+    return [Finding("mount_angle", text, mend)]

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mistakes that integrators make, each made from one good flight and named with its mend."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from replay.recordings import CLOUD, POSE, SECOND, START, Recorder, write_ros2
+from replay.test_cli import run
+from rosbags.rosbag2 import StoragePlugin, Writer
+from scipy.spatial.transform import Rotation
+
+from quadtree_lss.desk.replay.info import inspect_bag
+from quadtree_lss.onboard.config.settings import config_from_values
+
+DOMAIN = {"xmin": -30.0, "ymin": -30.0, "size": 60.0, "min_level": 3, "max_level": 7}
+BASE = {"domain": DOMAIN, "lidar.range_noise": 0.02}
+DOWN = Rotation.from_euler("x", 180.0, degrees=True)
+OPTICAL_FLU = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]])  # takes FLU to optical
+NED = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+
+
+def height(x, y):
+    """Gentle ground without a slope on the whole."""
+    return 0.4 * np.sin(0.9 * x + 0.3 * y) + 0.3 * np.cos(0.5 * x - 1.1 * y)
+
+
+def body(t):
+    """Place and attitude (forward, left, up) of a drone that turns, sways and comes down."""
+    place = np.stack([4.0 * np.sin(0.9 * t), 3.0 * np.cos(0.7 * t), 24.0 - 1.0 * t], axis=-1)
+    angles = np.stack([8.0 * np.sin(2.1 * t), 6.0 * np.sin(1.7 * t + 1.0), 25.0 * t], axis=-1)
+    return place, Rotation.from_euler("xyz", angles, degrees=True)
+
+
+def rays():
+    """Of a lidar of 60 x 45 degrees, z boresight."""
+    right, down = np.meshgrid(np.linspace(-0.57, 0.57, 32), np.linspace(-0.41, 0.41, 24))
+    return np.stack([right, down, np.ones_like(right)], axis=-1)
+
+
+@dataclass
+class Good:
+    """A good flight: stamps by one clock, the body's poses, a lidar that looks straight down.
+
+    A mistake changes its parts: times are s.
+    """
+
+    scan_times: np.ndarray = field(default_factory=lambda: np.arange(0.6, 7.4, 0.1))
+    pose_times: np.ndarray = field(default_factory=lambda: np.arange(0.0, 8.0, 0.02))
+    mount: Rotation = DOWN
+    scale: float = 1.0
+    scan_clock: float = 0.0
+    pose_clock: float = 0.0
+    covariance: np.ndarray = field(default_factory=lambda: np.diag([1e-4] * 3 + [1e-7] * 3))
+    frame: str = "map"
+    place: object = staticmethod(lambda place, turn: place)
+    quaternion: object = staticmethod(lambda place, turn: turn.as_quat())
+    cloud: object = staticmethod(lambda points, place, turn: points)
+    of_lidar: bool = False
+
+    def write(self, path):
+        rng = np.random.default_rng(70011)
+        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            recorder = Recorder(writer)
+            for t in self.pose_times:
+                place, turn = body(t)
+                turn = turn * self.mount if self.of_lidar else turn
+                at = START + round(t * SECOND)
+                stamp = at + round(self.pose_clock * SECOND)
+                quaternion = self.quaternion(place, turn)
+                message = recorder.pose(stamp, self.place(place, turn), quaternion, self.frame)
+                message.pose.covariance = self.covariance.reshape(-1)
+                recorder.write("/nav/pose", message, POSE, at + 2_000_000)
+            for t in self.scan_times:
+                place, turn = body(t)
+                turn = turn * self.mount
+                direction = turn.apply(rays().reshape(-1, 3))
+                reach = np.full(len(direction), place[2])
+                for _ in range(20):
+                    x, y, _ = (place + reach[:, None] * direction).T
+                    reach += (
+                        0.8
+                        * (height(x, y) - (place[2] + reach * direction[:, 2]))
+                        / (direction[:, 2])
+                    )
+                points = reach[:, None] * rays().reshape(-1, 3)
+                points *= 1.0 + rng.normal(scale=0.02, size=(len(points), 1)) / (
+                    np.linalg.norm(points, axis=1, keepdims=True)
+                )
+                points = self.scale * self.cloud(points, place, turn)
+                at = START + round(t * SECOND)
+                stamp = at + round(self.scan_clock * SECOND)
+                shaped = points.reshape(*rays().shape)
+                recorder.write(
+                    "/lidar/points", recorder.cloud(stamp, shaped), CLOUD, at + 5_000_000
+                )
+        return path
+
+
+LIDAR_POSES = {"of_lidar": True}
+MOUNTED = {**BASE, "mount.roll_deg": 180.0}
+
+
+def permuted(place, turn):
+    return turn.as_quat()[[3, 0, 1, 2]]
+
+
+#: What is done, with which configuration, what is found and what its mend says.
+MISTAKES = {
+    "poses in another frame": ({"frame": "odom"}, MOUNTED, "pose_frame", "frames.map: odom"),
+    "NED poses of an FRD body": (
+        {
+            "place": lambda place, turn: NED.apply(place),
+            "quaternion": lambda place, turn: (NED * turn * DOWN).as_quat(),
+        },
+        MOUNTED, "ned", "convert",
+    ),
+    "NED poses of the lidar": (
+        {
+            **LIDAR_POSES,
+            "place": lambda place, turn: NED.apply(place),
+            "quaternion": lambda place, turn: (NED * turn).as_quat(),
+        },
+        BASE, "ned", "convert",
+    ),
+    "w first": ({"quaternion": permuted}, MOUNTED, "quaternion", "x, y, z, w"),
+    "w first, of the lidar": (
+        {**LIDAR_POSES, "quaternion": permuted}, BASE, "quaternion", "x, y, z, w",
+    ),
+    "inverted orientations": (
+        {**LIDAR_POSES, "quaternion": lambda place, turn: turn.inv().as_quat()},
+        BASE, "inverse", "-x, -y, -z, w",
+    ),
+    "clouds FLU, poses optical": (
+        {**LIDAR_POSES, "cloud": lambda points, place, turn: OPTICAL_FLU.inv().apply(points)},
+        BASE, "axes", "mount.axes: flu_to_optical",
+    ),
+    "clouds optical, poses FLU": (
+        {**LIDAR_POSES, "quaternion": lambda place, turn: (turn * OPTICAL_FLU).as_quat()},
+        BASE, "axes", "mount.axes: optical_to_flu",
+    ),
+    "a forgotten mount": ({}, BASE, "mount", "roll_deg: 180"),
+    "a mount too many": (LIDAR_POSES, MOUNTED, "mount", "leave out"),
+    "clouds in mm": ({"scale": 1000.0}, MOUNTED, "units", "0.001"),
+    "clouds in cm": ({"scale": 100.0}, MOUNTED, "units", "0.01"),
+    "poses in mm": (
+        {"place": lambda place, turn: 1000.0 * place}, MOUNTED, "pose_units", "0.001",
+    ),
+    "clouds in the map": (
+        {"cloud": lambda points, place, turn: turn.apply(points) + place},
+        MOUNTED, "map_cloud", "own axes",
+    ),
+    "clouds stamped since boot": ({"scan_clock": -1.7e9}, MOUNTED, "clocks", "lidar/points"),
+    "poses stamped since boot": ({"pose_clock": -1.7e9}, MOUNTED, "clocks", "nav/pose"),
+    "clouds of a clock 37 s ahead": ({"scan_clock": 37.0}, MOUNTED, "clocks", "37.0"),
+    "clouds 0.2 s late": ({"scan_clock": 0.2}, MOUNTED, "lag", "-0.20 s"),
+    "poses 0.12 s late": ({"pose_clock": 0.12}, MOUNTED, "lag", "+0.12 s"),
+    "a mount 9 deg off in roll": (
+        {}, {**BASE, "mount.roll_deg": 171.0}, "mount_angle", "roll_deg: ",
+    ),
+    "a mount 4 deg off in pitch": (
+        {}, {**MOUNTED, "mount.pitch_deg": -4.0}, "mount_angle", "pitch_deg: ",
+    ),
+    "poses once in two seconds": (
+        {"pose_times": np.arange(0.0, 8.1, 2.0)}, MOUNTED, "rate", "pose.max_gap",
+    ),
+    "covariances of nothing": (
+        {"covariance": np.zeros((6, 6))}, MOUNTED, "covariance", "pose.unknown_position_sigma",
+    ),
+    "an attitude that nobody knows": (
+        {"covariance": np.diag([1e-4] * 3 + [1e3] * 3)}, MOUNTED, "pose_attitude", "covariance",
+    ),
+    "quaternions of zeros": (
+        {"quaternion": lambda place, turn: np.zeros(4)}, MOUNTED, "pose_quaternion", "w: 1",
+    ),
+    "a domain elsewhere": (
+        {}, {**MOUNTED, "domain.xmin": 500.0}, "outside", "config suggest",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_each_mistake_is_named_with_its_mend(name, tmp_path):
+    change, values, key, mend = MISTAKES[name]
+    path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")
+    found = inspect_bag(path, config_from_values(values)).findings
+    wrong = [finding for finding in found if finding.mend]
+    assert [finding.key for finding in wrong] == [key], found
+    assert mend in wrong[0].mend
+    if key == "mount_angle":
+        told = dict(part.split(": ") for part in wrong[0].mend[8:-1].split(", "))
+        mount = Rotation.from_euler("xyz", [float(v) for v in told.values()], degrees=True)
+        assert np.degrees((mount * DOWN.inv()).magnitude()) < 1.0
+
+
+STILL = {"scan_times": np.full(60, 3.0) + 1e-3 * np.arange(60)}
+GOOD = {
+    "poses of the body": ({}, MOUNTED),
+    "poses of the lidar": (LIDAR_POSES, BASE),
+    "hardly any motion": (STILL, MOUNTED),
+    "clocks since boot, both": ({"scan_clock": -1.7e9, "pose_clock": -1.7e9}, MOUNTED),
+    "another noise": ({}, {**MOUNTED, "lidar.range_noise": 0.06}),
+}
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_nothing_is_wrong_with_a_good_flight(name, tmp_path):
+    change, values = GOOD[name]
+    path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")
+    info = inspect_bag(path, config_from_values(values))
+    assert info.works and not [f for f in info.findings if f.mend], info.findings
+
+
+def test_nothing_is_wrong_with_one_that_looks_straight_down_and_the_command_says_so(
+    tmp_path, capsys
+):
+    path = write_ros2(tmp_path / "bag", scans=20)
+    settings = ("--set", "lidar.range_noise=0.03")
+    code, out, _ = run(capsys, "doctor", path, *settings)
+    assert code == 0 and out == "nothing is wrong with /lidar/points and /nav/pose\n"
+    code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom")
+    assert code == 1 and "mend:  frames.map: map" in out
+    code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom", "--json")
+    assert json.loads(out)[0]["mend"] == "frames.map: map"

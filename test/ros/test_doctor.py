@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss doctor`` looks at what is live."""
+
+from __future__ import annotations
+
+import subprocess
+
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from ros_scene import cloud, events, pose
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.lab.live.processes import program
+from quadtree_lss.onboard.nodes.qos import stream
+
+pytestmark = pytest.mark.xdist_group("ros")
+
+
+@pytest.mark.parametrize(("frame", "code"), [("map", 0), ("odom", 1)])
+def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
+    command = [program("quadtree-lss"), "doctor", "--seconds", "4", "--set", f"frames.map={frame}"]
+    with ros.listen({}) as listener:
+        clouds = listener.node.create_publisher(
+            PointCloud2, "lidar/points", stream(5, reliable=False)
+        )
+        poses = listener.node.create_publisher(
+            PoseWithCovarianceStamped, "nav/pose", stream(100, reliable=True)
+        )
+        sent = events(60)
+        with subprocess.Popen(
+            command, env=ros.env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as doctor:
+            assert listener.wait_for(lambda: poses.get_subscription_count() > 0)
+            assert listener.wait_for(lambda: clouds.get_subscription_count() > 0)
+
+            def send():
+                for _ in range(4):
+                    event = next(sent, None)
+                    if event is not None and event.points_lidar is None:
+                        poses.publish(pose(event.stamp_ns))
+                    elif event is not None:
+                        clouds.publish(cloud(event.stamp_ns, event.points_lidar))
+                return doctor.poll() is not None
+
+            assert listener.wait_for(send, timeout=60.0)
+            out, err = doctor.communicate()
+    assert doctor.returncode == code, err
+    expected = "nothing is wrong with /lidar/points" if code == 0 else "mend:  frames.map: map"
+    assert expected in out, out + err
+
+
+def test_silence_is_one_line(ros):
+    command = [program("quadtree-lss"), "doctor", "--seconds", "0.5"]
+    done = subprocess.run(command, env=ros.env, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert "nothing came in 0.5 s" in done.stderr
