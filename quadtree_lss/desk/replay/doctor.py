@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
@@ -27,9 +28,9 @@ from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud
 from quadtree_lss.onboard.messages.lost_points import LOOKING_DOWN, NED_FROM_ENU
 from quadtree_lss.onboard.messages.poses import mount_from_message
 
-MOST_SCANS, MOST_POINTS = 120, 250
-"""Looked at of a bag, and of each scan."""
-CELLS_ACROSS = 16
+MOST_SCANS, MOST_POINTS = 60, 800
+"""Looked at of a bag, in pairs of neighbours, which see the same ground, and of each scan."""
+CELLS_ACROSS = 12
 """Cells over a scan's footprint, in each of which the scans are compared about one plane."""
 FEWEST = 8
 """Points, of two scans at least, by which a cell is compared."""
@@ -41,7 +42,7 @@ ALIKE = 10.0
 """Scans that see no common ground must see it so well when mended, in deviations of the noise."""
 MOST_ABOVE, MENDED_ABOVE = 0.5, 0.05
 """Share of points above the lidar: of houses about one that stands, and of what is mended."""
-LAGS = np.linspace(-0.5, 0.5, 51)
+LAGS, FINER = np.linspace(-0.5, 0.5, 21), np.linspace(-0.04, 0.04, 9)
 LEAST_LAG, LAG_GAIN = 0.03, 0.8
 """s; and the share of the disagreement that is left without the lag."""
 LEVEL_DEG, LEAST_DEG, SURE = 3.0, 2.0, 3.0
@@ -80,7 +81,7 @@ class Heard:
     def add_cloud(self, msg: Any) -> None:
         """One scan, of which some points are kept."""
         self._count += 1
-        if self._count % self._every:
+        if (self._count - 1) // 2 % self._every:
             return
         try:
             points = points_from_cloud(msg).reshape(-1, 3).astype(np.float64)
@@ -90,8 +91,8 @@ class Heard:
         points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
         if len(points) >= FEWEST:
             self._scans.append((stamp, points[:: max(len(points) // MOST_POINTS, 1)]))
-        if len(self._scans) > 2 * MOST_SCANS:
-            self._scans, self._every = self._scans[::2], 2 * self._every
+        if len(self._scans) == 2 * MOST_SCANS:
+            self._scans, self._every = _thinned(self._scans, 2), 2 * self._every
 
     def add_pose(self, msg: Any) -> None:
         """One pose as it stands, whatever its frame."""
@@ -143,10 +144,15 @@ class Heard:
         scans = [(t, points) for t, points in scans if 0.0 <= t <= body.times[-1]]
         if len(scans) < 3:
             return None
-        scans = scans[:: -(-len(scans) // MOST_SCANS)]
+        scans = _thinned(scans, -(-len(scans) // MOST_SCANS))
         if mount is None:
             mount = Pose(0, np.zeros(3), cloud_turn(config.mount), np.zeros((6, 6)))
         return _Flight(scans, body, gimbal, mount)
+
+
+def _thinned(scans: list[Any], every: int) -> list[Any]:
+    """Of pairs every so-manieth."""
+    return [scan for k, scan in enumerate(scans) if k // 2 % every == 0]
 
 
 class _Path:
@@ -290,15 +296,15 @@ def _tries(flight: _Flight, config: Config) -> list[_Try]:
     text = "orientations take the map's axes to the lidar's, not back"
     mend = "publish their inverse: -x, -y, -z, w"
     tries.append(_Try("inverse", text, mend, p, b.transpose(0, 2, 1) @ m))
-    text, mend = "clouds are in the map's frame already", "publish them in the lidar's own axes"
-    here = np.tile(np.eye(3), (len(p), 1, 1))
-    tries.append(_Try("map_cloud", text, mend, np.zeros_like(p), here))
     for scale, unit in ((1e-3, "millimetres"), (1e-2, "centimetres")):
         text, mend = f"clouds are in {unit}", f"publish metres: x, y, z times {scale:g}"
         tries.append(_Try("units", text, mend, at, b @ m, scale))
         text, mend = f"poses are in {unit}", f"publish metres: positions times {scale:g}"
         shifted = scale * p + at - p
         tries.append(_Try("pose_units", text, mend, shifted, b @ m))
+    text, mend = "clouds are in the map's frame already", "publish them in the lidar's own axes"
+    here = np.tile(np.eye(3), (len(p), 1, 1))
+    tries.append(_Try("map_cloud", text, mend, np.zeros_like(p), here))
     return tries
 
 
@@ -350,8 +356,10 @@ def _lag(flight: _Flight) -> list[Finding]:
     if np.count_nonzero(chosen) < 3:
         return []
     costs = np.array([flight.late(lag, chosen) for lag in LAGS])
+    now, near = costs[len(LAGS) // 2], LAGS[int(np.argmin(costs))] + FINER
+    costs = np.array([flight.late(lag, chosen) for lag in near])
     best = int(np.argmin(costs))
-    lag, now = float(LAGS[best]), costs[len(LAGS) // 2]
+    lag = float(near[best])
     if not (np.isfinite(now) and abs(lag) >= LEAST_LAG and costs[best] < LAG_GAIN * now):
         return []
     late = "late" if lag < 0.0 else "early"
@@ -395,17 +403,9 @@ def _mount(flight: _Flight, config: Config) -> list[Finding]:
     if angle < max(LEAST_DEG, SURE * unsure) or config.mount.gimbal:
         return []
     mount = flight.mounts[0] @ exp(fit.x[:2] @ across) @ cloud_turn(config.mount).T
-    roll, pitch, yaw = _roll_pitch_yaw(mount)
+    angles = np.round(Rotation.from_matrix(mount).as_euler("xyz", degrees=True), 1)
+    roll, pitch, yaw = np.where(angles == -180.0, 180.0, angles)
     text = f"the lidar looks {angle:.1f} deg ({unsure:.1f}) beside where its mount says: the ground"
     text += " turns with the vehicle, or is far from level"
     mend = f"mount: {{roll_deg: {roll:.1f}, pitch_deg: {pitch:.1f}, yaw_deg: {yaw:.1f}}}"
     return [Finding("mount_angle", text, mend)]
-
-
-def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
-    """Degrees about fixed x, then y, then z."""
-    pitch = float(np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0)))
-    roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
-    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    a, b, c = np.round(np.degrees([roll, pitch, yaw]), 1).tolist()
-    return 180.0 if a == -180.0 else a, b, c
