@@ -37,7 +37,7 @@ def test_errors_are_as_claimed(kind, align):
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "align"), CASES)
 def test_errors_are_as_claimed_after_ten_thousand_scans(kind, align):
-    """The flights of docs/evidence.md: twelve draws of an error that persists scatter by a fifth."""
+    """As docs/evidence.md: twelve draws of an error that persists scatter by a fifth."""
     found = ratios(kind, align, [100, 1000, 10000], 12, 901)
     assert (found > 0.5).all()
     assert (found < 1.5).all()

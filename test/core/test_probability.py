@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.config.risk import RiskModel, risk_model, risk_model_text
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, VehicleConfig
 from quadtree_lss.onboard.core.landing import hazards, score
+from quadtree_lss.onboard.core.landing.grid import TIE, probable_first
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     Remainder,
@@ -208,10 +209,22 @@ def test_guidance_goes_before_the_configuration(beside_a_rock):
         theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.5, Dispersion(0.2, 0.1))
     )
     assert theirs.max() > own.max()
-    one = selector.assess(beside_a_rock, dispersion=[0.0, 0.0, np.radians(15.0)])
+
+
+@pytest.mark.parametrize("rule", ["probability", "touchdown"])
+def test_a_heading_counts_for_limits_and_not_for_the_risk_fitted_to_the_worst(beside_a_rock, rule):
+    ranking, heard = "probability" if rule == "probability" else "score", []
+    selector, worst = probable(assessment=rule, ranking=ranking), TouchdownCheck.worst
+
+    def hear(check, raster, candidates, heading=None):
+        heard.append(heading)
+        return worst(check, raster, candidates, heading)
+
+    with mock.patch.object(TouchdownCheck, "worst", hear):
+        one = selector.assess(beside_a_rock, dispersion=[0.0, 0.0, 0.3])
+    assert heard == [None if rule == "probability" else 0.3]
     every = selector.assess(beside_a_rock, dispersion=[0.0, 0.0])
-    assert (one.risk <= every.risk + 0.02).all()
-    assert (one.risk < every.risk - 0.1).any()
+    np.testing.assert_array_equal(one.risk, every.risk)
 
 
 @pytest.mark.parametrize("given", [[1.0], [1.0, -1.0], [np.nan, 1.0], [1e9, 1.0], [1, 1, 0, 0]])
@@ -232,10 +245,12 @@ def test_words():
     assert shown(0.9917) == "99.2 %"
     assert shown(0.99997) == "99.99 %"
     assert shown(float("nan")) == "-"
-    risk = "99.2 % safe: the remaining risk is"
+    risk = "probability 99.2 %: the remaining risk is"
     assert Remainder(0.9917, 3.14, 0.0, "obstacle").words() == f"{risk} an obstacle 3.1 m east"
     assert Remainder(0.9917, 0.0, 0.0, "slope").words() == f"{risk} too steep a slope here"
-    assert Remainder(0.99997, 0.0, 0.0, "slope").words() == "99.99 % safe"  # not worth a word
+    assert (
+        Remainder(0.99997, 0.0, 0.0, "slope").words() == "probability 99.99 %"
+    )  # not worth a word
     assert [heading_word(np.radians(a)) for a in (0, 44, 91, 180, -91)] == [
         "east",
         "north-east",
@@ -243,6 +258,17 @@ def test_words():
         "west",
         "south",
     ]
+
+
+def test_what_is_more_probable_comes_first_whatever_its_score():
+    """Scores of any size and sign, -1 among them, decide between equals alone."""
+    rng = np.random.default_rng(8)
+    unsafe = rng.choice([0.0, 0.004, 0.004 + 1.01 * TIE, 0.083, 1.0], 4000)
+    score = np.append(-1.0, rng.choice([-1.0, 1.0], 3999) * 10.0 ** rng.uniform(-3.0, 4.0, 3999))
+    order = np.argsort(probable_first(unsafe, score))
+    assert (np.diff(unsafe[order]) >= 0.0).all()
+    same = np.diff(unsafe[order]) == 0.0
+    assert same.sum() > 3900 and (np.diff(score[order])[same] >= 0.0).all()
 
 
 def test_limits_cover_the_model_and_the_touchdown_limits():

@@ -31,7 +31,7 @@ from quadtree_lss.lab.evaluation.risk_flights import Landings, fit_risk, fitted
 from quadtree_lss.onboard.config.loading import load_config, shipped_names
 from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.risk import doubt, risk_model, risk_model_text
-from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.config.settings import LssConfig, config_from_values
 from quadtree_lss.onboard.core.landing.probability import RiskTable, interpolation_weights
 from quadtree_lss.onboard.core.landing.touchdown import WorstContact
 
@@ -178,7 +178,7 @@ def test_the_shipped_model_says_what_it_was_fitted_to():
     [
         ({}, ""),
         ({"vehicle.diameter": 4.5}, ""),
-        ({"vehicle.diameter": 5.0}, "fitted for a lander of 3.7 m, not 5"),
+        ({"vehicle.diameter": 5.0}, "fitted for a vehicle of 3.7 m, not 5"),
         ({"vehicle.clearance": 0.2}, "a clearance of 0.3 m, not 0.2"),
         ({"domain.max_level": 7}, "cells of 0.25 m, not 0.5"),
         ({"lidar.range_noise": 0.1}, ""),
@@ -189,6 +189,21 @@ def test_the_shipped_model_says_what_it_was_fitted_to():
 def test_a_model_of_another_lander_or_map_is_told(changes, said):
     found = doubt(load_config(["morpheus"], changes))
     assert said in found and bool(said) == bool(found)
+
+
+def test_a_fit_of_many_vehicles_goes_by_what_has_no_metres(tmp_path):
+    """Two vehicles, one six times the other; and the lesser with the cells of the greater."""
+    fitted = {"diameter": [0.6, 4.0], "clearance": [0.1, 0.1], "cell": [0.1, 0.1]}
+    origin = {"fitted": {**fitted, "noise": [0.2, 0.2], "max_slope_deg": [10.0, 10.0]}}
+    path = tmp_path / "many.yaml"
+    path.write_text(risk_model_text(replace(risk_model(""), provenance=origin)))
+    for size in (0.6, 3.6):
+        lander = {"vehicle.diameter": size, "vehicle.clearance": 0.1 * size}
+        small = {"domain.size": 25.6 * size, "domain.max_level": 8, "lss.risk_model": str(path)}
+        noise = {"lidar.range_noise": 0.02 * size}
+        assert doubt(config_from_values({**lander, **small, **noise})) == ""
+    wide = {"vehicle.diameter": 0.6, "vehicle.clearance": 0.06, "lidar.range_noise": 0.012}
+    assert "cells of 0.06 m, not 0.36" in doubt(config_from_values({**small, **wide}))
 
 
 def test_config_check_tells_of_a_model_of_another_lander(tmp_path, capsys):

@@ -79,6 +79,9 @@ def test_rocks_are_strewn_on_a_terrain_if_asked_for(tmp_path):
     assert rocky.terrain.elevation.max() > 0.3 and (rocky.safe[2] == 0.0).any()
 
 
+WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
+
+
 @pytest.mark.parametrize(
     ("values", "word"),
     [
@@ -87,6 +90,7 @@ def test_rocks_are_strewn_on_a_terrain_if_asked_for(tmp_path):
         ({"faults": ("meteor@50",)}, "meteor"),
         ({"faults": ("pose_gap",)}, "KIND@HEIGHT"),
         ({"vehicle": {"wings": 2}}, "vehicle"),
+        *(({"faults": (f"kill_mapping@{when}",)}, "from 0 to") for when in WRONG_TIMES),
     ],
 )
 def test_wrong_settings_are_one_clear_error(values, word):

@@ -130,7 +130,7 @@ class Flight:
     def send(self) -> str:
         self.sent += 1
         self.now += 10**8
-        refused, poses = self._refused(), self.intake.poses_taken
+        refused = self._refused()
         pose = self._pose()
         if self.kind in ("pose", "odometry"):
             pose = cases.random_pose(self.rng, pose)

@@ -258,10 +258,7 @@ def test_a_row_without_data_costs_one_message(tmp_path, data):
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT"
 ROW = "i id, 1 topic_id, 1 timestamp, x'' data"
 VIEWS = [
-    (
-        "messages",
-        f"CREATE VIEW messages AS {ENDLESS} {ROW} FROM n",
-    ),
+    ("messages", f"CREATE VIEW messages AS {ENDLESS} {ROW} FROM n"),
     ("messages", f"CREATE VIEW messages AS {ENDLESS} count(*) id FROM n"),
     ("topics", f"CREATE VIEW topics AS {ENDLESS} i id, 'x' name, 'y' type FROM n"),
     (

@@ -54,6 +54,20 @@ def test_the_command_prints_a_file_with_reasons(flight, tmp_path, capsys):
     assert shown["values"] == suggest_config(flight, load_config()).values
 
 
+@pytest.mark.parametrize(("given", "sparse"), [("0.6,0.08", True), ("3.7,0.3", False)])
+def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
+    """Returns 0.2 m apart and of 3 cm noise are too coarse for a drone of 0.6 m, which is told."""
+    code, out, _ = run(capsys, "config", "suggest", flight, "--vehicle", given)
+    (tmp_path / "mine.yaml").write_text(out)
+    config = load_config([tmp_path / "mine.yaml"])
+    diameter, clearance = map(float, given.split(","))
+    assert code == 0 and config.vehicle.diameter == diameter
+    assert config.vehicle.clearance == clearance
+    assert 5.0 < diameter * 2**config.domain.max_level / config.domain.size < 18.0
+    assert ("too coarse for a vehicle of" in out) == sparse
+    assert run(capsys, "config", "suggest", flight, "--vehicle", "small")[0] == 2
+
+
 def test_ground_above_the_lidar_is_told(flight):
     turned = load_config((), {"mount.axes": "flu_to_optical"})
     text = suggest_config(flight, turned).text()

@@ -71,7 +71,7 @@ def test_the_nearest_miss_is_the_most_level_or_the_likeliest(content):
     found = dataclasses.replace(found, grid={**found.grid, "probability": likely})
     miss = headline.nearest_miss(found)
     assert (miss.x, miss.y) == (content.grid["x"][35], content.grid["y"][25])
-    assert miss.why == "40% safe"
+    assert miss.why == "probability 40%"
 
 
 def test_where_there_are_sites_nothing_is_missed(content):
@@ -82,4 +82,4 @@ def test_no_probability_is_rounded_to_certainty(content):
     sure = {**content.sites, "probability": np.full_like(content.sites["x"], 1.0 - 1e-9)}
     reasons = {**content.summary, "reasons": ["level"] * len(sure["x"])}
     found = dataclasses.replace(content, sites=sure, summary=reasons)
-    assert ", 99.99 % safe: level." in headline.headline(found)[1]
+    assert ", probability 99.99 %: level." in headline.headline(found)[1]

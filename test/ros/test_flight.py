@@ -1,17 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same flight over DDS with the real nodes and in lock-step: only timing differs."""
 
+from contextlib import ExitStack
+
 import numpy as np
+import psutil
 import pytest
 
 pytest.importorskip("rclpy")
+import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.context import Context
+from rclpy.node import Node
+
 from quadtree_lss.lab.flight.flight import TICK, Flight
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.live.flight import fly_live
+from quadtree_lss.lab.live.processes import ProcessError, given_domain
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
 SEED = 40049
+DOMAIN = 103  # none that is taken at random
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +32,8 @@ def live(tmp_path_factory):
 def test_it_lands_safely_by_what_the_nodes_say(live):
     figures = live.flown.figures
     assert figures["outcome"] == "touchdown" and figures["safe"], figures
+    assert figures["map_said"] in ("safe", "margin") and live.flown.last is not None
+    assert figures["restarts"] == 0 and figures["others"] == []
     assert any(heard.said.place is not None for heard in live.heard)
     assert any(d.what == "target" for d in live.flown.flight.pilot.decisions)
 
@@ -47,6 +59,41 @@ def test_in_lock_step_it_comes_down_as_safely_and_as_cheaply(live):
     if apart < 0.3:  # the same target
         ends = [f.flight.lander.position for f in (live.flown, alone)]
         assert np.hypot(*(ends[0] - ends[1])[:2]) < 0.3
+
+
+def test_nodes_that_are_killed_from_outside_and_strangers(tmp_path):
+    """Nodes are started again, the outcome is there, and it says that others spoke."""
+    settings, killed, kept = flight_settings(SHORT), set(), []
+    with ExitStack() as stack:
+
+        def meddle(seconds):
+            if seconds > 3.0 and not killed:
+                for child in psutil.Process().children():
+                    if "_node" in " ".join(child.cmdline()):
+                        killed.add(child.pid)
+                        child.kill()
+                rclpy.init(context=(context := Context()), domain_id=DOMAIN)
+                stack.callback(context.try_shutdown)
+                other = Node("foreign", context=context)
+                other.create_publisher(PoseWithCovarianceStamped, "nav/pose", 10)
+                kept.append(other)
+
+        figures = fly_live(SEED, settings, tmp_path, progress=meddle, domain=DOMAIN).flown.figures
+        assert len(killed) == 2 and figures["restarts"] == 2 and figures["time"] > 10.0
+        assert figures["outcome"] == "disturbed"
+        assert figures["others"] == ["nav/pose (/flight, /foreign)"]
+        with pytest.raises(ProcessError, match="nav/pose .*/foreign.*another ROS_DOMAIN_ID"):
+            fly_live(SEED, settings, tmp_path, domain=DOMAIN)
+
+
+def test_the_domain_is_the_given_one(monkeypatch):
+    for text, number in (("", None), ("0", 0), ("42", 42)):
+        monkeypatch.setenv("ROS_DOMAIN_ID", text)
+        assert given_domain() == number
+    for text in ("x", "-1", "232", "9" * 5000):
+        monkeypatch.setenv("ROS_DOMAIN_ID", text)
+        with pytest.raises(ProcessError, match="ROS_DOMAIN_ID is"):
+            given_domain()
 
 
 @pytest.mark.slow

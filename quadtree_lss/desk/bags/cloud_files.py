@@ -24,6 +24,8 @@ from quadtree_lss.desk.exchange.poses import PoseTable, read_poses
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.maps import record_dtype
+from quadtree_lss.onboard.messages.outputs import MessageMaker
 
 #: Without poses: from so far above its ground a cloud is seen, m; its attitude is known, rad.
 ABOVE, ATTITUDE_SIGMA = 2000.0, 1e-6
@@ -65,11 +67,12 @@ class CloudFiles:
 
     def __init__(self, path: Path, poses: Path | None, frame: str) -> None:
         self.path = path
-        self._frame = frame
         self.losses: list[str] = []
         self.notes: list[str] = []
         self._poses_path = poses
-        self._store = typestore(ros1=False, wanted=(SCAN_TYPE, POSE_TYPE))
+        types = typestore(ros1=False, wanted=(SCAN_TYPE, POSE_TYPE)).types
+        self._of_lidar = MessageMaker(types, np.asarray, "lidar")
+        self._of_map = MessageMaker(types, np.asarray, frame)
         self._read = lru_cache(maxsize=1)(read_clouds)
 
     def __enter__(self) -> CloudFiles:
@@ -189,38 +192,16 @@ class CloudFiles:
         points = self._points(number)
         if self._poses is None:
             points = (points - self._eye) @ LOOKING_DOWN
-        kind, code = ("<f4", 7) if points.dtype == np.float32 else ("<f8", 8)
-        size = int(kind[-1])
-        height, width = points.shape[:2] if points.ndim == 3 else (1, len(points))
-        make = self._store.types
-        fields = [
-            make["sensor_msgs/msg/PointField"](a, size * k, code, 1) for k, a in enumerate("xyz")
-        ]
-        data = np.frombuffer(np.ascontiguousarray(points, kind).tobytes(), np.uint8)
-        return make[SCAN_TYPE](
-            header=self._header(self._scans[number][0], "lidar"),
-            height=height,
-            width=width,
-            fields=fields,
-            is_bigendian=False,
-            point_step=3 * size,
-            row_step=3 * size * width,
-            data=data,
-            is_dense=False,
-        )
+        kind = "f4" if points.dtype == np.float32 else "f8"
+        fields = tuple((axis, kind) for axis in "xyz")
+        records = np.ascontiguousarray(points, f"<{kind}").view(record_dtype(fields))[..., 0]
+        return self._of_lidar.cloud(records, fields, self._scans[number][0])
 
     def _pose_message(self, number: int) -> Any:
         table = self._poses if self._poses is not None else self._from_above(number)
         row = number if self._poses is not None else 0
-        make = self._store.types
-        pose = make["geometry_msgs/msg/Pose"](
-            make["geometry_msgs/msg/Point"](*table.position[row].tolist()),
-            make["geometry_msgs/msg/Quaternion"](*table.xyzw[row].tolist()),
-        )
-        held = make["geometry_msgs/msg/PoseWithCovariance"](pose, table.covariance[row])
-        return make[POSE_TYPE](
-            header=self._header(int(table.stamp_ns[row]), self._frame), pose=held
-        )
+        turn, covariance = table.xyzw[row], table.covariance[row]
+        return self._of_map.pose(int(table.stamp_ns[row]), table.position[row], turn, covariance)
 
     def _from_above(self, number: int) -> PoseTable:
         sigmas = np.repeat([0.01, ATTITUDE_SIGMA], 3)
@@ -230,11 +211,6 @@ class CloudFiles:
             np.array([[1.0, 0.0, 0.0, 0.0]]),
             np.diag(sigmas**2).reshape(1, 36),
         )
-
-    def _header(self, stamp: int, frame: str) -> Any:
-        make = self._store.types
-        time = make["builtin_interfaces/msg/Time"](stamp // SECOND_NS, stamp % SECOND_NS)
-        return make["std_msgs/msg/Header"](stamp=time, frame_id=frame)
 
 
 def _corners(points: NDArray[Any]) -> Array:

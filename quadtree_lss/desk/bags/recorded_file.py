@@ -49,16 +49,9 @@ class Record(NamedTuple):
 
 
 class RecordedFile(ABC):
-    """A file of messages.
-
-    Attributes:
-        path: The file.
-        topics: Topic and type by number of the channel.
-        index: (M,) `INDEX` of the messages in the order of the file.
-        order: (M,) the order in which they are read.
-        notes: What to know, one line each.
-        disorder: That the order of the file is not that of the times, or empty.
-    """
+    """A file of messages: topic and type by number of the channel; (M,) `INDEX` of the messages in
+    the order of the file, and the ``order`` in which they are read; ``notes`` to know, a line each;
+    ``disorder`` says that the two orders differ, or is empty."""
 
     ros1 = False
 
@@ -158,14 +151,9 @@ class RecordedFile(ABC):
 
 @dataclass
 class Chunk:
-    """A chunk of messages in a file: where its record's content begins, and its length.
-
-    Attributes:
-        there: Bytes of it that the file has.
-        entries: `INDEX` of its messages, as far as the file tells.
-        first: Place of its first message in the file's index.
-        count: Its messages in the file's index.
-    """
+    """A chunk of messages in a file: where its record's content begins, its length, and the bytes
+    of it that are ``there``; ``entries`` are `INDEX` of its messages, as far as the file tells,
+    ``first`` and ``count`` their place in the file's index."""
 
     place: int
     length: int
@@ -176,15 +164,9 @@ class Chunk:
 
 
 class ChunkedFile(RecordedFile):
-    """A file of chunks, such as mcap and ROS 1 bags.
-
-    Attributes:
-        chunks: Those found, in the order of the file.
-        expected: Messages that the file's end tells of, None if that cannot be read.
-        damage: What is wrong, by the byte at which it was found.
-        lost: Messages of damaged chunks, by the byte of the chunk.
-        cut: That the file ends early, or empty.
-    """
+    """A file of chunks, such as mcap and ROS 1 bags: those found, in the order of the file; how
+    many messages its end tells of, None if that cannot be read; what is wrong and how many messages
+    are lost, by the byte; and that the file ends early (``cut``), or empty."""
 
     def _open(self) -> None:
         self.chunks: list[Chunk] = []

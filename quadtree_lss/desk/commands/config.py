@@ -32,7 +32,7 @@ from quadtree_lss.onboard.config.loading import (
     load_config,
 )
 from quadtree_lss.onboard.config.risk import doubt
-from quadtree_lss.onboard.config.settings import values_from_config
+from quadtree_lss.onboard.config.settings import config_from_values, values_from_config
 
 ACTIONS = ("print", "check", "explain", "suggest")
 TEXT = (
@@ -48,6 +48,7 @@ EXAMPLES = """examples:
   quadtree-lss config explain lss                       (a section)
   quadtree-lss config explain vehicle --config drone    (and the lengths that follow from it)
   quadtree-lss config suggest flight_bag > flight.yaml  (domain, noise, cell sizes from its data)
+  quadtree-lss config suggest bag --vehicle 0.6,0.08    (for a drone that clears 8 cm)
 
 ACTION is print (the default), check, explain or suggest.
 """
@@ -68,8 +69,20 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         metavar="NAME",
         help="check: the files are for this node, /uav1/lss_node",
     )
+    text = "suggest for a vehicle of this diameter and clearance, m"
+    add("--vehicle", type=vehicle, metavar="D,C", help=text)
     add("--plain", action="store_true", help="print without the explanations")
     add_json(parser)
+
+
+def vehicle(text: str) -> dict[str, float]:
+    """``0.6,0.08`` as values of the vehicle."""
+    try:
+        diameter, clearance = (float(part) for part in text.split(","))
+    except ValueError:
+        msg = f"'{text}' is not a diameter and a clearance D,C in m"
+        raise argparse.ArgumentTypeError(msg) from None
+    return {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -124,10 +137,9 @@ def _suggest(options: argparse.Namespace) -> int:
 
     if len(options.names) != 1:
         options.parser.error("config suggest takes one bag")
+    config = config_from_values(options.vehicle or {}, chosen_config(options))
     with ProgressBar("suggest", "s", options.verbose) as bar:
-        found = suggest_config(
-            options.names[0], chosen_config(options), poses=options.poses, progress=bar.update
-        )
+        found = suggest_config(options.names[0], config, poses=options.poses, progress=bar.update)
     if options.json:
         print_json(found.as_dict())
     else:

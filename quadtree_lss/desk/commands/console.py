@@ -177,7 +177,7 @@ _SITE_HEADER = (
     "x",
     "y",
     "z",
-    "safe",
+    "probability",
     "score",
     "slope",
     "roughness",

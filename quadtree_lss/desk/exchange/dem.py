@@ -19,6 +19,8 @@ TIFF = (".tif", ".tiff", ".vrt", ".img", ".asc")
 MOST_POSTS = 1 << 26
 #: No ground of any body is so far from its datum, m: a value that means no data.
 FARTHEST = 1e5
+#: Of posts, m: their distance, and from the origin, where x and y have 8 digits behind the point.
+CLOSEST, OUTERMOST = 1e-3, 1e8
 #: m, by what files call it; GDAL takes it from a vertical coordinate system too.
 UNITS = {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0}
 UNITS |= {"mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "kilometre": 1e3, "kilometer": 1e3}
@@ -78,6 +80,10 @@ def read_dem(path: Path) -> ElevationModel:
     if not max(-low, high) <= FARTHEST:
         msg = f"{path}: heights from {low:g} to {high:g} m; what means no data must be declared so"
         raise ExchangeError(msg)
+    away = max(np.abs(axis).max() for axis in (model.x, model.y))
+    if not (CLOSEST <= model.spacing <= FARTHEST and away <= OUTERMOST):
+        msg = f"{path}: posts {model.spacing:g} m apart, up to {away:g} m from the origin"
+        raise ExchangeError(msg)
     return model
 
 
@@ -124,8 +130,10 @@ def _raster(path: Path) -> ElevationModel:
                 raise ExchangeError(msg)
             z = file.read(1, masked=True).astype(np.float64).filled(np.nan)
             z = UNITS[unit.lower()] * (file.scales[0] * z + file.offsets[0])
-    except (rasterio.errors.RasterioError, MemoryError) as error:
-        msg = f"{path}: cannot be read: {str(error).splitlines()[0]}"
+    except ExchangeError:
+        raise
+    except Exception as error:  # GDAL's own come through
+        msg = f"{path}: cannot be read: {(str(error) or type(error).__name__).splitlines()[0]}"
         raise ExchangeError(msg) from None
     if crs is not None and (why := why_not_metric(crs)):
         msg = f"{path}: {why}; bring it to metres first: gdalwarp -t_srs EPSG:<a metric one>"

@@ -75,7 +75,7 @@ def read_poses(path: Path) -> PoseTable:
     for number, row in enumerate(rows, start=1):
         try:
             exact = Decimal(row[place[clock]].strip())
-            stamps.append(int(exact if clock == "stamp_ns" else exact * 10**9))
+            stamps.append(np.int64(int(exact if clock == "stamp_ns" else exact * 10**9)))
             values.append([float(row[place[name]]) for name in wanted])
         except (ValueError, IndexError, InvalidOperation, OverflowError):
             msg = f"{path}: pose {number} is not a row of numbers: {' '.join(row)[:80]}"

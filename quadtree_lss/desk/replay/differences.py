@@ -258,44 +258,32 @@ def _write(out: Path, result: Comparison) -> None:
 
 def _picture(result: Comparison) -> bytes:
     """Height difference, and safe ground of both, with the sites."""
-    import io
-
-    from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    from quadtree_lss import plot
+    from quadtree_lss.desk.report import drawing
+    from quadtree_lss.desk.report.palette import MAPS, even_limits
 
     grid, other = result.first.grid, result.second.grid
     row, column, inside = _nearest(other, grid.x, grid.y)
     figure = Figure(figsize=(13.0, 6.0), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    half = 0.5 * grid.spacing
-    extent = (grid.x[0] - half, grid.x[-1] + half, grid.y[0] - half, grid.y[-1] + half)
-    shown = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
-    limit = max(float(np.nanpercentile(np.abs(result.difference), 99.0)), 1e-3)
-    image = left.imshow(result.difference, cmap="RdBu_r", vmin=-limit, vmax=limit, **shown)
+    title = "Where landing is allowed; sites of the second"
+    for axes, text in ((left, "Height"), (right, title)):
+        drawing.map_axes(axes, text, drawing.extent(grid.x, grid.y))
+        for site in result.sites_lost:
+            axes.plot(site.x, site.y, "x", color="black", markersize=9, markeredgewidth=2)
+            axes.set_xlabel("x (map), m   (x: sites lost)")
+    low, high = even_limits(result.difference)
+    style = {"cmap": MAPS["error"], "vmin": low, "vmax": high}
+    image = drawing.image(left, grid.x, grid.y, result.difference, **style)
     figure.colorbar(image, ax=left, label="second less first height, m", extend="both", shrink=0.8)
-    left.set_title("Height")
     both = np.isfinite(result.difference)
     kind = np.where(both, 1 + 2 * grid["safe"] + (inside & other["safe"][row, column]), 0)
     names = ("not compared", "excluded by both", "gained", "lost", "allowed by both")
     colours = ("#cdcdcd", "#882255", "#56b4e9", "#e69f00", "#009e73")
-    right.imshow(kind, cmap=ListedColormap(colours), vmin=-0.5, vmax=4.5, **shown)
-    right.legend(
-        handles=[Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)],
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.1),
-        ncols=3,
-        frameon=False,
-    )
-    right.set_title("Where landing is allowed; sites of the second")
-    plot.sites(right, result.second.positions)
-    for axes in (left, right):
-        for site in result.sites_lost:
-            axes.plot(site.x, site.y, "x", color="black", markersize=9, markeredgewidth=2)
-        axes.set_xlabel("x (map), m   (x: sites lost)" if result.sites_lost else "x (map), m")
-    left.set_ylabel("y (map), m")
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=110)
-    return content.getvalue()
+    drawing.classes(right, grid.x, grid.y, kind, colours)
+    handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
+    figure.legend(handles=handles, loc="outside lower right", ncols=3, frameon=False)
+    drawing.mark_sites(right, result.second.positions)
+    return drawing.png(figure, dpi=110)

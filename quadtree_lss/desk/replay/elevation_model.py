@@ -67,7 +67,7 @@ def rank_sites(
     asked = time.perf_counter()
     found = LandingSiteSelector(config).assess(cells, **wanted)
     lss_ms = 1e3 * (time.perf_counter() - asked)
-    notes = tuple(_notes(model, block))
+    notes = (*found.doubts, *_notes(model, block))
     heights = model.elevation[np.isfinite(model.elevation)]
     upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
     summary = {
@@ -89,6 +89,7 @@ def rank_sites(
         "target": found.selected.id,
         "target_changes": int(found.selected.id > 0),
         "explanation": found.explanation,
+        "doubts": found.doubts,
         "reasons": found.sites.reasons,
         "interrupted": False,
         "losses": (),

@@ -59,19 +59,10 @@ class TopicInfo:
 class BagInfo:
     """Content of a bag and what a replay would make of it.
 
-    Attributes:
-        path: The bag.
-        kind: ``scans``, ``maps`` or ``nothing``: what a replay would read.
-        start_ns, seconds: First time of reception, and the length.
-        topics: All topics.
-        scan_topic, pose_topic: Those a replay would read, empty if not found.
-        scans_with_pose: Scans that could be mapped.
-        scans_dropped: Scans that could not, by reason.
-        points: Points of the scans that could be mapped.
-        points_dropped: Those of them that would not enter the map, by reason.
-        problems: Why it cannot be replayed, one line each; empty if it can.
-        notes: What to know, one line each.
-        losses: What cannot be read of the bag.
+    ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; of two topics, empty if not
+    found. Some scans could be mapped (``scans_with_pose``, with ``points``), others not
+    (``scans_dropped``, by reason), and so it is with the former's points. ``problems`` say why it
+    cannot be replayed, ``notes`` what to know, ``losses`` what cannot be read, one line each.
     """
 
     path: str

@@ -120,7 +120,7 @@ def replay(
     if run.interrupted:
         seconds = min(seconds, max(run.done_ns - stream.start_ns, 0) / 1e9)
     speed = seconds / (time.perf_counter() - began)
-    warnings = (*notes, *run.warnings())
+    warnings = (*assessment.doubts, *notes, *run.warnings())
     summary = {
         **run_summary(run.timings, len(decoded.level), config, speed, passes.lss_ms),
         "scans_dropped": dict(run.intake.dropped),
@@ -143,6 +143,7 @@ def replay(
         "target": passes.changes[-1].id if passes.changes else 0,
         "target_changes": len(passes.changes),
         "explanation": assessment.explanation,
+        "doubts": assessment.doubts,
         "reasons": assessment.sites.reasons,
         "interrupted": run.interrupted,
         "losses": losses,

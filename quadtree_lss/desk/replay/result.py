@@ -36,18 +36,12 @@ class ScanTiming(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class ReplayResult:
-    """What a replay produced.
+    """What a replay produced; ``out`` is None if nothing was written.
 
-    Attributes:
-        out: Results folder, None if none was asked for.
-        cells: The map, as decoded from its message.
-        assessment: Landing sites on it.
-        timings: One row per mapped scan; empty for a bag of maps.
-        summary: Content of ``summary.json``.
-        losses: What could not be read of the bag, one line each; empty if all was read.
-        warnings: One line per kind of trouble with the messages, with how often it occurred.
-        interrupted: True if it was stopped before the bag's end.
-        targets: Changes of the target, in their order.
+    ``cells`` are as decoded from their message, ``timings`` a row per mapped scan, empty for a bag
+    of maps; ``losses`` say what could not be read of the bag, ``warnings`` each kind of trouble
+    with the messages and how often it occurred, a line each; ``targets`` are the changes of the
+    target; ``interrupted``: it was stopped before the bag's end.
     """
 
     out: Path | None

@@ -207,7 +207,7 @@ class Results:
     def grid(self) -> Grid:
         """``grid.npz``."""
         path = self.folder / "grid.npz"
-        arrays = _read_arrays(path)
+        arrays = _arrays(path)
         x, y = (arrays.pop(name, np.empty(0)) for name in "xy")
         if x.ndim != 1 or y.ndim != 1 or not x.size or not y.size:
             raise _unreadable(path, "it has no grid points x and y")
@@ -220,7 +220,7 @@ class Results:
     def map(self) -> CellMap:
         """``cells.npz``: the map that landing sites were ranked on, as it was."""
         path = self.folder / "cells.npz"
-        return _cell_map(path, _read_arrays(path))
+        return _cell_map(path, _arrays(path))
 
     def __repr__(self) -> str:
         scans, sites = self.summary.get("scans"), len(self.positions)
@@ -276,7 +276,7 @@ def _cell_map(path: Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
     return replace(found, known=found.observed & found.measured[found.leaf_raster()])
 
 
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
         return read_arrays(path)
     except ExchangeError as error:

@@ -16,21 +16,23 @@ from quadtree_lss.desk.replay.run import Progress
 from quadtree_lss.desk.replay.stream import SECOND_NS, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.loading import dump_values
-from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.settings import Config, config_from_values, values_from_config
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
 #: Of a bag so many scans are looked at, and so many points of each.
 SCANS, POINTS = 60, 1500
 #: Neighbours of a return, itself among them, that the plane is laid through.
 NEIGHBOURS = 9
-#: Sides of the finest cell: so many times the distance of returns, and the range noise, at least.
-SPACINGS, NOISES = 2.5, 4.0
+#: Sides of the finest cell: so many times the distance of returns (a plane takes three of one scan)
+#: and the range noise, at least; and so many in the vehicle's diameter, at most and at least.
+SPACINGS, NOISES, MOST_CELLS, LEAST_CELLS = 1.75, 4.0, 16.0, 6.5
 #: The lower three tenths of chi square of six degrees, over six: smooth ground decides.
 QUANTILE, AT_QUANTILE = 0.3, 0.638
 #: Of a level: rather finer than coarser, where the wanted cell lies between two.
 FINER = 0.2
-#: Levels between the coarsest and the finest cells, and the finest that helps a lander, m.
-LEVELS, FINEST = 4, 0.1
+#: Levels between the coarsest and the finest cells.
+LEVELS = 4
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,9 @@ def suggest_config(
     progress: Progress | None = None,
 ) -> Suggestion:
     """Domain, range noise, cells and landing grid for a bag; the arguments are those of
-    `replay.replay`. Raises `BagError` as that does, and `ReplayError`: no scan has a pose, or none
-    a return."""
+    `replay.replay`, and what is suggested is checked together with ``config``, whose vehicle it
+    suits. Raises `BagError` as that does, and `ReplayError`: no scan has a pose, or none a return.
+    """
     seen = _Seen()
     stream = Stream()
     with open_recording(bag, poses, config.frames.map) as opened:
@@ -122,12 +125,14 @@ class _Seen:
         spacing = float(np.median(self._spacing))
         low, high = np.percentile(np.concatenate(self.places)[:, :2], [0.5, 99.5], axis=0)
         middle, side = 0.5 * (low + high), 1.04 * float(np.max(high - low))
-        wanted = max(SPACINGS * spacing, NOISES * noise, FINEST)
+        vehicle, by_data = config.vehicle, max(SPACINGS * spacing, NOISES * noise)
+        least, most = vehicle.diameter / MOST_CELLS, vehicle.diameter / LEAST_CELLS
+        wanted = min(max(by_data, least), most)
         level = min(max(round(math.log2(side / wanted) + FINER), 0), 10)
-        finest = math.ceil(100.0 * side / 2**level) / 100.0
+        finest = math.ceil(1000.0 * side / 2**level) / 1000.0
         size = finest * 2**level
         corner = np.round(2.0 * (middle - 0.5 * size)) / 2.0
-        grid = min(max(finest, size / 2000.0), 1.0)
+        grid = min(max(finest, size / 2000.0), 2.0 * vehicle.lengths.grid_spacing)
         values: dict[str, Any] = {
             "domain.xmin": float(corner[0]),
             "domain.ymin": float(corner[1]),
@@ -142,19 +147,26 @@ class _Seen:
             "domain.xmin": f"99 % of the returns lie in x {low[0]:.1f} ... {high[0]:.1f}, "
             f"y {low[1]:.1f} ... {high[1]:.1f} m",
             "domain.max_level": f"cells of {coarse:g} ... {finest:g} m: returns of a scan are"
-            f" {spacing:.2g} m apart on the ground",
+            f" {spacing:.2g} m apart on the ground, and the vehicle measures"
+            f" {vehicle.diameter:g} m",
             "lidar.range_noise": "scatter of neighbouring returns where the ground is smoothest",
         }
-        if 2.0 * spacing > config.lss.gap:
-            values["lss.max_gap"] = _rounded(2.0 * spacing)
-            reasons["lss.max_gap"] = "returns are farther apart than the default bridges"
+        set_to = values_from_config(config)
+        lander = {name: set_to[name] for name in set_to if name.startswith("vehicle.")}
+        found = config_from_values(values := lander | values, config)
         notes = [f"Suggested for {bag} from {self._used} of its {self._scans} scans."]
+        if by_data > most:
+            notes.append(
+                f"The returns of a scan or their noise are too coarse for a vehicle of"
+                f" {vehicle.diameter:g} m: cells of {by_data:.2g} m would suit them, it needs"
+                f" {most:.2g} m. Gaps wider than {config.lss.gap:.2g} m (lss.max_gap) stay unseen."
+            )
+        notes += filter(None, [doubt(found)])
         if float(np.median(self._above)) < 0.0:
             notes.append(
                 "The ground lies above the lidar by these poses: see mount.axes and frames first"
                 " (quadtree-lss info)."
             )
-        config_from_values(values, config)
         return Suggestion(values, reasons, tuple(notes))
 
 

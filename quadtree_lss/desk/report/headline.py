@@ -81,7 +81,7 @@ def nearest_miss(content: Content) -> NearestMiss | None:
     """The likeliest place, else the most level one of those with room; None if there is none."""
     grid, lss = content.grid, content.config.lss
     room = _room(content.seen, content.spacing) >= content.zone
-    values, word = content.probability, "{:.0%} safe"
+    values, word = content.probability, "probability {:.0%}"
     best = np.nanargmax if values is not None else np.nanargmin
     if values is None:
         values, word = grid["slope_deg"], "slope {:.1f} deg, but a hazard within the zone"
@@ -114,9 +114,9 @@ def headline(content: Content) -> tuple[str, str]:
     best = f"{number} landing sites" if number > 1 else "One landing site"
     text = f"Best at x {x}, y {y}, z {z} m"
     probability = sites.get("probability")
-    told = " % safe" in content.reasons[0]
+    told = content.reasons[0].startswith("probability ")
     if probability is not None and np.isfinite(probability[0]) and not told:
-        text += f", {shown(probability[0])} safe"
+        text += f", probability {shown(probability[0])}"
     return f"{best}.", f"{text}: {content.reasons[0]}. {ground}."
 
 

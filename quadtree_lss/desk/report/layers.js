@@ -25,7 +25,7 @@ function makeLayers() {
   if (grid.probability) {
     onGrid("probability", "Probability of a safe touchdown", "%", grid.probability, "probability",
            notKnown, { ofTime: true, note: "If the lander is aimed here, with its dispersion. A site's " +
-             "circle is the ground it needs; aiming elsewhere in it may be less safe." });
+             "circle is the ground it needs; aiming elsewhere in it may succeed less often." });
   }
   LAYERS.allowed = {
     title: "Where landing is allowed", of: "grid", values: grid.safe, note: centred, ofTime: true,

@@ -15,7 +15,7 @@ function values(x, y) {
       `${h.toFixed(3)} ± ${s.toFixed(3)} m`]);
     rows.push(["slope", `${withUnit(grid.slope[i], 1, "°")}, lander's scale`]);
     const share = grid.probability && (k < 0 ? grid.probability[i] : probabilityAt(i, k));
-    if (grid.probability) rows.push(["safe", shareText(share) + " %"]);
+    if (grid.probability) rows.push(["probability", shareText(share) + " %"]);
     rows.push(["landing", (k < 0 ? grid.safe[i] : allowedAt(i, k)) ? "allowed" : "not allowed"]);
     if (k < 0) {
       rows.push(["hazard", hazardNames(grid.hazard[i])]);

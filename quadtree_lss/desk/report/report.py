@@ -24,7 +24,7 @@ SITES = (
     ("x", "m", "x", "{:.2f}", "place, map frame"),
     ("y", "m", "y", "{:.2f}", "place, map frame"),
     ("z", "m", "z", "{:.2f}", "where the pads rest, map frame"),
-    ("safe", "%", "probability", "", "probability of a safe touchdown if aimed here"),
+    ("probability", "%", "probability", "", "probability of a safe touchdown if aimed here"),
     ("score", "", "score", "{:.3f}", "mean over the landing zone, lower is better"),
     ("slope", "°", "slope_deg", "{:.1f}", "slope at the lander's scale"),
     ("clear", "m", "hazard_distance", "{:.1f}", ROOM),

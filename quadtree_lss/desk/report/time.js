@@ -109,7 +109,7 @@ function timeline() {
         bind: { mousedown: u => () => { setInstant(u.cursor.idx); return null; } } },
     }, [h.seconds, ...lines]));
   };
-  chart(5, 100, "safe, %", v => (v === null ? "–" : shareText(v) + " %"), 1, 100);
+  chart(5, 100, "probability, %", v => (v === null ? "–" : shareText(v) + " %"), 1, 100);
   chart(4, 1, "score", short, 0.02, Infinity);
   for (const chart of charts_sites) { // away from the curves, the values of the shown time
     chart.over.addEventListener("mouseleave", () => tellThen(chart));

@@ -55,6 +55,7 @@ def fly(case: Case) -> Flown:
     figures = {
         **{k: int(v) if isinstance(v, bool) else v for k, v in found.items() if k != "seed"},
         "one": 1,
+        "doubted": int(bool(found["warnings"])),
         "aborted": int(not down),
         "unsafe": int(down and not found["safe"]),
         "unsafe_known": int(down and not found["ground_safe"] and found["map_said"] == "unsafe"),
@@ -80,6 +81,7 @@ FLY = Kind(
         Quantity("safe", "Safe touchdowns", worst="smallest", of="one"),
         Quantity("unsafe", "Unsafe touchdowns", of="one"),
         Quantity("aborted", "Flights without touchdown", of="one"),
+        Quantity("doubted", "Flights with doubts of their risks", of="one"),
         Quantity("unsafe_known", "Unsafe where the map had said so", of="one"),
         Quantity("error", "Touchdown from the aim", "m", 3),
         Quantity("from_planned", "Touchdown from the planned point", "m", 1),

@@ -84,6 +84,7 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> dict[st
         "judged_first": int(bool(scores.site_verdicts) and scores.site_verdicts[0] != "unknown"),
         "without_site": int(not scores.sites),
         "one": 1,
+        "doubted": int(bool(results.summary["doubts"])),
         "rms_mean_removed": elevation.rms_mean_removed,
         "mean_absolute": elevation.mean_absolute,
         "mean_error": elevation.mean,
@@ -149,6 +150,7 @@ MAP = Kind(
         Quantity("unsafe_in_top_five", "Unsafe sites in the top five", of="judged_in_top_five"),
         Quantity("unsafe_first", "Unsafe first site", of="judged_first"),
         Quantity("without_site", "Flights without a site", of="one"),
+        Quantity("doubted", "Flights with doubts of their risks", of="one"),
         Quantity("brier", "Brier score of the risk", "", 4),
         *(
             Quantity(

@@ -297,8 +297,9 @@ def values_of(value: Any, name: str) -> list[Any]:
         if how == "each" and isinstance(of, list) and of:
             return of
         if how == "range" and isinstance(of, list):
-            first, last, number = of
-            return [float(v) for v in np.linspace(first, last, int(number))]
+            first, last, number = (float(v) for v in of)
+            if np.isfinite([first, last]).all() and 1 <= number <= MOST_FLIGHTS:
+                return [float(v) for v in np.linspace(first, last, int(number))]
         if how == "choice" and isinstance(of, list) and of:
             return [Drawn(how, tuple(of))]
         if how in DRAWN and isinstance(of, list):

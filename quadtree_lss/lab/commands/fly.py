@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from quadtree_lss.desk.commands.common import (
     DONE,
+    ERROR,
     add_command,
     add_json,
     named,
@@ -19,7 +20,7 @@ from quadtree_lss.desk.commands.common import (
     share,
     whole,
 )
-from quadtree_lss.desk.commands.console import ProgressBar, first_line
+from quadtree_lss.desk.commands.console import ProgressBar, first_line, say, warn
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
@@ -88,23 +89,30 @@ def _run(options: argparse.Namespace) -> int:
     if options.reference:
         done.figures.update(least_propellant(done.flight))
     write_flight(options.out, done, page=not options.no_page)
+    if done.figures["warnings"]:
+        warn(f"warning: {done.figures['warnings']}")
     if options.json:
         print_json(done.figures)
     else:
         _print(done.figures)
         print(f"results in {options.out}")
+    if others := done.figures.get("others"):
+        say(f"error: the flight says nothing, for others published {'; '.join(others)}")
+        return ERROR
     return DONE
 
 
 def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progress) -> Flown:
     try:
         from quadtree_lss.lab.live.flight import fly_live
+        from quadtree_lss.lab.live.processes import given_domain
     except ImportError as error:
         msg = f"ROS 2 is not here ({first_line(error)}); --lockstep flies without"
         raise QuadtreeLssError(msg) from None
     rate = 1.0 if options.rate is None else options.rate
     live = options.out / "nodes"
-    return fly_live(options.seed, settings, live, rate=rate, progress=progress).flown
+    how: dict[str, Any] = {"rate": rate, "progress": progress, "domain": given_domain()}
+    return fly_live(options.seed, settings, live, **how).flown
 
 
 def _values(options: argparse.Namespace) -> dict[str, Any]:

@@ -207,16 +207,12 @@ class Truth:
 
 
 def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Any]:
-    if not path.is_file():
-        msg = f"{path} {'is a folder' if path.is_dir() else 'does not exist'}"
-        near = [p for p in (path / "truth.npz", path.parent / "truth.npz") if p.is_file()]
-        if near and path.name != "truth.npz":
-            msg += f"; did you mean {near[0]}?"
-        raise EvaluationError(msg)
     try:
         found = read_arrays(path, (*names, *optional))
     except ExchangeError as error:
-        raise EvaluationError(error) from error
+        near = [p for p in (path / "truth.npz", path.parent / "truth.npz") if p.is_file()]
+        hint = f"; did you mean {near[0]}?" if near and path.name != "truth.npz" else ""
+        raise EvaluationError(f"{error}{hint}") from error
     if missing := [name for name in names if name not in found]:
         msg = f"{path} lacks {', '.join(missing)}"
         raise EvaluationError(msg)

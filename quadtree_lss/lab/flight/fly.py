@@ -94,7 +94,8 @@ def flown(
 def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:
     """What became of a flight, ready for JSON."""
     figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
-    return figures | map_said(last, figures)
+    warnings = "; ".join(() if last is None else last.doubts)
+    return figures | map_said(last, figures) | {"warnings": warnings}
 
 
 def flight_config(settings: FlightSettings, ground: Ground) -> Config:

@@ -24,6 +24,8 @@ FAULTS = (
     "lidar_gap",
     "keep_out",
 )
+MOST = 1e4
+"""Of the height of a fault, m, and of its seconds."""
 
 
 class FlightError(QuadtreeLssError):
@@ -49,6 +51,11 @@ class Fault:
     def __post_init__(self) -> None:
         if self.kind not in FAULTS:
             msg = f"unknown fault {self.kind!r}; there are {', '.join(FAULTS)}"
+            raise FlightError(msg)
+        if not (0.0 <= self.height <= MOST and 0.0 < self.seconds <= MOST):
+            msg = (
+                f"fault {self.kind} at {self.height:g} m for {self.seconds:g} s: from 0 to {MOST:g}"
+            )
             raise FlightError(msg)
 
     @classmethod

@@ -52,17 +52,9 @@ class Vehicle:
 
 
 class VehicleState:
-    """The true state of a vehicle, and what its actuators make of commands.
-
-    Args:
-        vehicle: What it can do.
-        position, velocity: (3,) map frame, m, m/s.
-
-    Attributes:
-        mass: kg.
-        thrust: N.
-        direction: (3,) unit vector of the thrust, up along the vehicle's axis.
-    """
+    """The true state of a vehicle, and what its actuators make of commands: position and velocity
+    (3,) in the map frame, m, m/s; mass, kg; thrust, N; its direction (3,), up along the vehicle's
+    axis."""
 
     def __init__(self, vehicle: Vehicle, position: Array, velocity: Array) -> None:
         self.vehicle = vehicle

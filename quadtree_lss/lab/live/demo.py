@@ -25,10 +25,18 @@ from quadtree_lss.desk.player.player import play
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.results import cells_arrays
 from quadtree_lss.lab.flight.flight_page import headline, write_flight
+from quadtree_lss.lab.flight.fly import Flown
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.live.flight import fly_live
-from quadtree_lss.lab.live.listener import Listener
-from quadtree_lss.lab.live.processes import NodeProcess, local_domain, program
+from quadtree_lss.lab.live.listener import TOPICS, Listener
+from quadtree_lss.lab.live.processes import (
+    NodeProcess,
+    given_domain,
+    local_domain,
+    program,
+    refuse_company,
+    strangers,
+)
 from quadtree_lss.onboard.config.loading import find_config
 from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -60,7 +68,13 @@ class LiveResult:
 
 
 def run_live(
-    bag: Path, params: Path, last_stamp_ns: int, folder: Path, *, rate: float = 1.0
+    bag: Path,
+    params: Path,
+    last_stamp_ns: int,
+    folder: Path,
+    *,
+    rate: float = 1.0,
+    given: int | None = None,
 ) -> LiveResult:
     """Starts both nodes, plays the bag to them and waits for the sites on its last map.
 
@@ -70,9 +84,10 @@ def run_live(
         last_stamp_ns: Stamp of the last scan that can be mapped.
         folder: For the nodes' output.
         rate: Bag seconds per second.
+        given: ROS domain; None takes a free one.
 
     Raises:
-        DemoError: the sites did not come.
+        DemoError: the sites did not come, or others published what the nodes did.
         ProcessError: a node ended by itself, or not cleanly when told to.
     """
     # No scan may be lost, however busy the computer is: this is compared with a replay.
@@ -86,8 +101,10 @@ def run_live(
         "qos.overload:=all",
     ]
     with ExitStack() as stack:
-        domain = stack.enter_context(local_domain(folder))
+        domain = stack.enter_context(local_domain(folder, given))
         listener = stack.enter_context(Listener(domain.number))
+        spoken = (*TOPICS, "lidar/points", "nav/pose", "/clock")
+        refuse_company(listener.node, dict.fromkeys(spoken, 0))
         nodes = [
             stack.enter_context(NodeProcess(name, args, domain.env, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
@@ -103,6 +120,9 @@ def run_live(
         if not listener.wait_for(complete, timeout=20.0):
             stamps = {topic: listener.stamp(topic) for topic in listener.newest}
             msg = f"no landing sites for the scan at {last_stamp_ns} ns; newest stamps: {stamps}"
+            raise DemoError(msg)
+        if others := strangers(listener.node, dict.fromkeys(spoken, 1)):
+            msg = f"others published {'; '.join(others)}: set another ROS_DOMAIN_ID"
             raise DemoError(msg)
         codes = {node.name: node.stop() for node in nodes}
         if any(codes.values()):
@@ -192,7 +212,7 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     timing = read_csv(offline / "timing.csv")
     print("3. Play the bag over DDS to mapping_node and lss_node", flush=True)
     started = time.monotonic()
-    result = run_live(bag, params, int(timing[-1]["stamp_ns"]), live)
+    result = run_live(bag, params, int(timing[-1]["stamp_ns"]), live, given=given_domain())
     write_npz(live / "cells.npz", cells_arrays(result.cells))
     print(
         f"   {len(timing)} scans, {len(result.cells.level)} leaves,"
@@ -214,7 +234,11 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     agree = cells[name] == 0.0 and sites <= SITE_TOLERANCE
     print("   The same map and the same sites." if agree else "   THEY DIFFER.")
     print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
-    print(f"   {_fly(out / 'lander', seed)}")
+    flown = _fly(out / "lander", seed)
+    print(f"   {headline(flown)}")
+    if flown.figures["others"]:
+        msg = f"others published {'; '.join(flown.figures['others'])} while it flew"
+        raise DemoError(msg)
     print("7. The same for GIS, 3D programs and navigation", flush=True)
     exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
     print(f"\nOpen {offline / 'report.html'}: the answer, the map, the ground in 3D")
@@ -224,13 +248,14 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     return agree
 
 
-def _fly(folder: Path, seed: int) -> str:
-    """A short flight in closed loop, with its page; what became of it in a line."""
+def _fly(folder: Path, seed: int) -> Flown:
+    """A short flight in closed loop, with its page."""
     shutil.rmtree(folder, ignore_errors=True)
     short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "plan": {"survey": 4.0}}
-    flown = fly_live(seed, flight_settings(short), folder / "nodes").flown
+    settings, domain = flight_settings(short), given_domain()
+    flown = fly_live(seed, settings, folder / "nodes", domain=domain).flown
     write_flight(folder, flown)
-    return headline(flown)
+    return flown
 
 
 def _live_rows(result: LiveResult) -> list[dict[str, str]]:

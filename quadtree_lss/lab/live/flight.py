@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import rclpy
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -24,9 +26,16 @@ from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
 from quadtree_lss.lab.flight.fly import OUTSIDE, Flown, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
-from quadtree_lss.lab.live.processes import NodeProcess, local_domain
+from quadtree_lss.lab.live.processes import (
+    NodeProcess,
+    local_domain,
+    refuse_company,
+    strangers,
+)
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.loading import dump_config
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.messages.outputs import map_from_messages
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
@@ -38,6 +47,9 @@ KINDS = {
     "landing/keep_out": PolygonStamped,
     "landing/target": PointStamped,
 }
+SPOKEN = ("/clock", *KINDS)
+HEARD = {"map/cells": "mapping", "map/observed": "mapping", "landing/selected": "lss"}
+"""Topics by the node that publishes them."""
 PATIENCE_S = 30.0
 """For the nodes to start."""
 
@@ -70,6 +82,7 @@ def fly_live(
     *,
     rate: float = 1.0,
     progress: Callable[[float], None] | None = None,
+    domain: int | None = None,
 ) -> LiveFlight:
     """Starts both nodes, flies with them, and ends them.
 
@@ -78,10 +91,14 @@ def fly_live(
         folder: For parameters, checkpoint and the nodes' output.
         rate: Seconds of flight per second; where the computer is slower, so is ``/clock``.
         progress: Told the seconds flown, now and then.
+        domain: ROS domain; None takes a free one.
+
+    Nodes that end are started again (``restarts``). Where others published what we do, the outcome
+    is ``disturbed``, and ``others`` says who.
 
     Raises:
         PlayError: the nodes did not start in time.
-        ProcessError: a node is not installed, or ended by itself.
+        ProcessError: a node is not installed, or others are in the domain.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
@@ -92,17 +109,21 @@ def fly_live(
     args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
     args += ["-p", "qos.scan_reliability:=reliable", "-p", f"checkpoint.path:={checkpoint}"]
     with ExitStack() as stack:
-        domain = stack.enter_context(local_domain(folder))
+        local = stack.enter_context(local_domain(folder, domain))
+        starts = {"mapping": 0, "lss": 0}
 
         def start(name: str) -> NodeProcess:
-            log = folder / f"{name}.txt"
-            return stack.enter_context(NodeProcess(f"{name}_node", args, domain.env, log))
+            starts[name] += 1
+            log = folder / (f"{name}.txt" if starts[name] == 1 else f"{name}_{starts[name]}.txt")
+            return stack.enter_context(NodeProcess(f"{name}_node", args, local.env, log))
 
-        nodes = {name: start(name) for name in ("mapping", "lss")}
-        link = stack.enter_context(_Link(domain.number, config.frames.map))
+        link = stack.enter_context(_Link(local.number, config.frames.map))
+        refuse_company(link.node, dict.fromkeys(SPOKEN, 1) | dict.fromkeys(HEARD, 0))
+        nodes = {name: start(name) for name in starts}
         link.wait(PATIENCE_S)
         began = time.monotonic()
         down: set[str] = set()
+        others: set[str] = set()
         while not flight.outcome:
             for sent in flight.step():
                 link.send(sent)
@@ -120,14 +141,21 @@ def fly_live(
                     down.discard(kind)
                     nodes[name] = start(name)
             if not down and round(flight.time / TICK) % 100 == 0:
-                for node in nodes.values():
-                    node.check()
+                for name, node in nodes.items():
+                    if node.process.poll() is not None:
+                        nodes[name] = start(name)
+                # Of a node that was killed its topics are told of for a while.
+                heard = {topic: starts[name] for topic, name in HEARD.items()}
+                others |= {*strangers(link.node, dict.fromkeys(SPOKEN, 1) | heard)}
                 if progress is not None:
                     progress(flight.time)
         seconds = time.monotonic() - began
-    return LiveFlight(
-        Flown(flight, figures_of(seed, flight, None), None), tuple(link.heard), seconds
-    )
+    last = link.map and LandingSiteSelector(config).assess(map_from_messages(*link.map))
+    figures = figures_of(seed, flight, last)
+    figures |= {"restarts": sum(starts.values()) - len(starts), "others": sorted(others)}
+    if others:
+        figures["outcome"] = "disturbed"
+    return LiveFlight(Flown(flight, figures, last), tuple(link.heard), seconds)
 
 
 class _Link:
@@ -136,11 +164,11 @@ class _Link:
     def __init__(self, domain: int, frame: str) -> None:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self._node = Node("flight", context=self._context)
+        self.node = Node("flight", context=self._context)
         self._make = Messages(TYPES, packed, frame)
-        self._clock = self._node.create_publisher(Clock, "/clock", stream(10, reliable=True))
+        self._clock = self.node.create_publisher(Clock, "/clock", stream(10, reliable=True))
         self._publishers = {
-            topic: self._node.create_publisher(
+            topic: self.node.create_publisher(
                 kind,
                 topic,
                 latched() if topic.startswith("landing/") else stream(200, reliable=True),
@@ -150,9 +178,15 @@ class _Link:
         self._said: list[Target] = []
         self.heard: list[Heard] = []
         kind = PoseWithCovarianceStamped
-        self._node.create_subscription(kind, "landing/selected", self._hear, latched())
+        self.node.create_subscription(kind, "landing/selected", self._hear, latched())
+        self.map: tuple[Any, Any] | None = None
+        self._halves: dict[str, Any] = {}
+        halves = {"map/cells": PointCloud2, "map/observed": OccupancyGrid}
+        for topic, half in halves.items():
+            keep = functools.partial(self._keep, topic)
+            self.node.create_subscription(half, topic, keep, latched())
         self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
 
     def __enter__(self) -> _Link:
         return self
@@ -163,7 +197,7 @@ class _Link:
 
     def wait(self, patience: float) -> None:
         """Until both nodes listen; says that there is no keep-out, for which lss_node waits."""
-        wait_for_subscribers(self._node, list(self._publishers.values()), patience)
+        wait_for_subscribers(self.node, list(self._publishers.values()), patience)
         self.send(Sent("landing/keep_out", START_NS, np.zeros((0, 2))))
 
     def send(self, sent: Sent) -> None:
@@ -178,6 +212,13 @@ class _Link:
             self._executor.spin_once(timeout_sec=left)
         said, self._said = self._said, []
         return said
+
+    def _keep(self, topic: str, message: Any) -> None:
+        """The newest map, whose halves have one stamp."""
+        self._halves[topic] = message
+        stamps = [half.header.stamp for half in self._halves.values()]
+        if len(stamps) == 2 and stamps[0] == stamps[1]:
+            self.map = (self._halves["map/cells"], self._halves["map/observed"])
 
     def _hear(self, message: Any) -> None:
         place = message.pose.pose.position

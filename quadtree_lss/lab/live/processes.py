@@ -12,10 +12,12 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -65,6 +67,9 @@ FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
 PARTICIPANT_PORTS = range(10, 10 + 2 * 32)
 RESERVATION_PORT = PORTS_PER_DOMAIN - 1
 DOMAINS = range(1, 98)
+LAST_DOMAIN = 231
+LOOK_S = 2.0
+"""So long after we joined everybody who is there is known."""
 
 
 class ProcessError(QuadtreeLssError):
@@ -99,19 +104,67 @@ class LocalDomain:
     env: dict[str, str]
 
 
+def given_domain() -> int | None:
+    """What ``ROS_DOMAIN_ID`` says, None without it.
+
+    Raises:
+        ProcessError: it is no domain.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID", "")
+    if not text:
+        return None
+    if not text.isdecimal() or int(text[:4]) > LAST_DOMAIN:
+        msg = f"ROS_DOMAIN_ID is {text!r}: it must be a whole number from 0 to {LAST_DOMAIN}"
+        raise ProcessError(msg)
+    return int(text)
+
+
+def strangers(node: Any, ours: Mapping[str, int]) -> list[str]:
+    """Topics that more publish than we do, each with the nodes that do.
+
+    Args:
+        node: Of rclpy.
+        ours: How many of us publish each.
+    """
+    found = []
+    for topic, count in ours.items():
+        there = node.get_publishers_info_by_topic(topic)
+        if len(there) > count:
+            names = sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in there})
+            found.append(f"{topic} ({', '.join(names)})")
+    return found
+
+
+def refuse_company(node: Any, ours: Mapping[str, int]) -> None:
+    """Look before we speak.
+
+    Raises:
+        ProcessError: others are there that publish what we shall; arguments as of `strangers`.
+    """
+    time.sleep(LOOK_S)
+    if found := strangers(node, ours):
+        msg = f"others in this ROS domain publish {'; '.join(found)}: set another ROS_DOMAIN_ID"
+        raise ProcessError(msg)
+
+
 @contextmanager
-def local_domain(log_dir: Path) -> Iterator[LocalDomain]:
+def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomain]:
     """A ROS domain of one's own, for this process and those started with its environment.
 
     However many ask at once on this computer, each has another one until it leaves the context.
 
     Args:
         log_dir: For ROS's logs.
+        given: Take this one, who else may be there.
 
     Raises:
-        ProcessError: all domains are taken.
+        ProcessError: all domains are taken, or another asked for the given one.
     """
-    number, reservation = _reserve_domain()
+    number, reservation = _reserve_domain() if given is None else (given, None)
+    reservation = reservation or _bound(number, RESERVATION_PORT)
+    if reservation is None:
+        msg = f"another flight or demo has ROS domain {number}: set another ROS_DOMAIN_ID"
+        raise ProcessError(msg)
     env = _local_environment(number, log_dir)
     with reservation, mock.patch.dict(os.environ, env):
         yield LocalDomain(number, env)

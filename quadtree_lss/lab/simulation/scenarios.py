@@ -62,12 +62,11 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the user asks of a flight.
+    """What the user asks of a flight; None for the scenario's own.
 
     Attributes:
-        duration: Of the flight, s; None for the scenario's own.
-        terrain: A DEM or the path of one; None for the scenario's own.
-        range_noise: One sigma of a range, m; None for the scenario's own.
+        duration, range_noise: Of the flight, s; one sigma of a range, m.
+        terrain: A DEM or the path of one.
         outliers, dropouts: Shares of false and of missing returns.
         glide_slope_deg: Of the morpheus scenario.
         navigation_error: How many times the usual errors of morpheus and descent.

@@ -127,7 +127,11 @@ def risk_model(name: str) -> RiskModel:
 
 
 def doubt(config: Config) -> str:
-    """In which way the model of a configuration was fitted to another lander or map; or nothing.
+    """In which way the model of a configuration was fitted to another vehicle or map; or nothing.
+
+    The provenance of a model says what it was ``fitted`` to, from and to: ``diameter``, m;
+    ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``. One that says
+    the ``lander`` and the ``finest_cell`` alone was fitted to these.
 
     Raises:
         ConfigError: as of `risk_model`.
@@ -135,26 +139,36 @@ def doubt(config: Config) -> str:
     lss, model = config.lss, risk_model(config.lss.risk_model)
     if "probability" not in (lss.assessment, lss.ranking):
         return ""
-    origin = model.provenance
-    fitted = dict(origin.get("lander") or {}) | {"finest_cell": origin.get("finest_cell")}
+    vehicle, cell = lss.vehicle, config.domain.size / 2**config.domain.max_level
     used = {
-        "diameter": ("a lander of {:g} m", lss.vehicle_diameter),
-        "max_roughness": ("a clearance of {:g} m", lss.max_roughness),
-        "max_slope_deg": ("a slope of {:g} deg", lss.max_slope_deg),
-        "finest_cell": ("cells of {:g} m", config.domain.size / 2**config.domain.max_level),
+        "diameter": ("a vehicle of {} m", vehicle.diameter, 1.0),
+        "clearance": ("a clearance of {} m", vehicle.clearance, vehicle.diameter),
+        "max_slope_deg": ("a slope of {} deg", vehicle.max_slope_deg, 1.0),
+        "cell": ("cells of {} m", cell, vehicle.diameter),
+        "noise": ("a range noise of {} m", config.lidar.range_noise, vehicle.clearance),
     }
-    far = []
-    for name, (text, value) in used.items():
-        given = fitted.get(name)
-        if isinstance(given, (int, float)) and abs(value - given) > NEAR * given:
+    far, fitted = [], model.provenance.get("fitted") or _fitted_one(model, used)
+    for name, (text, value, unit) in used.items():
+        low, high = (unit * float(of) for of in fitted.get(name) or (value / unit,) * 2)
+        if not (1.0 - NEAR) * low <= value <= (1.0 + NEAR) * high:
+            given = f"{low:g}" if low == high else f"{low:g} to {high:g}"
             far.append(f"{text.format(given)}, not {value:g}")
-    (quiet, noisy), noise = model.noise, config.lidar.range_noise
-    if not (1.0 - NEAR) * quiet <= noise <= (1.0 + NEAR) * noisy:
-        far.append(f"a range noise of {quiet:g} to {noisy:g} m, not {noise:g}")
     if not far:
         return ""
     name = lss.risk_model or SHIPPED
     return f"the risk model {name} was fitted for {'; '.join(far)}: fit-risk makes another"
+
+
+def _fitted_one(
+    model: RiskModel, used: Mapping[str, tuple[str, float, float]]
+) -> dict[str, tuple[float, float]]:
+    """The same of one lander, in the units of ``used``."""
+    origin = model.provenance
+    given = dict(origin.get("lander") or {}) | {"cell": origin.get("finest_cell")}
+    given["clearance"] = given.get("max_roughness")
+    ones = {name: (value, value) for name, value in given.items() if name in used and value}
+    ones["noise"] = model.noise[0], model.noise[-1]
+    return {name: (low / used[name][2], high / used[name][2]) for name, (low, high) in ones.items()}
 
 
 def risk_model_text(model: RiskModel) -> str:

@@ -81,6 +81,21 @@ class Lengths:
     tolerance: float = _follows(
         0.3, "a measurement farther from its plane is an exception (Eq. 48)", "clearance"
     )
+    uneven: float = _follows(
+        2.25e-4,
+        "variance that a view of 70 % of a cell's width adds to its height; one of half of it adds"
+        " three times as much: ground is no plane",
+        "clearance",
+        "m^2",
+        2,
+    )
+    slack: float = _follows(
+        0.01,
+        "variance granted before a view contradicts its leaf altogether",
+        "clearance",
+        "m^2",
+        2,
+    )
     clip: float = _follows(1.0, "residuals count at most this much", "clearance")
     feature_height: float = _follows(0.1, "lower features are noise", "clearance")
     feature_volume: float = _follows(

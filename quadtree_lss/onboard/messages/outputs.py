@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import one_line
@@ -210,18 +211,19 @@ class MessageMaker:
         yield STATUS, self.cloud(record, STATUS_FIELDS, assessment.stamp_ns)
 
     def cloud(self, records: NDArray[np.void], fields: Fields, stamp: int) -> Any:
-        """PointCloud2 with one point per record (M,) of ``record_dtype(fields)``, packed."""
+        """PointCloud2 of records (M,) or (H, W) of ``record_dtype(fields)``, packed."""
         size = records.dtype.itemsize
+        height, width = records.shape if records.ndim == 2 else (1, len(records))
         return self._make(
             CLOUD_TYPE,
             header=self._header(stamp),
-            height=1,
-            width=len(records),
+            height=height,
+            width=width,
             fields=self._point_fields(fields),
             is_bigendian=False,
             point_step=size,
-            row_step=size * len(records),
-            data=self._pack(np.ascontiguousarray(records).view(np.uint8)),
+            row_step=size * width,
+            data=self._pack(np.ascontiguousarray(records).view(np.uint8).reshape(-1)),
             is_dense=False,
         )
 
@@ -253,12 +255,16 @@ class MessageMaker:
         """The target; one without a place (NaN) if there is none."""
         target = assessment.selected
         turn = site_orientations(target.site.normal)[0] if target.id else (0.0, 0.0, 0.0, 1.0)
+        return self.pose(assessment.stamp_ns, target.position, turn, target.covariance.ravel())
+
+    def pose(self, stamp: int, position: Any, xyzw: Any, covariance: Array) -> Any:
+        """PoseWithCovarianceStamped of a place (3,), a quaternion and a covariance (36,)."""
         pose = self._make(
             "geometry_msgs/msg/PoseWithCovariance",
-            pose=self._pose(target.position, turn),
-            covariance=target.covariance.ravel(),
+            pose=self._pose(position, xyzw),
+            covariance=covariance,
         )
-        return self._make(SELECTED_TYPE, header=self._header(assessment.stamp_ns), pose=pose)
+        return self._make(SELECTED_TYPE, header=self._header(stamp), pose=pose)
 
     def _point_fields(self, fields: Fields) -> list[Any]:
         """The same list in every cloud of these fields: making one takes longer than its bytes."""

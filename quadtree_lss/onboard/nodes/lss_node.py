@@ -266,6 +266,8 @@ class LssNode(Node):
         )
         if withheld or self._failed:
             return
+        for line in result.doubts:
+            status.note(WARN, line)
         if count:
             status.note(OK, f"{count} sites; {result.explanation}")
         else:

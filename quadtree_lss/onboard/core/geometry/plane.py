@@ -264,7 +264,8 @@ def slope_covariance(
     h00 = (x0 * m00 + x1 * m01) / variance + LEAST
     h01 = (x0 * m01 + x1 * m11) / variance
     h11 = (y0 * m01 + y1 * m11) / variance + LEAST
-    share = 1.0 / (h00 * h11 - h01 * h01)
+    # No less than of points in a line: what round-off leaves of large numbers may be 0 or below.
+    share = 1.0 / max(h00 * h11 - h01 * h01, LEAST * (h00 + h11 - LEAST))
     out[0] = share * h11 + tilt
     out[1] = out[2] = -share * h01
     out[3] = share * h00 + tilt

@@ -108,6 +108,7 @@ class LandingAssessment:
         risk: (ny, nx) that landing right there fails, with the ground as it is known; both NaN if
             nobody asked for them.
         explanation: Why there are no sites, or how many grid points are safe.
+        doubts: Why its risks may be wrong, a line each (see `doubt.Doubts`).
         offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
         ground: What the layers below are made of when they are asked for.
     """
@@ -128,6 +129,7 @@ class LandingAssessment:
     offset_z: float
     offset_variance: float
     ground: tuple[GridSampler, PointAssessment] | None = None
+    doubts: tuple[str, ...] = ()
 
     @property
     def undecided(self) -> bool:

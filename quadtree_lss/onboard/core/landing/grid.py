@@ -178,13 +178,18 @@ def aim(
         at_aim = aimed(at_aim, points.raster.domain.finest_size, spread)
     unsafe, safe = at.linear(at_aim), at.everywhere(points.safe)
     score = np.where(safe, at.nearest(points.score), np.nan)
-    cost = unsafe + TIE * score / (1.0 + score) if ranks else score
+    cost = probable_first(unsafe, score) if ranks else score
     hazard, risk = at.any(points.hazard), at.linear(points.risk)
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks:
         np.copyto(score, np.nan, where=np.isnan(cost))
     candidates = Candidates(at.x, at.y, safe, cost)
     return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld)
+
+
+def probable_first(unsafe: Array, score: Array) -> Array:
+    """Costs by P(unsafe | aim), and by the score, whatever it is, where that is equal to `TIE`."""
+    return unsafe + 0.5 * TIE * score / (1.0 + np.abs(score))
 
 
 @lru_cache(maxsize=4)

@@ -224,9 +224,9 @@ class Remainder:
     kind: str
 
     def words(self) -> str:
-        """As in "99.2 % safe: the remaining risk is an obstacle 3.1 m east"; where none is
-        worth a word, the share alone."""
-        share = f"{shown(self.probability)} safe"
+        """As in "probability 99.2 %: the remaining risk is an obstacle 3.1 m east"; where none
+        is worth a word, the probability alone."""
+        share = f"probability {shown(self.probability)}"
         what = {
             "obstacle": "an obstacle",
             "slope": "too steep a slope",

@@ -21,6 +21,7 @@ from quadtree_lss.onboard.core.landing.assessment import (
     no_target,
     nothing_mapped,
 )
+from quadtree_lss.onboard.core.landing.doubt import Doubts
 from quadtree_lss.onboard.core.landing.grid import Aims, GridSampler, aim, best_points, users_grid
 from quadtree_lss.onboard.core.landing.lattice import disc, touching
 from quadtree_lss.onboard.core.landing.probability import (
@@ -79,10 +80,12 @@ class LandingSiteSelector:
         self._table: RiskTable | None
         self._check: TouchdownCheck | None
         self._table, self._check, within = None, None, None
+        self._doubts: Doubts | None = None
         if "probability" in (lss.assessment, lss.ranking):
             model = risk_model(lss.risk_model)
             self._table = RiskTable(model, lss, config.lidar.range_noise)
             within = limits(model, lss)
+            self._doubts = Doubts(config)
         if within is not None or lss.assessment != "paper":
             self._check = TouchdownCheck(lss, within)
 
@@ -106,7 +109,8 @@ class LandingSiteSelector:
             cells: The map message's content; points are never needed.
             area, keep_out, target, withheld: As of `Restrictions`: where landing is wanted.
             dispersion: Deviations of the touchdown from its aim along x and y, m, and the lander's
-                heading, rad, NaN for any; None for ``lss.dispersion``, and any.
+                heading, rad, NaN for any; None for ``lss.dispersion``, and any. Limits alone are
+                looked at for one heading: a risk is that of the worst.
 
         Raises:
             ValueError: the dispersion is none.
@@ -124,7 +128,9 @@ class LandingSiteSelector:
         around = look_around(raster, lss)
         worst = None
         if self._check is not None:
-            worst = self._check.worst(raster, around.judged, spread.heading)
+            # The risk is fitted to the worst of all headings: no less is said of one of them.
+            heading = spread.heading if self._table is None else None
+            worst = self._check.worst(raster, around.judged, heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
         aims = aim(points, at, spread, wanted, lss)
         return self._choose_sites(points, aims, spread, wanted)
@@ -152,6 +158,9 @@ class LandingSiteSelector:
     ) -> LandingAssessment:
         """The best aims, and the target."""
         lss, cells, at = self.config.lss, points.raster.cells, aims.at
+        doubts: tuple[str, ...] = ()
+        if self._doubts is not None:
+            doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
         safe, cost = aims.candidates.safe, aims.candidates.cost
         landable = bool(np.isfinite(cost).any())
         explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
@@ -196,6 +205,7 @@ class LandingSiteSelector:
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
             ground=(at, points),
+            doubts=doubts,
         )
 
     def _choose(

@@ -63,7 +63,9 @@ class Offset:
 
 
 @cython.boundscheck(False)
-def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | None:
+def offset_of(
+    cells: Array, now: float, correlation_time: float, metre: float = 1.0
+) -> Offset | None:
     """How a scan's offset from the map divides between the two; None if there is no overlap.
 
     Over the M cells seen before, the scan's planes stand b over the map's: a weighted mean with
@@ -80,20 +82,23 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
     several scans, this one's pose is worse than it claims: S counts (n / `JUMP`)^6 times, but
     `BEYOND`^2 times at most. So the map follows five deviations by less than a tenth, and an exact
     pose stays where it is. ``cells``: (6, M) of `ScanUpdate.compare`. ``now``: time of the scan, s.
-    ``correlation_time``: s; 0 if the error is another one in each scan.
+    ``correlation_time``: s; 0 if the error is another one in each scan. ``metre``:
+    what the constants above have for one (``VehicleConfig.height``).
     """
     i: cython.Py_ssize_t
     column = cython.declare(cython.double[:, :], cells)
     count: cython.Py_ssize_t = column.shape[1]
     if count < MIN_CELLS:
         return None
-    floor: cython.double = FLOOR
+    floor: cython.double = FLOOR * metre * metre
+    model: cython.double = MODEL_VARIANCE * metre * metre
+    exact: cython.double = EXACT * metre * metre
     jump: cython.double = JUMP
     beyond: cython.double = BEYOND
     weights = np.empty(count)
     weight = cython.declare(cython.double[::1], weights)
     for i in range(count):
-        weight[i] = 1.0 / (column[1, i] + MODEL_VARIANCE)
+        weight[i] = 1.0 / (column[1, i] + model)
     middle: cython.double = weighted_median(cells[0], weights)
     total = height = of_scan = since = until = 0.0
     least = INFINITY
@@ -106,12 +111,12 @@ def offset_of(cells: Array, now: float, correlation_time: float) -> Offset | Non
         since += w * column[4, i]
         until += w * column[5, i]
         # On slopes either error is another one: the cell best known for what the scan knows of it.
-        least = min(least, column[3, i] / (column[2, i] + EXACT))
+        least = min(least, column[3, i] / (column[2, i] + exact))
     height /= total
     of_scan /= total
     since /= total
     until /= total
-    of_map = (of_scan + EXACT) * least
+    of_map = (of_scan + exact) * least
     news = 1.0
     if correlation_time > 0.0:
         news -= exp(-fabs(now - until) / correlation_time)

@@ -92,7 +92,12 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.void:
 @cython.boundscheck(False)
 @cython.locals(cells=cython.double[:, :], sigma=cython.double[:, ::1])
 def departure(
-    cells: Array, sigma: Array, now: float, correlation_time: float, limit: float
+    cells: Array,
+    sigma: Array,
+    now: float,
+    correlation_time: float,
+    limit: float,
+    metre: float = 1.0,
 ) -> Departure | None:
     """The rigid motion that M cells have in common, and how likely it is; None of fewer than 3.
 
@@ -128,6 +133,7 @@ def departure(
         now: Time of the scan, s.
         correlation_time: s; 0 if the error is another one in each scan.
         limit: Deviations.
+        metre: What the constants above have for one (``VehicleConfig.height``).
     """
     row = cython.declare(cython.double[3])
     right = cython.declare(cython.double[3])
@@ -142,7 +148,8 @@ def departure(
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, m=cython.int, step=cython.int)
     count: cython.Py_ssize_t = cells.shape[1]
     agreeing: cython.Py_ssize_t = 0
-    floor: cython.double = FLOOR
+    floor: cython.double = FLOOR * metre * metre
+    smoothed: cython.double = SMOOTHED * metre * metre
     beyond: cython.double = BEYOND * BEYOND
     weight = x0 = y0 = 0.0
     square = weights = mapped = tilted = began = last = 0.0
@@ -156,7 +163,7 @@ def departure(
     for i in range(count):
         may = cells[1, i] + cells[2, i] + cells[3, i] + floor
         if cells[0, i] * cells[0, i] <= limit * limit * may:
-            variance = cells[1, i] + SMOOTHED
+            variance = cells[1, i] + smoothed
             w = 1.0 / variance
             weight += w
             x0 += w * cells[6, i]

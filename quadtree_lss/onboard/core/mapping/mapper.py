@@ -202,7 +202,9 @@ class Mapper:
 
     def _departure(self, scan: RegisteredScan, cells: Array, now: float) -> Departure | None:
         time = self.config.pose.correlation_time
-        found: Departure | None = departure(cells, scan.pose.covariance, now, time, DEVIATIONS)
+        found: Departure | None = departure(
+            cells, scan.pose.covariance, now, time, DEVIATIONS, self.config.vehicle.height
+        )
         return found
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
@@ -210,12 +212,13 @@ class Mapper:
         ``change``: the scan. ``cells``: (6, M) of `ScanUpdate.compare`. ``now``: time of the scan,
         s."""
         cells[0] -= self._owed
-        offset: Offset | None = offset_of(cells, now, self.config.pose.correlation_time)
+        time, metre = self.config.pose.correlation_time, self.config.vehicle.height
+        offset: Offset | None = offset_of(cells, now, time, metre)
         if offset is None:
             return 0.0
         self._owed += offset.map
         self._lifted += offset.map
-        if abs(self._owed) >= LEAST_LIFT:
+        if abs(self._owed) >= LEAST_LIFT * metre:
             lift(self.leaves, self._owed, offset.since)
             self._owed = 0.0
         self._offset = (offset.height - offset.map + self._owed, offset.variance)

@@ -34,9 +34,6 @@ if not cython.compiled:
 MIN_COSINE = cython.declare(cython.double, 0.05)
 #: Pose variances above this (m^2) say no more than this: nothing is known.
 MAX_VARIANCE = cython.declare(cython.double, 1e6)
-#: Variance that a view of 70 % of a cell's width adds to the height of the cell, m^2; one of half
-#: of it adds three times as much: ground is no plane.
-UNEVEN = cython.declare(cython.double, 2.25e-4)
 #: An orthogonal fit that stands so much steeper than the regression of height (n_z over n_z) is of
 #: points that are as far apart in height as in place: no plane.
 OVERTURNED = cython.declare(cython.double, 0.5)
@@ -105,6 +102,7 @@ class Rules:
         self.min_points = FIT_POINTS
         self.slope_points = SLOPE_POINTS
         self.correlation_time = config.pose.correlation_time
+        self.uneven, self.slack = lengths.uneven, lengths.slack
         self.clip = lengths.clip
         self.tolerance = lengths.tolerance
         self.features = config.features.enabled
@@ -322,7 +320,7 @@ def measure(
     free = max(count - 3.0, 1.0)
     run.square = max(quadratic, 0.0) / free
     doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
-    uneven = max(run.square - doubt, 0.0) + UNEVEN * (1.0 / (seen * seen) - 1.0)
+    uneven = max(run.square - doubt, 0.0) + rules.uneven * (1.0 / (seen * seen) - 1.0)
     _bias(run, ray_x, ray_y, sqrt(along), cosine / up, tilt < UNKNOWN_TILT)
     if run.sloped == 0.0 and z == z:
         # Of a strip that is as wide as the noise, place and height err together, along the ray u:

@@ -37,9 +37,8 @@ MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
 LEVEL_SIGMA = cython.declare(cython.double, 0.5)
 #: ... and this high or low, m.
 HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
-#: A run contradicts a plane that is so many deviations off, with `SLACK` m^2 to spare.
+#: A run contradicts a plane that is so many deviations off.
 CONTRADICTING = cython.declare(cython.double, 30.0)
-SLACK = cython.declare(cython.double, 0.01)
 #: Points of a scan in a cell that tell the range noise.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 
@@ -214,7 +213,7 @@ class ScanUpdate:
             return False
         variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
         off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
-        return off * off > CONTRADICTING * CONTRADICTING * (variance + SLACK)
+        return off * off > CONTRADICTING * CONTRADICTING * (variance + self.rules.slack)
 
     def _doubt(self, leaf: Record, run: Record) -> None:
         """How far a run may lie off a leaf's plane where it was seen and both be right, m.

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files through their readers to what works with them: each is taken soundly or refused in a line.
+
+A case is a good file of which a part is spoilt, or its bytes. Counters are closed: taken and
+refused by reason are as many as were sent.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from replay.recordings import GROUND, storage_file, write_ros2
+
+from quadtree_lss.desk.replay.elevation_model import rank_sites
+from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.lab.campaign.kinds import Case
+from quadtree_lss.lab.campaign.store import Store
+from quadtree_lss.lab.campaign.study import read_study
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+#: Of each kind of file; make test-all sends 20,000 in all, other ones with another FUZZ_SEED.
+COUNTS = {"dem_npz": 300, "dem_tiff": 300, "study": 300, "record": 100}
+COUNTS |= {"cloud": 40, "poses": 40, "bag": 15}
+SEED, MANY = int(os.environ.get("FUZZ_SEED", "7110")), 20
+NUMBERS = [0.0, -0.0, 1.0, -1.0, 5e-324, 1e-320, 1e-160, 1e-9, 1e6, 1e9, 1e160, 1.7e308]
+NUMBERS += [float("nan"), float("inf"), float("-inf"), 2.0**31, 2.0**63]
+TYPES = ["f2", "f4", "f8", ">f8", "i1", "u2", "i8", "u8", "c16", "?", "S3", "U2", "M8[ns]"]
+WORDS = ["", "null", "[]", "{}", "-1", "1e999", ".nan", "'a'", "{uniform: [1, 0]}", "!!python/x y"]
+WORDS += ["{range: [0, 1, 1000000000]}", "{choice: [1, 2]}", "*a", "0x10", "9" * 400, "\0", "[[["]
+CONFIG = config_from_values({**GROUND, "lss.grid_spacing": 1.0, "lss.sites": 2})
+AXIS = np.linspace(-12.0, 12.0, 13)
+HEIGHTS = 0.1 * AXIS + 0.02 * AXIS[:, None] ** 2
+
+
+def one_of(rng, among):
+    return among[int(rng.integers(len(among)))]
+
+
+def spoilt_bytes(rng, content):
+    """One time in three some bytes are others, a piece is gone, or twice there."""
+    data = bytearray(content)
+    for _ in range(int(rng.integers(1, 4)) if rng.random() < 0.35 else 0):
+        at = int(rng.integers(0, len(data) + 1))
+        if (how := rng.integers(4)) == 0:
+            data[at : at + 1] = bytes(rng.integers(0, 256, 1, dtype=np.uint8))
+        elif how == 1:
+            data[at : at + 4] = one_of(rng, [b"\xff" * 4, b"\0" * 4, b"\0\0\0\x7f"])
+        elif how == 2:
+            del data[at : at + int(rng.integers(1, 64))]
+        else:
+            data[at:at] = data[at : at + int(rng.integers(1, 64))]
+    return bytes(data)
+
+
+@np.errstate(all="ignore")
+def spoilt_array(rng, array):
+    array = np.array(array)
+    for _ in range(int(one_of(rng, [0, 0, 1, 2]))):
+        how = rng.integers(5)
+        if how == 0 and array.size and array.dtype.kind in "fiu":
+            array.reshape(-1)[rng.integers(array.size)] = np.float64(one_of(rng, NUMBERS)).astype(
+                array.dtype
+            )
+        elif how == 1 and array.dtype.kind in "fiu":
+            array = array * np.float64(one_of(rng, NUMBERS))
+        elif how == 2 and array.dtype.kind in "fiu":
+            array = array.astype(one_of(rng, TYPES))
+        elif how == 3:
+            array = one_of(rng, [array[:0], array[:1], array[None], array.T, array[..., :2]])
+        elif array.dtype.kind == "f":
+            array = array + one_of(rng, NUMBERS)
+    return array
+
+
+def archive(rng, arrays):
+    out = io.BytesIO()
+    arrays = {name: spoilt_array(rng, a) for name, a in arrays.items() if rng.random() > 0.02}
+    np.savez_compressed(out, **arrays)
+    return spoilt_bytes(rng, out.getvalue())
+
+
+def sound(result):
+    """What came of a file that was taken."""
+    sites = result.assessment.sites
+    assert np.isfinite(sites.position).all() and np.isfinite(sites.score).all()
+    result.as_dict()
+
+
+def dem_npz(rng, folder):
+    path = folder / "dem.npz"
+    path.write_bytes(archive(rng, {"x": AXIS, "y": AXIS, "elevation": HEIGHTS}))
+    sound(rank_sites(path, None, CONFIG))
+
+
+def dem_tiff(rng, folder):
+    rasterio = pytest.importorskip("rasterio")
+    path, bands = folder / "dem.tif", int(one_of(rng, [1, 1, 1, 1, 2, 3]))
+    path.unlink(missing_ok=True)
+    kind = one_of(rng, ["float32", "float64", "int16", "uint8", "complex64"])
+    step = float(one_of(rng, [2.0, 2.0, 2.0, *NUMBERS]))
+    options = {"crs": one_of(rng, [None, "EPSG:32611", "EPSG:32611", "EPSG:4326", "EPSG:2225"])}
+    options["transform"] = rasterio.Affine(step, 0.0, -12.0, 0.0, -step, 12.0)
+    options |= {"driver": "GTiff", "width": 13, "height": 13, "count": bands, "dtype": kind}
+    try:
+        with rasterio.open(path, "w", **options) as file:
+            file.scales = [float(one_of(rng, [1.0, 0.1, *NUMBERS]))] * bands
+            file.offsets = [float(one_of(rng, [0.0, 5.0, *NUMBERS]))] * bands
+            if unit := one_of(rng, ["", "", "m", "ft", "km", "deg", "1", "\u202e"]):
+                file.units = [unit] * bands
+            with np.errstate(all="ignore"):
+                values = spoilt_array(rng, HEIGHTS)
+                values = HEIGHTS if values.shape != HEIGHTS.shape else values
+                file.write(np.stack([values.astype(kind)] * bands))
+    except (rasterio.errors.RasterioError, ValueError, TypeError, OverflowError):
+        return  # what GDAL does not write
+    path.write_bytes(spoilt_bytes(rng, path.read_bytes()))
+    sound(rank_sites(path, None, CONFIG))
+
+
+def text_of(points):
+    return "\n".join(" ".join(map(repr, row)) for row in np.asarray(points, float).tolist())
+
+
+def cloud(rng, folder):
+    x, y = np.meshgrid(AXIS, AXIS)
+    points = np.stack([x, y, HEIGHTS], axis=-1).reshape(-1, 3)
+    kind = one_of(rng, ["npy", "npz", "ply", "pcd"])
+    path = folder / f"cloud.{kind}"
+    path.unlink(missing_ok=True)
+    if kind == "npz":
+        stamps = rng.integers(0, 2**63, int(one_of(rng, [1, 2])))
+        more = {"stamp_ns": stamps, "points": np.stack([points] * len(stamps))}
+        path.write_bytes(archive(rng, more if rng.random() < 0.5 else {"points": points}))
+    else:
+        out = io.BytesIO()
+        np.save(out, spoilt_array(rng, points))
+        spoilt = spoilt_array(rng, points)
+        spoilt = points if spoilt.ndim != 2 or spoilt.shape[1] != 3 else spoilt
+        try:
+            rows = text_of(spoilt)
+        except (TypeError, ValueError):
+            rows = text_of(points)
+        count = one_of(rng, [len(spoilt), len(spoilt), -1, 2**31, 2**62])
+        head = f"ply\nformat ascii 1.0\nelement vertex {count}\n"
+        head += "".join(f"property double {axis}\n" for axis in "xyz") + "end_header\n"
+        pcd = "VERSION .7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nCOUNT 1 1 1\n"
+        pcd += f"WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA ascii\n"
+        forms = {"npy": out.getvalue(), "ply": (head + rows).encode(), "pcd": (pcd + rows).encode()}
+        path.write_bytes(spoilt_bytes(rng, forms[kind]))
+    sound(replay(path, None, CONFIG))
+    path.unlink()
+
+
+def poses(rng, folder):
+    if not (scans := folder / "scans.npz").exists():
+        ray = np.random.default_rng(1).uniform(-0.3, 0.3, (100, 2))
+        points = 30.0 * np.column_stack([ray, np.ones(100)])
+        np.savez(scans, points=np.stack([points] * 3), stamp_ns=np.arange(3) * 10**9 + 10**18)
+    rows = [[10**9 + k, 0.0, 0.0, 30.0, 1.0, 0.0, 0.0, 0.0] for k in range(-1, 4)]
+    for _ in range(int(rng.integers(0, 3))):
+        row = one_of(rng, rows)
+        row[int(rng.integers(8))] = one_of(rng, [*NUMBERS, "x", "", "1e999999999", "9" * 5000])
+    text = "\n".join(one_of(rng, [" ", " ", ","]).join(map(str, row)) for row in rows)
+    if rng.random() < 0.3:
+        text = "stamp,x,y,z,qx,qy,qz,qw\n" + text.replace(" ", ",")
+    path = folder / "poses.txt"
+    path.write_bytes(spoilt_bytes(rng, text.encode()))
+    sound(replay(scans, None, CONFIG, poses=path))
+
+
+STUDY = """name: small
+kind: map
+scenario: descent
+seed: 1
+flights: 4
+conditions:
+  duration: 1
+  range_noise: {uniform: [0.05, 0.1]}
+parameters:
+  lss.margin: [0.0, 1.0]
+until: {quantity: safe_found, half_width: 0.5}
+"""
+
+
+def study(rng, folder):
+    lines = STUDY.splitlines()
+    for _ in range(int(rng.integers(0, 3))):
+        k = int(rng.integers(len(lines)))
+        word = one_of(rng, [*WORDS, *map(repr, NUMBERS)])
+        lines[k] = f"{lines[k].partition(':')[0]}: {word}"
+    path = folder / "study.yaml"
+    path.write_bytes(spoilt_bytes(rng, "\n".join(lines).encode()))
+    found = read_study(path)
+    for index in {0, found.count // 2, found.count - 1}:
+        assert Store(folder).path(found.case(index)).name.startswith(f"{index:06d}-")
+
+
+def record(rng, folder):
+    """Never another one than was written."""
+    store, case = Store(folder / "campaign"), Case(3, "map", "descent", 7)
+    written = store.write(case, {"safe_found": 90.5, "unsafe": None})
+    path = store.path(case)
+    path.write_bytes(spoilt_bytes(rng, path.read_bytes()))
+    assert store.read(case) == written
+
+
+def bag(rng, folder):
+    if not (whole := folder / "whole").exists():
+        write_ros2(whole, scans=3)
+    content = storage_file(whole).read_bytes()
+    path = folder / storage_file(whole).name
+    path.write_bytes(spoilt_bytes(rng, content))
+    sound(replay(path, None, CONFIG))
+
+
+KINDS = {f.__name__: f for f in (dem_npz, dem_tiff, cloud, poses, study, record, bag)}
+
+
+def through(kind: str, folder: Path, seed: int, count: int) -> Counter[str]:
+    told: Counter[str] = Counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for k in range(count):
+            try:
+                KINDS[kind](np.random.default_rng([seed, k]), folder)
+                told["taken"] += 1
+            except QuadtreeLssError as error:
+                assert str(error).isprintable() and len(str(error)) < 1100
+                told[type(error).__name__] += 1
+            except Exception as error:
+                msg = f"{kind}: case {k} of seed {seed}"
+                raise AssertionError(msg) from error
+    assert told.total() == count
+    return told
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_file_is_taken_soundly_or_refused_in_a_line(kind, tmp_path):
+    told = through(kind, tmp_path, SEED, COUNTS[kind])
+    assert told["taken"] and told.total() > told["taken"], told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_more(kind, tmp_path):
+    through(kind, tmp_path, SEED + 1, MANY * COUNTS[kind])
