@@ -22,7 +22,7 @@ REFUSED = {
 HISTORY = r"seeds? \d+|flights? \d{2,}(?! (flights|landings))"
 NOT_YET = {  # pages that are rewritten with their code
     *("guidance.md", "landing.md", "landing_inputs.md", "landing_selected.md"),
-    *("landing_status.md", "onboard.md", "probability.md"),
+    *("landing_status.md", "probability.md"),
 }
 
 
