@@ -89,7 +89,7 @@ def assert_same(found, other, scale: float) -> None:
         np.testing.assert_allclose(mine, its / scale, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 @pytest.mark.parametrize("scale", SCALES)
 def test_landing_answers_the_same_at_every_scale(cells, scale, assessment):
     found = LandingSiteSelector(at_scale(1.0, assessment)).assess(cells)
