@@ -225,4 +225,4 @@ def test_nothing_is_wrong_with_one_that_looks_straight_down_and_the_command_says
     code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom")
     assert code == 1 and "mend:  frames.map: map" in out
     code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom", "--json")
-    assert json.loads(out)[0]["mend"] == "frames.map: map"
+    assert json.loads(out)["findings"][0]["mend"] == "frames.map: map"

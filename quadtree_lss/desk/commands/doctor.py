@@ -61,7 +61,7 @@ def _run(options: argparse.Namespace) -> int:
             )
     wrong = [finding for finding in info.findings if finding.mend or finding.fatal]
     if options.json:
-        print_json([finding._asdict() for finding in wrong])
+        print_json({"findings": [finding._asdict() for finding in wrong]})
     else:
         for finding in wrong:
             show(f"wrong: {finding.text}\nmend:  {finding.mend or 'none known'}")
