@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
@@ -130,9 +131,9 @@ def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
     return _model([steps[i:j] for i, j in zip(ends, ends[1:], strict=False)])
 
 
-def risks(model: RiskModel, places: Array) -> Array:
+def risks(model: RiskModel, given: ArrayLike) -> Array:
     """(K,) P(unsafe) at places (K, len(ASKED))."""
-    places = np.asarray(places, np.float64)
+    places = np.asarray(given, np.float64)
     seen = interpolation_weights(places[:, ASKED.index("seen")], model.seen)
     safe = np.zeros(len(places))
     for cause in model.causes.values():

@@ -76,7 +76,7 @@ class Family:
 
 
 _ANY = (*FIELDS, "any")
-_SIZES = {
+_SIZES: dict[str, Any] = {
     "diameter": (0.5, 8.0),
     "clearance": (0.055, 0.17),
     "slopes": (6.0, 8.0, 10.0, 12.0, 15.0),
