@@ -74,10 +74,10 @@ def test_ground_bridged_beyond_what_was_fitted_is_told(more):
 def test_an_answer_gives_its_doubts():
     """Of the shipped fit with a lander, and of a map, of another kind."""
     named = {"assessment": "probability", "ranking": "probability"}
-    for lander, some in ({"diameter": 3.7}, False), ({"diameter": 9.0}, True):
+    for lander, some in ({"diameter": 3.7}, False), ({"diameter": 20.0}, True):
         config = configured(domain={"max_level": 6}, vehicle=lander, lss=named)
         cells = mapped(config, flat()).snapshot()
         doubts = LandingSiteSelector(config).assess(cells).doubts
-        assert any("not 9" in line for line in doubts) == some
+        assert any("not 20" in line for line in doubts) == some
     by_limits = dataclasses.replace(config, lss=configured().lss)
     assert LandingSiteSelector(by_limits).assess(cells).doubts == ()

@@ -23,6 +23,7 @@ CONFIG = load_config(
         "domain.min_level": 2,
         "domain.max_level": 4,
         "lidar.range_noise": 0.02,
+        "lss.max_risk": 0.1,
     },
 )
 ABOVE = np.array([[1, 0, 0, 1], [0, -1, 0, 2], [0, 0, -1, 50], [0, 0, 0, 1]], float)

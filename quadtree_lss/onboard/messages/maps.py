@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
-from quadtree_lss.onboard.core.geometry.bounds import bounded
-from quadtree_lss.onboard.core.tree.cell_map import MOST, MOST_HEIGHT, CellMap, sound_planes
+from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
 from quadtree_lss.onboard.messages.clouds import MessageError

@@ -13,6 +13,10 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
 
+#: Heights and lengths of a map are less than this, m, and its other figures than this: squares
+#: are numbers then, in a message's single precision, too.
+MOST_HEIGHT, MOST = 1e7, 1e18
+
 
 @cython.ccall
 @cython.exceptval(check=False)

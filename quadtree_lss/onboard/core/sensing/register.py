@@ -11,12 +11,12 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Keys, Points
 from quadtree_lss.onboard.config.settings import DomainConfig, LidarConfig
+from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
 from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.onboard.core.sensing.points import arrange, find_runs, turn
 from quadtree_lss.onboard.core.sensing.sweep import Sweep, still
-from quadtree_lss.onboard.core.tree.cell_map import MOST_HEIGHT
 
 #: Of larger scans no memory is kept.
 KEPT_POINTS = 1 << 20

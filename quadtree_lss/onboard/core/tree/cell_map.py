@@ -12,14 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Numbers
-from quadtree_lss.onboard.core.geometry.bounds import bounded
+from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
 from quadtree_lss.onboard.core.geometry.heights import height_by_error
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
 
-#: Heights and lengths of a map are less than this, m, and its other figures than this: squares
-#: are numbers then, in a message's single precision, too.
-MOST_HEIGHT, MOST = 1e7, 1e18
 #: The least sigma of a feature, m, and the least n_z of a normal (`geometry.plane.keep_up`).
 LEAST_SIGMA, LEAST_UP = 1e-6, 1e-3
 

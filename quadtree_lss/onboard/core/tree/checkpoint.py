@@ -15,7 +15,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.onboard.core.tree.cell_map import MOST, MOST_HEIGHT, sound_planes
+from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT
+from quadtree_lss.onboard.core.tree.cell_map import sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
 from quadtree_lss.onboard.errors import QuadtreeLssError
