@@ -127,7 +127,7 @@ class RiskTable:
                     tables += odds.ravel().tolist()
         self._tables = np.array(tables, dtype=np.float32)
         self._terms = np.array(terms, dtype=np.int32)
-        self._exps = np.exp(np.linspace(LEAST, MOST, EXPS)).astype(np.float32)
+        self._exps = np.exp(np.linspace(LEAST, MOST, EXPS))
 
     def overall(self, side: float) -> dict[str, float]:
         """What is the same at all places of a map with finest cells of ``side`` m (`OVERALL`)."""
@@ -405,7 +405,7 @@ def set_means(
 @cython.locals(places=cython.float[:, :, ::1], judged=cython.uchar[:, ::1])
 @cython.locals(constant=cython.float[::1], low=cython.double[::1], per=cython.double[::1])
 @cython.locals(last=cython.double[::1])
-@cython.locals(terms=cython.int[:, ::1], tables=cython.float[::1], exps=cython.float[::1])
+@cython.locals(terms=cython.int[:, ::1], tables=cython.float[::1], exps=cython.double[::1])
 @cython.locals(out=cython.double[:, ::1], cause=cython.uchar[:, ::1])
 def look_up(
     places: Single,
@@ -416,7 +416,7 @@ def look_up(
     last: Array,
     terms: Ints,
     tables: Single,
-    exps: Single,
+    exps: Array,
     out: Array,
     cause: Bytes,
 ) -> None:
@@ -437,18 +437,18 @@ def look_up(
     causes: cython.Py_ssize_t = constant.shape[0]
     count: cython.Py_ssize_t = places.shape[0]
     entry = cython.declare(cython.int[:, ::1], np.zeros((count, columns), dtype=np.int32))
-    odds = cython.declare(cython.float[:, ::1], np.zeros((causes, columns), dtype=np.float32))
-    least: cython.float = LEAST
-    end: cython.float = EXPS - 1
-    step: cython.float = (EXPS - 1) / (MOST - LEAST)
+    odds = cython.declare(cython.double[:, ::1], np.zeros((causes, columns)))
+    least: cython.double = LEAST
+    end: cython.double = EXPS - 1
+    step: cython.double = (EXPS - 1) / (MOST - LEAST)
     with cython.nogil:
         for i in range(out.shape[0]):
             for f in range(count):
-                base: cython.float = low[f]
-                scale: cython.float = per[f]
-                top: cython.float = last[f]
+                base: cython.double = low[f]
+                scale: cython.double = per[f]
+                top: cython.double = last[f]
                 for j in range(columns):
-                    x: cython.float = (places[f, i, j] - base) * scale + 0.5
+                    x: cython.double = (places[f, i, j] - base) * scale + 0.5
                     x = x if x > 0.0 else 0.0  # also of what is no number
                     x = x if x < top else top
                     entry[f, j] = cython.cast(cython.int, x)
@@ -466,10 +466,10 @@ def look_up(
             for j in range(columns):
                 if not judged[i, j]:
                     continue
-                safe: cython.float = 1.0
-                most: cython.float = -1e9
+                safe: cython.double = 1.0
+                most: cython.double = -1e9
                 for c in range(causes):
-                    z: cython.float = odds[c, j]
+                    z: cython.double = odds[c, j]
                     if z > most:
                         most = z
                         cause[i, j] = c
