@@ -32,7 +32,7 @@ AS_SHIPPED = {
     "domain": DOMAIN,
     "lidar": LIDAR,
     "vehicle": {"diameter": 1.5},
-    "lss": {**LIMITS, "assessment": "probability", "ranking": "probability"},
+    "lss": {**LIMITS, "assessment": "probability", "ranking": "probability", "max_risk": 0.5},
 }
 AS_THE_PAPER = {
     "domain": {**DOMAIN, "max_level": 2},

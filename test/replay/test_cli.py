@@ -25,7 +25,7 @@ WRONG_FLIGHTS += [("--flights", "1.5"), ("--seed", "-1"), ("--seed", "one")]
 NOT_PUBLISHED = [["--out", "x"], ["--config", "morpheus"], ["--set", "lss.margin=1"]]
 NOT_PUBLISHED += [["--no-report"], ["--record", "x"]]
 NOT_PUBLISHED += [["--rate", value] for value in ("0", "-1", "inf", "nan")]
-FAST = [*COARSE, "--set", "lss.max_gap=3.0", "--no-report"]
+FAST = [*COARSE, "--set", "lss.max_gap=3.0", "--set", "lss.max_risk=0.9", "--no-report"]
 
 
 @pytest.fixture(scope="module")
