@@ -61,7 +61,7 @@ def test_no_footprint_that_touches_it_is_judged(level_ground, assessment, max_ga
     before = LandingSiteSelector(config).assess(level_ground)
     cells = without(level_ground, CELLS)
     found = LandingSiteSelector(config).assess(cells)
-    reach = 0.5 * 3.7 + config.lss.pad_radius
+    reach = 0.5 * 3.7 + config.vehicle.pad_radius
     touched = away(cells, CELLS, found) < reach - 1e-9
     assert before.safe[touched].any()
     assert not found.safe[touched].any()

@@ -281,36 +281,6 @@ class LssConfig:
     vehicle: VehicleConfig = VehicleConfig()
 
     @property
-    def vehicle_diameter(self) -> float:
-        """Of the pads' circle, m."""
-        return self.vehicle.diameter
-
-    @property
-    def max_slope_deg(self) -> float:
-        """Steepest ground that the lander stands on."""
-        return self.vehicle.max_slope_deg
-
-    @property
-    def max_roughness(self) -> float:
-        """The vehicle's clearance, m."""
-        return self.vehicle.clearance
-
-    @property
-    def pad_radius(self) -> float:
-        """Of a landing pad, m."""
-        return self.vehicle.pad_radius
-
-    @property
-    def touchdown_slope_deg(self) -> float:
-        """Limit of the touchdown check on the map."""
-        return self.vehicle.lengths.touchdown_slope_deg
-
-    @property
-    def touchdown_roughness(self) -> float:
-        """Limit of the touchdown check on the map, m."""
-        return self.vehicle.lengths.touchdown_roughness
-
-    @property
     def spacing(self) -> float:
         """Of candidate sites, m."""
         return self.grid_spacing or self.vehicle.lengths.grid_spacing

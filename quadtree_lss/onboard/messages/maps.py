@@ -95,6 +95,7 @@ STATUS_FIELDS: tuple[tuple[str, str], ...] = (
     ("state", "u1"),
     ("seen", "f4"),
     ("probability", "f4"),
+    ("doubts", "u1"),
 )
 
 
@@ -297,7 +298,7 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     out["offset_z"], out["offset_variance"] = assessment.offset_z, assessment.offset_variance
     out["id"], out["answer"], out["reason"] = selected.id, assessment.number, selected.reason
     out["state"], out["seen"] = selected.state, assessment.seen
-    out["probability"] = selected.probability
+    out["probability"], out["doubts"] = selected.probability, len(assessment.doubts)
     return out
 
 

@@ -86,7 +86,8 @@ class Dispersion:
 def limits(model: RiskModel, lss: LssConfig) -> Limits:
     """Between which contacts the model, and the touchdown check, differ."""
     rise, slope = lss.vehicle.clearance, tan(radians(lss.vehicle.max_slope_deg))
-    own, steep = lss.touchdown_roughness, tan(radians(lss.touchdown_slope_deg))
+    lengths = lss.vehicle.lengths
+    own, steep = lengths.touchdown_roughness, tan(radians(lengths.touchdown_slope_deg))
     (low, high), (level, steepest) = (model.span(name) for name in ("rise", "tilt"))
     return Limits(
         (min(low * rise, own), max(high * rise, own)),

@@ -149,7 +149,7 @@ class Restrictions:
             return
         # Only what is left is looked at: areas come with every second of a flight.
         row, column = np.nonzero(np.isfinite(cost))
-        left, zone = cost[row, column], 0.5 * lss.vehicle_diameter + lss.margin
+        left, zone = cost[row, column], 0.5 * lss.vehicle.diameter + lss.margin
         if self.area is not None:
             left[signed_distance(self.area, x[column], y[row]) < zone] = np.nan
         for polygon in self.keep_outs:
@@ -185,7 +185,7 @@ class Restrictions:
         """Why landing is not wanted at a place, None if nothing speaks against it."""
         if not self.area_holds(x, y, lss):
             return Reason.OUTSIDE_AREA
-        zone, at = 0.5 * lss.vehicle_diameter + lss.margin, (np.array([x]), np.array([y]))
+        zone, at = 0.5 * lss.vehicle.diameter + lss.margin, (np.array([x]), np.array([y]))
         touched = any(signed_distance(polygon, *at)[0] > -zone for polygon in self.keep_outs)
         return Reason.KEEP_OUT if touched else None
 
@@ -197,7 +197,7 @@ class Restrictions:
             inside = signed_distance(self.area, np.array([x]), np.array([y]))[0]
         except (TypeError, ValueError):
             return False
-        return bool(inside >= 0.5 * lss.vehicle_diameter + lss.margin)
+        return bool(inside >= 0.5 * lss.vehicle.diameter + lss.margin)
 
     def is_near(self, x: float, y: float, reach: float) -> bool:
         """Whether the place to be near to is this one."""
