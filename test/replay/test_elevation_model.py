@@ -74,9 +74,9 @@ def test_a_large_model_gets_coarser_leaves_and_says_so(monkeypatch):
 def test_doubts_are_told_by_the_command_its_files_and_its_page(tmp_path, capsys):
     dem, out = model(), tmp_path / "out"
     np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
-    options = ["--set", "vehicle.diameter=9", "--set", "lss.grid_spacing=1", "--out", out]
+    options = ["--set", "vehicle.max_slope_deg=25", "--set", "lss.grid_spacing=1", "--out", out]
     code, _, err = run(capsys, "sites", tmp_path / "dem.npz", *options)
-    told = "was fitted for a vehicle of"
+    told = "was fitted for a slope of"
     summary = json.loads((out / "summary.json").read_text())
     assert code == 0 and told in err and told in summary["doubts"][0]
     assert summary["warnings"][: len(summary["doubts"])] == summary["doubts"]

@@ -28,6 +28,7 @@ CONFIG = load_config(
         "domain.min_level": 3,
         "domain.max_level": 5,
         "lss.max_gap": 3.0,
+        "lss.max_risk": 0.5,  # few returns
     },
 )
 

@@ -38,7 +38,7 @@ def test_a_flight_can_be_replayed_with_what_is_suggested(flight, tmp_path):
     assert 0.2 < values["domain.size"] / 2 ** values["domain.max_level"] < 1.5
     path = tmp_path / "mine.yaml"
     path.write_text(found.text())
-    config = load_config([path])
+    config = load_config([path], {"lss.max_risk": 0.2})  # a second of flight
     result = replay(flight, None, config)
     assert result.summary["points_used"] > 0.9 * result.summary["points"]
     assert len(result.assessment.sites) > 0

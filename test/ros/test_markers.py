@@ -80,7 +80,7 @@ def test_markers_of_an_empty_map_delete():
 
 
 def test_sites_have_circle_normal_and_rank(mapper):
-    config = load_config(["morpheus"])
+    config = load_config(["morpheus"], {"lss.max_risk": 0.2})  # few returns
     result = LandingSiteSelector(config).assess(round_trip(mapper.snapshot()))
     message = site_markers(result, "map", 1.85)
     assert message.markers[0].action == Marker.DELETEALL

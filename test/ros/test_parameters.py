@@ -96,7 +96,10 @@ def test_qos_overrides_are_left_to_ros(context):
     ("overrides", "words"),
     [
         ({"lss__marign": 1.0}, ["lss.marign", "lss.margin"]),
-        ({"mapping__divide_area": 0.1}, ["mapping.divide_area is no parameter any more", "0.04"]),
+        (
+            {"mapping__divide_area": 0.1},
+            ["mapping.divide_area is no parameter any more", "clearance"],
+        ),
         ({"lidar__range_noise": -1.0}, ["lidar.range_noise", "outside"]),
         ({"domain__min_level": "four"}, ["domain.min_level", "int"]),
         ({"domain__min_level": 9, "domain__max_level": 8}, ["min_level", "max_level"]),

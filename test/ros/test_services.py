@@ -230,7 +230,7 @@ def _equal(level, node, wanted):
 
 def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
     ros.start("mapping_node")
-    ros.start("lss_node", "-p", "lss.vehicle.diameter:=40.0")
+    ros.start("lss_node", "-p", "vehicle.diameter:=40.0")
     with ros.listen() as listener:
         sensors = Sensors(listener).matched()
         last = sensors.publish(SCANS)
