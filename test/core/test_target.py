@@ -165,12 +165,13 @@ def test_below_the_height_of_commitment_only_a_hazard_takes_it_away():
 
 
 def test_a_risk_that_would_not_be_chosen_is_no_hazard_before_it_is_great():
-    """Of 0.9 % from above, three times what may be chosen, and of a tenth when it is committed."""
+    """Above three times what may be chosen it is, and above a tenth when it is committed."""
+    most = 3.0 * LSS.max_risk
     low = Descent(LSS.commit_height - 1.0, 2.0)
     for risk, descent, reason in (
         (0.05, None, Reason.HAZARD),
-        (0.0091, None, Reason.HAZARD),
-        (0.0089, None, Reason.HOLDS),
+        (1.01 * most, None, Reason.HAZARD),
+        (0.99 * most, None, Reason.HOLDS),
         (0.05, low, Reason.HOLDS),
         (0.2, low, Reason.HAZARD),
     ):
@@ -180,7 +181,7 @@ def test_a_risk_that_would_not_be_chosen_is_no_hazard_before_it_is_great():
         risky = dataclasses.replace(risky, cost=np.where(risky.safe, seen.cost, NAN))
         risky.unsafe[0, 1] = risk
         assert choose(keeper, risky, descent=descent).reason is reason
-        if risk == 0.0089:
+        if risk == 0.99 * most:
             free = np.array([[-1.0, NAN, 0.3, 0.3]]), np.array([[0.0, risk, 0.3, 0.3]])
             free = dataclasses.replace(risky, cost=free[0], unsafe=free[1])
             assert choose(keeper, free).reason is Reason.BETTER, "it gives way all the same"
