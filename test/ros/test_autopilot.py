@@ -211,7 +211,8 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     flight.handed_over().until("descend")
     model.shift[:] = 3.0, 0.0, 0.0
     flight.until("give_up")
-    assert any("jumped" in text for text in model.texts)
+    said = flight.listener.wait_for(lambda: any("jumped" in text for text in model.texts))
+    assert said, model.texts
     assert model.landed_at is None
 
 
