@@ -175,6 +175,7 @@ def test_what_happens_to_the_target_on_the_way_down(scene, fault):
     assert np.hypot(*(flight.model.landed_at - (1.0, 1.0, 0.0))[:2]) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["frozen", "late", "old map", "cut"])
 def test_what_happens_to_poses_map_and_link_on_the_way_down(scene, fault):
     flight = scene().handed_over().below(3.0)

@@ -61,6 +61,7 @@ def test_in_lock_step_it_comes_down_as_safely_and_as_cheaply(live):
         assert np.hypot(*(ends[0] - ends[1])[:2]) < 0.3
 
 
+@pytest.mark.slow
 def test_nodes_that_are_killed_from_outside_and_strangers(tmp_path):
     """Nodes are started again, the outcome is there, and it says that others spoke."""
     settings, killed, kept = flight_settings(SHORT), set(), []
