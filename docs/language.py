@@ -20,10 +20,7 @@ REFUSED = {
     r"earlier revisions?|first version|former(ly)?|used to (be|have|do)": "history",
 }
 HISTORY = r"seeds? \d+|flights? \d{2,}(?! (flights|landings))"
-NOT_YET = {  # pages that are rewritten with their code
-    *("guidance.md", "landing.md", "landing_inputs.md", "landing_selected.md"),
-    *("landing_status.md", "probability.md"),
-}
+NOT_YET = {"guidance.md", "probability.md"}  # pages that are rewritten with their code
 
 
 def pages():
