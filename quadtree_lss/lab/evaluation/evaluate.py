@@ -167,7 +167,7 @@ def evaluate(
     given = None if bag is None else Path(bag)
     doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
     notes = [] if doubt is None else [doubt]
-    heights = elevation_field(results.leaves, results.grid, truth)
+    heights = elevation_field(results.cells, results.grid, truth)
     safety = safety_field(results.grid, truth)
     if not safety.scored.size:
         msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
@@ -210,7 +210,7 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
     if not safety.scored.size:
         msg = "the map does not overlap the scanned box"
         raise EvaluationError(msg)
-    heights = elevation_field(results.leaves, results.grid, truth)
+    heights = elevation_field(results.cells, results.grid, truth)
     return _scores(results, truth, heights, safety)
 
 
@@ -218,7 +218,7 @@ def _scores(
     results: Results, truth: Truth, heights: ErrorField, safety: SafetyField
 ) -> EvaluationResult:
     verdicts = site_verdicts(results.sites[:_TOP], truth)
-    leaves = results.leaves
+    cells = results.cells
     times = results.map_ms if results.map_ms.size else np.array([math.nan])
     return EvaluationResult(
         elevation=elevation_error(heights),
@@ -229,9 +229,9 @@ def _scores(
         site_verdicts=verdicts,
         missed=missed_places(safety, truth),
         risk=reliability_of(safety),
-        leaves=leaves.level.size,
-        leaves_estimated=int(leaves.estimated.sum()),
-        leaves_measured=int((leaves.measured & leaves.estimated).sum()),
+        leaves=cells.level.size,
+        leaves_estimated=int(cells.estimated.sum()),
+        leaves_measured=int((cells.measured & cells.estimated).sum()),
         map_ms_median=float(np.median(times)),
         map_ms_p99=float(np.percentile(times, 99.0)),
         map_s_total=float(times.sum() * 1e-3),
@@ -364,7 +364,7 @@ def compare(
 
         truth = load_truth(truth_path)
         results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
-        heights = elevation_field(results[names[-1]].leaves, results[names[-1]].grid, truth)
+        heights = elevation_field(results[names[-1]].cells, results[names[-1]].grid, truth)
         drawn = draw_together(together, truth, heights, results)
     result = ComparisonResult(runs, together, drawn)
     text = json.dumps(result.as_dict()["runs"], indent=2, allow_nan=False) + "\n"
