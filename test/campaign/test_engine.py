@@ -271,19 +271,6 @@ def test_more_flights_are_added_and_stay(first, study, tmp_path):
 
 
 @pytest.mark.slow
-def test_it_ends_when_an_interval_is_narrow_enough(tmp_path):
-    until = "until: {quantity: mean_absolute, half_width: 0.01}\n"
-    text = STUDY.replace("flights: 4", "flights: 1000").replace("[0.0, 1.0]", "1.0")
-    path = written(tmp_path, until + text)
-    one = campaign(read_study(path), tmp_path / "one", Where(workers=1))
-    two = campaign(read_study(path), tmp_path / "two", Where(workers=2))
-    assert one.enough == two.enough == len(one.records) < 100
-    assert one.as_dict() == two.as_dict()
-    again = campaign(read_study(path), tmp_path / "two")
-    assert again.as_dict() == two.as_dict()
-
-
-@pytest.mark.slow
 def test_two_campaigns_are_compared_in_pairs(first, study, tmp_path):
     path = written(tmp_path, STUDY.replace("  duration", "  outliers: 0.05\n  duration"))
     other = campaign(read_study(path), tmp_path / "out", Where(workers=2))

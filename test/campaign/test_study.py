@@ -138,8 +138,6 @@ def test_cases_win_over_what_holds_for_all(study_of):
         ("flights: 3\nconditions: {rocks: {poisson: 3}}", "poisson"),
         ("flights: 3\nconditions: {rocks: []}", "rocks"),
         ("flights: 3\nconditions: {rocks: {log_uniform: [0, 1]}}", "rocks"),
-        ("flights: 3\nuntil: {quantity: luck, half_width: 1}", "luck"),
-        ("flights: 3\nuntil: 4", "until"),
         ("flights: 3\ncases: [{name: a}, {name: a}]", "two cases"),
         ("flights: 9000000", "most"),
     ],

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from evaluation.scores import ground, write_results, write_truth
 
-from quadtree_lss.cli import main
 from quadtree_lss.desk.replay.results import Grid
 from quadtree_lss.lab.evaluation import EvaluationError, evaluate
 from quadtree_lss.lab.evaluation.metrics import fill_holes, seen_at
@@ -361,8 +360,3 @@ def test_missed_places_are_listed_with_what_stands_there(tmp_path):
     assert first.depth == result.detection.missed_depth
     assert first.relief == pytest.approx(0.8, abs=0.15)
     assert np.hypot(first.peak_x - 3.0, first.peak_y + 2.0) < 0.35
-
-
-def test_many_seeds_are_a_study_now(capsys):
-    assert main(["evaluate", "--seeds", "101-120"]) == 2
-    assert "quadtree-lss campaign STUDY.yaml" in capsys.readouterr().err.splitlines()[-1]

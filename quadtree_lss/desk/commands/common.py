@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from quadtree_lss.desk.commands.console import show
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
@@ -75,6 +76,8 @@ def add_command(
     run: Callable[[argparse.Namespace], int],
     text: str,
     examples: str,
+    *,
+    as_json: bool = True,
 ) -> argparse.ArgumentParser:
     """A subcommand with its help and the options that all have."""
     parser = commands.add_parser(
@@ -89,6 +92,8 @@ def add_command(
     add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
     text = "progress bar even without a terminal; where internal errors come from"
     add("-v", "--verbose", action="store_true", help=text)
+    if as_json:
+        add("--json", action="store_true", help="print the result as JSON, for scripts")
     return parser
 
 
@@ -142,9 +147,13 @@ def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
     return value
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """``--json``."""
-    parser.add_argument("--json", action="store_true", help="print the result as JSON, for scripts")
+def add_topics(parser: argparse.ArgumentParser, *, poses: bool = True) -> None:
+    """``--scan-topic``, ``--pose-topic``, and ``--poses`` of point clouds."""
+    add = parser.add_argument
+    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
+    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    if poses:
+        add("--poses", type=named, metavar="FILE", help=POSES)
 
 
 def completed(action: argparse.Action, values: Callable[..., Iterable[str]]) -> None:
@@ -268,6 +277,17 @@ def _numbers(text: str) -> list[list[float]] | None:
         msg = f"'{text}' does not consist of pairs X,Y of numbers in m, apart by blanks"
         raise argparse.ArgumentTypeError(msg)
     return corners
+
+
+def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
+    """A result as JSON if that is asked for, else its table and some lines."""
+    if options.json:
+        out = {"out": str(result.out)} if hasattr(result, "out") else {}
+        print_json({**out, **result.as_dict()})
+        return
+    show(result.table())
+    for line in lines:
+        print(line)
 
 
 def print_json(content: Mapping[str, Any]) -> None:

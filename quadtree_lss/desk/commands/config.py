@@ -11,7 +11,6 @@ from quadtree_lss.desk.commands.common import (
     POSES,
     add_command,
     add_config_options,
-    add_json,
     chosen_config,
     completed,
     named,
@@ -69,7 +68,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "suggest for a vehicle of this diameter and clearance, m"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
     add("--plain", action="store_true", help="print without the explanations")
-    add_json(parser)
 
 
 def vehicle(text: str) -> dict[str, float]:

@@ -12,7 +12,7 @@ from quadtree_lss.desk.commands.common import (
     ERROR,
     add_command,
     add_config_options,
-    add_json,
+    add_topics,
     chosen_config,
     named,
     print_json,
@@ -35,10 +35,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     add("bag", nargs="?", type=named, metavar="BAG", help="a bag; without, what is live")
     add_config_options(parser)
-    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
-    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    add_topics(parser, poses=False)
     add("--seconds", type=float, default=10.0, metavar="S", help="to listen (default 10)")
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -10,15 +10,14 @@ from quadtree_lss.desk.commands.common import (
     DONE,
     ERROR,
     IN_PART,
-    POSES,
     add_command,
     add_config_options,
-    add_json,
+    add_topics,
     chosen_config,
     named,
-    print_json,
+    tell,
 )
-from quadtree_lss.desk.commands.console import ProgressBar, show
+from quadtree_lss.desk.commands.console import ProgressBar
 
 TEXT = "Show what a bag contains and whether it is ready to replay."
 EXAMPLES = """examples:
@@ -35,10 +34,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     add("bag", type=named, metavar="BAG", help=CLOUDS)
     add_config_options(parser)
-    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
-    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    add("--poses", type=named, metavar="FILE", help=POSES)
-    add_json(parser)
+    add_topics(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -54,10 +50,7 @@ def _run(options: argparse.Namespace) -> int:
             poses=options.poses,
             progress=bar.update,
         )
-    if options.json:
-        print_json(info.as_dict())
-    else:
-        show(info.table())
+    tell(options, info)
     if not info.works:
         return ERROR
     return IN_PART if info.losses else DONE

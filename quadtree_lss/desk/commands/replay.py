@@ -12,11 +12,10 @@ from quadtree_lss.desk.commands.common import (
     DONE,
     IN_PART,
     INTERRUPTED,
-    POSES,
     add_command,
     add_config_options,
-    add_json,
     add_landing_options,
+    add_topics,
     chosen_config,
     landing_of,
     named,
@@ -60,9 +59,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("bag", type=named, metavar="BAG", help=CLOUDS)
     add("--out", metavar="DIR", type=named, help="folder for the results (default results/<time>)")
     add_config_options(parser)
-    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
-    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    add("--poses", type=named, metavar="FILE", help=POSES)
+    add_topics(parser)
     add("--start", metavar="S", type=not_negative, default=0.0, help="begin S seconds into the bag")
     add("--duration", metavar="D", type=positive, help="process D seconds only")
     add("--no-report", action="store_true", help="no figures and no report.html")
@@ -78,7 +75,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         help="another name for a topic that --publish sends, as of ros2 run; may be repeated",
     )
     add("--rate", metavar="R", type=positive, help="speed of --publish (default 1)")
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

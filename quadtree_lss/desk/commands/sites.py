@@ -10,7 +10,6 @@ from quadtree_lss.desk.commands.common import (
     DONE,
     add_command,
     add_config_options,
-    add_json,
     add_landing_options,
     chosen_config,
     landing_of,
@@ -38,7 +37,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add_config_options(parser)
     add("--no-report", action="store_true", help="no figures and no report.html")
     add_landing_options(parser, "")
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -34,7 +34,6 @@ KEYS = (
     "conditions",
     "parameters",
     "cases",
-    "until",
 )
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
 
@@ -77,7 +76,6 @@ class Study:
         seed: Entropy of the flights' seeds, unless ``seeds`` names them.
         repeats: Flights of each combination.
         combinations: What of the lists goes together, in turn.
-        until: Quantity and half width of its interval at which enough was flown, or None.
         files: Configurations of each case.
     """
 
@@ -89,7 +87,6 @@ class Study:
     combinations: tuple[Combination, ...] = ({},)
     files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     varied: tuple[str, ...] = ()
-    until: tuple[str, float] | None = None
 
     @property
     def count(self) -> int:
@@ -213,13 +210,6 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
     listed_names = {
         name for part, name in keys if len({repr(c.get((part, name))) for c in combinations}) > 1
     }
-    until = content.get("until")
-    if until is not None:
-        if not isinstance(until, Mapping) or set(until) != {"quantity", "half_width"}:
-            msg = "until needs quantity and half_width"
-            raise CampaignError(msg)
-        kind.quantity(str(until["quantity"]))
-        until = (str(until["quantity"]), float(until["half_width"]))
     if repeats * len(combinations) > MOST_FLIGHTS:
         msg = f"{repeats * len(combinations)} flights; {MOST_FLIGHTS} is the most"
         raise CampaignError(msg)
@@ -232,7 +222,6 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         combinations=tuple(combinations),
         files=files,
         varied=tuple(sorted(drawn | listed_names)),
-        until=until,
     )
 
 

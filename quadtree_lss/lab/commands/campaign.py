@@ -10,12 +10,11 @@ from quadtree_lss.desk.commands.common import (
     IN_PART,
     INTERRUPTED,
     add_command,
-    add_json,
     named,
-    print_json,
+    tell,
     whole,
 )
-from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, show, warn
+from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, warn
 
 TEXT = "Fly a study of many flights on this computer's cores or on a Dask cluster, with resume."
 EXAMPLES = """examples:
@@ -48,7 +47,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--rerun", metavar="LIST", help="fly these again, 17 or 3,8-12, or: failed")
     text = "fly these again into DIR/kept, all of it kept: 17 or 3,8-12, or: worst"
     add("--keep", metavar="LIST", help=text)
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -83,11 +81,7 @@ def _run(options: argparse.Namespace) -> int:
             stop=interruption.asked,
             tell=warn,
         )
-    if options.json:
-        print_json({"out": str(result.out), **result.as_dict()})
-    else:
-        show(result.table())
-        print(f"page and tables in {result.out}")
+    tell(options, result, f"page and tables in {result.out}")
     if result.interrupted:
         say(f"interrupted: {len(result.records)} of {result.study.count} flights are done")
         return INTERRUPTED
@@ -102,9 +96,5 @@ def _compare(options: argparse.Namespace) -> int:
 
     if len(options.what) != 3:
         options.parser.error("compare needs two folders of campaigns")
-    comparison = compare_campaigns(*options.what[1:])
-    if options.json:
-        print_json(comparison.as_dict())
-    else:
-        show(comparison.table())
+    tell(options, compare_campaigns(*options.what[1:]))
     return DONE

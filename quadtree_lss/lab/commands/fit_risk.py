@@ -10,7 +10,6 @@ from quadtree_lss.desk.commands.common import (
     DONE,
     add_command,
     add_config_options,
-    add_json,
     chosen_config,
     named,
     print_json,
@@ -39,7 +38,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--families", metavar="LIST", help="of flights, of those that the docs list (all)")
     add_config_options(parser)
     add("--overwrite", action="store_true", help="replace an existing file")
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -11,7 +11,6 @@ from quadtree_lss.desk.commands.common import (
     DONE,
     ERROR,
     add_command,
-    add_json,
     named,
     not_negative,
     overrides,
@@ -65,7 +64,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "compare with the least propellant there could be (extra 'guidance')"
     add("--reference", action="store_true", help=text)
     add("--no-page", action="store_true", help="no picture and no page")
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

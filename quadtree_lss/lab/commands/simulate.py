@@ -9,15 +9,14 @@ from quadtree_lss.desk.commands.common import (
     DONE,
     INTERRUPTED,
     add_command,
-    add_json,
     named,
     not_negative,
     positive,
-    print_json,
     share,
+    tell,
     whole,
 )
-from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, show
+from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say
 
 SCENARIOS = ("morpheus", "parabola", "descent", "drone")
 TEXT = "Simulate a flight: a bag, and truth.npz beside it."
@@ -54,7 +53,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--out", required=True, type=named, metavar="BAG", help="bag to write")
     add_flight_options(parser)
     add("--overwrite", action="store_true", help="replace an existing bag and truth.npz")
-    add_json(parser)
 
 
 def add_flight_options(parser: argparse._ActionsContainer) -> None:
@@ -101,10 +99,7 @@ def _run(options: argparse.Namespace) -> int:
             progress=bar.update,
             stop=interruption.asked,
         )
-    if options.json:
-        print_json(result.as_dict())
-    else:
-        show(result.table())
+    tell(options, result)
     if result.interrupted:
         say(f"interrupted: the bag has the first {result.scans} scans")
         return INTERRUPTED
