@@ -21,9 +21,11 @@ import psutil
 import pytest
 
 from quadtree_lss.desk.commands.common import INTERRUPTED
-from quadtree_lss.lab.campaign import Where, campaign, compare_campaigns, engine, read_study
-from quadtree_lss.lab.campaign.engine import _client, flagged
+from quadtree_lss.lab.campaign import engine
+from quadtree_lss.lab.campaign.engine import Where, _client, campaign, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
+from quadtree_lss.lab.campaign.paired import compare_campaigns
+from quadtree_lss.lab.campaign.study import read_study
 
 LocalCluster = pytest.importorskip("distributed").LocalCluster
 # One after the other: each has processes of its own.

@@ -12,7 +12,7 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.mapped import figures, fly_in_memory, lander_of
 from quadtree_lss.lab.evaluation.evaluate import evaluate, score
 from quadtree_lss.lab.evaluation.results import load_results, load_truth
-from quadtree_lss.lab.simulation import simulate
+from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.loading import load_config
 
 CASES = {

@@ -7,9 +7,9 @@ import dataclasses
 
 import pytest
 
-from quadtree_lss.lab.campaign import CampaignError, read_study
+from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.store import key_of
-from quadtree_lss.lab.campaign.study import parse_seeds
+from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
 VARIED = """
 name: varied

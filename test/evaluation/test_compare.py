@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from evaluation.scores import write_results, write_truth
 
-from quadtree_lss.lab.evaluation import EvaluationError, compare, evaluate
+from quadtree_lss.lab.evaluation.evaluate import compare, evaluate
+from quadtree_lss.lab.evaluation.results import EvaluationError
 
 
 def test_a_row_for_each_run_and_figures_of_all(tmp_path):

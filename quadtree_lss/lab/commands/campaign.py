@@ -54,13 +54,11 @@ def _run(options: argparse.Namespace) -> int:
         return _compare(options)
     if len(options.what) != 1 or options.out is None:
         options.parser.error("one STUDY.yaml and --out are required")
-    from quadtree_lss.lab.campaign import Where, campaign, read_study
-    from quadtree_lss.lab.campaign.study import parse_seeds
+    from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep
+    from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
     study = read_study(options.what[0])
     if options.keep is not None:
-        from quadtree_lss.lab.campaign.engine import flagged, keep
-
         worst = options.keep == "worst"
         for index in flagged(options.out) if worst else parse_seeds(options.keep):
             print(f"flight {index} is in {keep(study, options.out, index)}", flush=True)
@@ -92,7 +90,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from quadtree_lss.lab.campaign import compare_campaigns
+    from quadtree_lss.lab.campaign.paired import compare_campaigns
 
     if len(options.what) != 3:
         options.parser.error("compare needs two folders of campaigns")

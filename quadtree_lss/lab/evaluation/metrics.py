@@ -224,17 +224,19 @@ def _matches(
     return nearest[index], index
 
 
+def _depth(field: SafetyField) -> Array:
+    """(ny, nx) how far each grid point lies inside hazardous ground, m."""
+    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
+    inside = np.pad(~field.truly_safe, 1, mode="edge")
+    return np.asarray(spacing * distance_transform_edt(inside)[1:-1, 1:-1])
+
+
 def detection(field: SafetyField) -> Detection:
     """Detection rates of Table 3 (fractions); a rate over no grid points is NaN."""
     hazardous = field.scored & ~field.truly_safe
     safe = field.scored & field.truly_safe
     called = field.called_safe & field.seen
     missed = hazardous & called
-    depth = 0.0
-    if missed.any():
-        spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
-        inside = np.pad(~field.truly_safe, 1, mode="edge")
-        depth = spacing * float(distance_transform_edt(inside)[1:-1, 1:-1][missed].max())
 
     def share(part: Mask, whole: Mask) -> float:
         return float((part & whole).sum() / whole.sum()) if whole.any() else float("nan")
@@ -247,7 +249,7 @@ def detection(field: SafetyField) -> Detection:
         hazardous_grid_points=int(hazardous.sum()),
         safe_grid_points=int(safe.sum()),
         missed_grid_points=int(missed.sum()),
-        missed_depth=depth,
+        missed_depth=float(_depth(field)[missed].max(initial=0.0)),
         unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
         precision=share(field.truly_safe, called & field.scored),
     )
@@ -282,10 +284,7 @@ def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
     patch, count = label(missed, np.ones((3, 3), int))
     if not count:
         return ()
-    inside = np.pad(~field.truly_safe, 1, mode="edge")
-    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
-    depth = spacing * distance_transform_edt(inside)[1:-1, 1:-1]
-    places = []
+    depth, places = _depth(field), []
     for k in range(1, count + 1):
         j, i = np.nonzero(patch == k)
         x, y = float(field.x[i].mean()), float(field.y[j].mean())

@@ -52,6 +52,10 @@ class FlightPlan:
 
 
 LIMITS = {
+    "duration": (1.0, 600.0),
+    "range_noise": (0.0, 1e6),
+    "outliers": (0.0, 1.0),
+    "dropouts": (0.0, 1.0),
     "glide_slope_deg": (10.0, 80.0),
     "navigation_error": (0.0, 100.0),
     "conservatism": (0.01, 100.0),
@@ -90,17 +94,6 @@ class Conditions:
     slope_deg: float | None = None
 
     def __post_init__(self) -> None:
-        if self.duration is not None and not 1.0 <= self.duration <= 600.0:
-            msg = f"duration must be between 1 and 600 s, not {self.duration:g}"
-            raise SimulationError(msg)
-        for name in ("outliers", "dropouts"):
-            if not 0.0 <= (fraction := getattr(self, name)) <= 1.0:
-                msg = f"{name} must be a fraction between 0 and 1, not {fraction:g}"
-                raise SimulationError(msg)
-        noise = self.range_noise
-        if noise is not None and not (np.isfinite(noise) and noise >= 0.0):
-            msg = f"range noise must be a length in metres, not {noise:g}"
-            raise SimulationError(msg)
         for name, (low, high) in LIMITS.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
