@@ -16,7 +16,6 @@ from replay.recordings import (
     Recorder,
     descent,
     flight,
-    storage_file,
     write_ros2,
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -306,20 +305,6 @@ def test_parts_that_are_none(bag, tmp_path, limits):
     with pytest.raises(ReplayError, match="--"):
         replay(bag, tmp_path / "out", CONFIG, report=False, **limits)
     assert not (tmp_path / "out").exists()
-
-
-def test_a_truncated_bag_is_mapped_as_far_as_it_goes(tmp_path):
-    path = write_ros2(tmp_path / "bag", scans=20)
-    whole = replay(path, tmp_path / "whole", CONFIG, report=False)
-    file = storage_file(path)
-    content = file.read_bytes()
-    file.write_bytes(content[: len(content) // 2])
-    part = replay(path, tmp_path / "part", CONFIG, report=False)
-    assert part.losses and part.summary["losses"]
-    n = part.summary["scans"]
-    assert 5 <= n < whole.summary["scans"]
-    stamps = [row.stamp_ns for row in whole.timings[:n]]
-    assert [row.stamp_ns for row in part.timings] == stamps
 
 
 def test_unusable_messages_are_counted_and_the_rest_is_mapped(tmp_path):

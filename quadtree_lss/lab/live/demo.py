@@ -89,15 +89,9 @@ def run_live(
         ProcessError: a node ended by itself, or not cleanly when told to.
     """
     # No scan may be lost, however busy the computer is: this is compared with a replay.
-    args = ["--params-file", str(params), "-p", "qos.scan_reliability:=reliable"]
-    args += [
-        "-p",
-        "qos_overrides./lidar/points.subscription.depth:=500",
-        "-p",
-        "pose.max_wait:=10.0",
-        "-p",
-        "qos.overload:=all",
-    ]
+    depth = "qos_overrides./lidar/points.subscription.depth:=500"
+    lossless = ("qos.scan_reliability:=reliable", depth, "pose.max_wait:=10.0", "qos.overload:=all")
+    args = ["--params-file", str(params), *(word for one in lossless for word in ("-p", one))]
     with ExitStack() as stack:
         domain = stack.enter_context(local_domain(folder, given))
         listener = stack.enter_context(Listener(domain.number))
