@@ -78,7 +78,6 @@ def play(
     bag: str | Path,
     *,
     rate: float = 1.0,
-    clock: bool = True,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
     start: float = 0.0,
@@ -93,14 +92,14 @@ def play(
 
     Odometry goes out on ``nav/odometry`` instead. ``lidar/gimbal`` and latched ``landing/area``,
     keep-outs and ``landing/target`` are played if they were recorded, the last three with what was
-    said before the part that is played. A bag that holds maps and no scans is played
-    on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses, or maps, have a
-    subscriber, and at the end until all was acknowledged. The services ``/bag_player/pause``,
-    ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of its terminal.
+    said before the part that is played; ``/clock`` tells the bag's time. A bag that holds maps and
+    no scans is played on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses,
+    or maps, have a subscriber, and at the end until all was acknowledged. The services
+    ``/bag_player/pause``, ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of
+    its terminal.
 
     Args:
         rate: Bag seconds per second.
-        clock: Publish the bag's time on ``/clock``.
         scan_topic, pose_topic, start, duration: As of `replay.replay`.
         wait: How long to wait for subscribers, s.
         namespace, remap: Of the topics published on; ``FROM:=TO`` as after ``-r`` of a node.
@@ -136,7 +135,7 @@ def play(
                 publishers[message.topic].publish(_serialised(message.raw))
             messages = source.messages(list(names), part.start_ns, part.stop_ns)
             with keys_pressed() as pressed:
-                times = PlayTime(node, rate, clock=clock, pressed=pressed)
+                times = PlayTime(node, rate, pressed)
                 began = time.monotonic()
                 sent = _send(_told(messages, part, progress), names, publishers, times)
                 seconds = time.monotonic() - began

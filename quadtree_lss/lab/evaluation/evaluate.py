@@ -8,11 +8,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from quadtree_lss.desk.replay.files import new_folder, plain
+from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.metrics import (
     Detection,
     ElevationError,
@@ -39,9 +40,6 @@ from quadtree_lss.lab.evaluation.results import (
     load_truth,
 )
 from quadtree_lss.onboard.errors import QuadtreeLssError
-
-if TYPE_CHECKING:
-    from quadtree_lss.lab.evaluation.consistency import Consistency
 
 _TOP = 5
 _COLUMNS = (
@@ -266,8 +264,6 @@ def _table_2(
 
     What is wrong with a bag that was given is an error; with one that was merely found, a reason.
     """
-    from quadtree_lss.lab.evaluation.consistency import consistency  # maps: the whole core
-
     bag = given if given is not None else recorded_bag(results)
     if bag is None:
         return None, "needs --bag"
