@@ -15,7 +15,6 @@ from replay.recordings import (
     Recorder,
     flight,
     storage_file,
-    write_ros1,
     write_ros2,
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -113,15 +112,6 @@ def test_a_bag_received_long_after_its_stamps(tmp_path, monkeypatch):
         recorder.write = lambda topic, msg, kind, at: plain(topic, msg, kind, at + 10**17)
         flight(recorder)
     assert scans_mapped(path, tmp_path) == (10, ())
-
-
-@pytest.mark.parametrize("write", [write_ros1, write_ros2])
-@pytest.mark.parametrize(
-    ("missing", "word"), [("scan_topics", "PointCloud2"), ("pose_topics", "PoseWithCovariance")]
-)
-def test_only_one_of_the_two_topics(tmp_path, capsys, write, missing, word):
-    line = refused(write(tmp_path / "flight.bag", **{missing: ()}), tmp_path, capsys)
-    assert word in line and ("/nav/pose" in line or "/lidar/points" in line)
 
 
 def test_a_map_without_its_other_half(tmp_path, capsys):
