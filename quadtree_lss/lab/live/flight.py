@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 
 from quadtree_lss.desk.player.player import wait_for_subscribers
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
-from quadtree_lss.lab.flight.fly import OUTSIDE, Flown, figures_of, flight_config
+from quadtree_lss.lab.flight.fly import Flown, changed, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.processes import (
@@ -125,16 +125,14 @@ def fly_live(
             for said in link.spin(flight.stamp_ns, began + flight.time / rate):
                 link.heard.append(Heard(round(flight.time / TICK), said))
                 flight.hear(said)
-            for kind, name in OUTSIDE.items():
-                if kind in flight.active and kind not in down:
-                    nodes[name].process.kill()
-                    nodes[name].process.wait()
-                    if kind == "forget_mapping":
-                        checkpoint.unlink(missing_ok=True)
-                    down.add(kind)
-                elif kind not in flight.active and kind in down:
-                    down.discard(kind)
+            for kind, name in changed(flight, down):
+                if kind not in down:
                     nodes[name] = start(name)
+                    continue
+                nodes[name].process.kill()
+                nodes[name].process.wait()
+                if kind == "forget_mapping":
+                    checkpoint.unlink(missing_ok=True)
             if not down and round(flight.time / TICK) % 100 == 0:
                 for name, node in nodes.items():
                     if node.process.poll() is not None:
