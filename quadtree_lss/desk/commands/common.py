@@ -42,8 +42,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raises `UsageError`."""
-        msg = f"{message} ({self.prog} --help)"
-        raise UsageError(msg)
+        raise UsageError(f"{message} ({self.prog} --help)")
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None
@@ -100,8 +99,7 @@ def add_command(
 def named(text: str) -> Path:
     """Type of an option: a file or folder, which an empty text does not name."""
     if not text.strip():
-        msg = "the name of a file or folder is empty"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError("the name of a file or folder is empty")
     return Path(text)
 
 
@@ -129,8 +127,7 @@ def whole(least: int) -> Callable[[str], int]:
         except ValueError:
             value = least - 1
         if value < least:
-            msg = f"{text!r} is not a whole number of {least} or more"
-            raise argparse.ArgumentTypeError(msg)
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of {least} or more")
         return value
 
     return convert
@@ -142,8 +139,7 @@ def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and fits(value)):
-        msg = f"{text!r} is not a finite number {wanted}"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number {wanted}")
     return value
 
 
@@ -260,8 +256,7 @@ def place(text: str) -> tuple[list[float] | None]:
     """``3,-4``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) != 1:
-        msg = f"'{text}' is not a place X,Y"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"'{text}' is not a place X,Y")
     return (None if corners is None else corners[0],)
 
 

@@ -111,8 +111,7 @@ def play(
         PlayError: ROS 1 bag, rate not positive and finite, no subscriber in time.
     """
     if not 0.0 < rate < math.inf:
-        msg = f"rate {rate:g} is not positive and finite"
-        raise PlayError(msg)
+        raise PlayError(f"rate {rate:g} is not positive and finite")
     path = Path(bag)
     if ".bag" in path.suffixes or (path.is_dir() and any(path.glob("*.bag*"))):
         msg = f"{path} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"

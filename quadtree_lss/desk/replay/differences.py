@@ -141,8 +141,7 @@ def compare_results(
     difference = np.where(both, other.height - one.height, np.nan)
     known = np.isfinite(difference)
     if not known.any():
-        msg = f"{a.folder} and {b.folder} have seen no ground in common"
-        raise ResultsError(msg)
+        raise ResultsError(f"{a.folder} and {b.folder} have seen no ground in common")
     area = float(grid.spacing**2)
     safe_a, safe_b = both & grid["safe"], both & b.grid["safe"][row, column]
     kept, lost, gained = _sites(a, b)
@@ -248,8 +247,7 @@ def _write(out: Path, result: Comparison) -> None:
         write_json(out / "comparison.json", result.as_dict())
         write_bytes(out / "comparison.png", _picture(result))
     except OSError as error:
-        msg = f"{out}: cannot be written: {error.strerror}"
-        raise ResultsError(msg) from None
+        raise ResultsError(f"{out}: cannot be written: {error.strerror}") from None
 
 
 def _picture(result: Comparison) -> bytes:

@@ -105,8 +105,7 @@ class Recorder:
                 text = f"{error.filename}: {error.strerror}"
             if self._path.exists():
                 text = "it exists already"
-            msg = f"--record {self._path}: cannot be written: {text}"
-            raise ReplayError(msg) from None
+            raise ReplayError(f"--record {self._path}: cannot be written: {text}") from None
         return writer
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:

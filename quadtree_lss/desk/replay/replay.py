@@ -178,6 +178,5 @@ def _make_folder(folder: Path | None) -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"{folder}: cannot be written: {error.strerror}"
-        raise ReplayError(msg) from None
+        raise ReplayError(f"{folder}: cannot be written: {error.strerror}") from None
     return folder if fresh else None

@@ -60,8 +60,7 @@ def write_results(
     try:
         _write(out, result, config, report, history or History())
     except OSError as error:
-        msg = f"{out}: cannot be written: {error.strerror}"
-        raise ReplayError(msg) from None
+        raise ReplayError(f"{out}: cannot be written: {error.strerror}") from None
 
 
 def _write(out: Path, result: ReplayResult, config: Config, report: bool, history: History) -> None:
@@ -244,8 +243,7 @@ def load_results(folder: str | os.PathLike[str]) -> Results:
     folder has no ``summary.json`` or no ``grid.npz``."""
     path = Path(folder)
     if not path.is_dir():
-        msg = f"{path} is not a results folder"
-        raise ResultsError(msg)
+        raise ResultsError(f"{path} is not a results folder")
     for name in ("summary.json", "grid.npz"):
         if not (path / name).is_file():
             msg = f"{path} has no {name}: replay did not write this folder"

@@ -170,8 +170,7 @@ class Run:
         if self.interrupted:
             raise KeyboardInterrupt
         causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
-        msg = f"{bag.path}: {failure}: {causes}"
-        raise ReplayError(msg)
+        raise ReplayError(f"{bag.path}: {failure}: {causes}")
 
     def _ends_after(self, received_ns: int) -> bool:
         self.done_ns = received_ns

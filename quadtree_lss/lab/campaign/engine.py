@@ -122,8 +122,7 @@ def flagged(out: str | Path) -> list[int]:
         worst = json.loads((Path(out) / "campaign.json").read_text("utf-8"))["worst"]
         return sorted({int(index) for pairs in worst.values() for index, _ in pairs})
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        msg = f"{out} is no folder of a campaign that was summed up"
-        raise CampaignError(msg) from None
+        raise CampaignError(f"{out} is no folder of a campaign that was summed up") from None
 
 
 def keep(study: Study, out: str | Path, index: int) -> Path:
@@ -136,8 +135,7 @@ def keep(study: Study, out: str | Path, index: int) -> Path:
     with store.opened():
         count = replace(study, repeats=study.repeats + store.added()).count
     if not 0 <= index < count or (study.seeds and index >= study.count):
-        msg = f"there is no flight {index}"
-        raise CampaignError(msg)
+        raise CampaignError(f"there is no flight {index}")
     folder = store.out / "kept" / f"{index:06d}"
     kind_of(study.kind).keep(study.case(index), folder)
     return folder
@@ -184,8 +182,7 @@ def _fly_all(
         if threads:
             seen = time.monotonic()
         elif time.monotonic() - seen > NO_WORKER_S:
-            msg = f"the scheduler has had no worker for {NO_WORKER_S:.0f} s"
-            raise CampaignError(msg)
+            raise CampaignError(f"the scheduler has had no worker for {NO_WORKER_S:.0f} s")
         while len(running) < 2 * max(threads, 1):
             index = next(missing, None)
             if index is None:
@@ -228,12 +225,10 @@ def _client(where: Where) -> Iterator[Any]:
         import dask
         from dask.distributed import Client, LocalCluster
     except ImportError as error:
-        msg = f"campaigns need Dask: {REMEDY}"
-        raise CampaignError(msg) from error
+        raise CampaignError(f"campaigns need Dask: {REMEDY}") from error
     given = [v for v in (where.workers, where.scheduler_address, where.scheduler_file) if v]
     if len(given) > 1:
-        msg = "workers, scheduler_address and scheduler_file exclude one another"
-        raise CampaignError(msg)
+        raise CampaignError("workers, scheduler_address and scheduler_file exclude one another")
     for name in ("distributed", "asyncio", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
@@ -242,8 +237,7 @@ def _client(where: Where) -> Iterator[Any]:
                 how: dict[str, Any] = {"timeout": "20s"}
                 if where.scheduler_file:
                     if not Path(where.scheduler_file).is_file():
-                        msg = f"{where.scheduler_file}: no such file"
-                        raise CampaignError(msg)
+                        raise CampaignError(f"{where.scheduler_file}: no such file")
                     how["scheduler_file"] = where.scheduler_file
                 else:
                     how["address"] = where.scheduler_address

@@ -85,16 +85,14 @@ def compare_campaigns(first: str | Path, second: str | Path) -> Comparison:
     """
     (kind, one), (other_kind, two) = read_campaign(Path(first)), read_campaign(Path(second))
     if kind != other_kind:
-        msg = f"{first} is of kind {kind}, {second} of {other_kind}"
-        raise CampaignError(msg)
+        raise CampaignError(f"{first} is of kind {kind}, {second} of {other_kind}")
     pairs = [
         (one[index], two[index])
         for index in sorted(one.keys() & two.keys())
         if one[index].seed == two[index].seed
     ]
     if not pairs:
-        msg = f"{first} and {second} have no flight of the same number and seed"
-        raise CampaignError(msg)
+        raise CampaignError(f"{first} and {second} have no flight of the same number and seed")
     quantities = kind_of(kind).quantities
     differences = (_difference(quantity, pairs) for quantity in quantities)
     return Comparison(

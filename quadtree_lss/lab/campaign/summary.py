@@ -235,8 +235,7 @@ def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
         content = json.loads((out / "campaign.json").read_text("utf-8"))
         kind, names = str(content["kind"]), list(content["files"])
     except (OSError, ValueError, KeyError, TypeError):
-        msg = f"{out} is no folder of a campaign"
-        raise CampaignError(msg) from None
+        raise CampaignError(f"{out} is no folder of a campaign") from None
     records = [read_record(out / "flights" / str(name)) for name in names]
     return kind, {r.index: r for r in records if not r.error}
 

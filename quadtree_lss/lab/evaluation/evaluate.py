@@ -178,8 +178,7 @@ def evaluate(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"cannot create {folder}: {error.strerror}"
-        raise EvaluationError(msg) from error
+        raise EvaluationError(f"cannot create {folder}: {error.strerror}") from error
     written: tuple[Path, ...] = ()
     if figures:
         from quadtree_lss.lab.evaluation.figures import draw_all
@@ -206,8 +205,7 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
     """
     safety = safety_field(results.grid, truth)
     if not safety.scored.size:
-        msg = "the map does not overlap the scanned box"
-        raise EvaluationError(msg)
+        raise EvaluationError("the map does not overlap the scanned box")
     heights = elevation_field(results.cells, results.grid, truth)
     return _scores(results, truth, heights, safety)
 

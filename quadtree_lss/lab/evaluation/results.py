@@ -114,16 +114,14 @@ def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) 
         hint = f"; did you mean {near[0]}?" if near and path.name != "truth.npz" else ""
         raise EvaluationError(f"{error}{hint}") from error
     if missing := [name for name in names if name not in found]:
-        msg = f"{path} lacks {', '.join(missing)}"
-        raise EvaluationError(msg)
+        raise EvaluationError(f"{path} lacks {', '.join(missing)}")
     return found
 
 
 def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: str) -> None:
     for name in (x, y):
         if arrays[name].ndim != 1 or arrays[name].size < 2:
-            msg = f"{path}: {name} must be a vector of at least two coordinates"
-            raise EvaluationError(msg)
+            raise EvaluationError(f"{path}: {name} must be a vector of at least two coordinates")
     expected = (arrays[y].size, arrays[x].size)
     for name in names:
         if arrays[name].shape != expected:
@@ -134,8 +132,7 @@ def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: 
 def _check_length(path: Path, name: str, array: NDArray[Any], length: int, of: str) -> None:
     if array.shape[:1] != (length,):
         found = array.shape[0] if array.ndim else "no"
-        msg = f"{path}: {name} has {found} rows, expected {of}: {length}"
-        raise EvaluationError(msg)
+        raise EvaluationError(f"{path}: {name} has {found} rows, expected {of}: {length}")
 
 
 def load_truth(path: str | Path) -> Truth:
@@ -187,8 +184,7 @@ def load_results(directory: str | Path) -> Results:
         read = saved.load_results(folder)
         cells, grid, timing = read.map, read.grid, read.timing
         if missing := [name for name in LAYERS if name not in grid.layers]:
-            msg = f"{folder / 'grid.npz'} lacks {', '.join(missing)}"
-            raise EvaluationError(msg)
+            raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
         counts = [timing[name] for name in ("points", "points_used", "leaves")]
         return Results(
             cells=cells,

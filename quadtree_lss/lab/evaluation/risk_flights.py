@@ -531,11 +531,9 @@ def fit_risk(
     names = list(dict.fromkeys(families))
     for name in names:
         if name not in FAMILIES:
-            msg = f"there is no family {name!r}; there are {', '.join(FAMILIES)}"
-            raise EvaluationError(msg)
+            raise EvaluationError(f"there is no family {name!r}; there are {', '.join(FAMILIES)}")
     if len(seeds) < len(names) or not names:
-        msg = f"{len(seeds)} seeds are too few for {len(names)} families"
-        raise EvaluationError(msg)
+        raise EvaluationError(f"{len(seeds)} seeds are too few for {len(names)} families")
     flown: dict[str, list[Sample]] = {name: [] for name in names}
     flights: dict[str, list[int]] = {name: [] for name in names}
     for done, seed in enumerate(seeds):

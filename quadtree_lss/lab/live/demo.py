@@ -114,12 +114,10 @@ def run_live(
             msg = f"no landing sites for the scan at {last_stamp_ns} ns; newest stamps: {stamps}"
             raise DemoError(msg)
         if others := strangers(listener.node, dict.fromkeys(spoken, 1)):
-            msg = f"others published {'; '.join(others)}: set another ROS_DOMAIN_ID"
-            raise DemoError(msg)
+            raise DemoError(f"others published {'; '.join(others)}: set another ROS_DOMAIN_ID")
         codes = {node.name: node.stop() for node in nodes}
         if any(codes.values()):
-            msg = f"nodes did not end cleanly: exit codes {codes}"
-            raise DemoError(msg)
+            raise DemoError(f"nodes did not end cleanly: exit codes {codes}")
         newest = listener.newest
     poses = newest["landing/sites"].poses
     position = [(p.position.x, p.position.y, p.position.z) for p in poses]
@@ -161,8 +159,7 @@ def site_difference(live: LiveResult, offline: Table) -> float:
 def _program(name: str, *args: str) -> None:
     done = subprocess.run([str(program(name)), *args], check=False)
     if done.returncode != 0:
-        msg = f"{name} {' '.join(args)} ended with exit code {done.returncode}"
-        raise DemoError(msg)
+        raise DemoError(f"{name} {' '.join(args)} ended with exit code {done.returncode}")
 
 
 def demonstrate(out: Path, seed: int, duration: float) -> bool:
@@ -207,8 +204,7 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     flown = _fly(out / "lander", seed)
     print(f"   {headline(flown)}")
     if flown.figures["others"]:
-        msg = f"others published {'; '.join(flown.figures['others'])} while it flew"
-        raise DemoError(msg)
+        raise DemoError(f"others published {'; '.join(flown.figures['others'])} while it flew")
     print("7. The same for GIS, 3D programs and navigation", flush=True)
     exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
     print(f"\nOpen {offline / 'report.html'}: the answer, the map, the ground in 3D")

@@ -97,8 +97,7 @@ class Conditions:
         for name, (low, high) in LIMITS.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
-                msg = f"{name} must be between {low:g} and {high:g}, not {value:g}"
-                raise SimulationError(msg)
+                raise SimulationError(f"{name} must be between {low:g} and {high:g}, not {value:g}")
 
     def ground(self, scenario: str, generator: np.random.Generator) -> Terrain | None:
         """The terrain, made or read; None for the one of Section VI."""
@@ -114,11 +113,9 @@ class Conditions:
             made, scale = hazard_field(generator, field), SCENARIOS[scenario].scale
             return Terrain(scale * made.x, scale * made.y, scale * made.elevation)
         if terrain is None and (rocks is not None or slope_deg is not None):
-            msg = f"{scenario} has no rocks and no field: give a terrain"
-            raise SimulationError(msg)
+            raise SimulationError(f"{scenario} has no rocks and no field: give a terrain")
         if terrain is not None and slope_deg is not None:
-            msg = "slope_deg is of a made field, not of a given terrain"
-            raise SimulationError(msg)
+            raise SimulationError("slope_deg is of a made field, not of a given terrain")
         return strewn(generator, terrain, rocks) if terrain is not None and rocks else terrain
 
     def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
@@ -152,8 +149,7 @@ def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
     room = min(centre[0] - xmin, xmax - centre[0], centre[1] - ymin, ymax - centre[1]) - EDGE
     half = GRID_SPACING * float(np.floor(min(half, room) / GRID_SPACING + 1e-9))
     if half < 2.0:
-        msg = "terrain: too small; a scan needs a DEM of at least 9 m by 9 m"
-        raise SimulationError(msg)
+        raise SimulationError("terrain: too small; a scan needs a DEM of at least 9 m by 9 m")
     return (centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half)
 
 
