@@ -13,23 +13,8 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.replay.files import new_folder, plain
+from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
-from quadtree_lss.lab.evaluation.metrics import (
-    Detection,
-    ElevationError,
-    ErrorField,
-    MissedPlace,
-    Reliability,
-    SafetyField,
-    SiteVerdict,
-    detection,
-    elevation_error,
-    elevation_field,
-    missed_places,
-    reliability_of,
-    safety_field,
-    site_verdicts,
-)
 from quadtree_lss.lab.evaluation.provenance import check_truth, recorded_bag, results_config
 from quadtree_lss.lab.evaluation.results import (
     EvaluationError,
@@ -65,14 +50,14 @@ class EvaluationResult:
     was at hand; ``notes`` say what could not be done or checked, and why.
     """
 
-    elevation: ElevationError
-    detection: Detection
+    elevation: metrics.ElevationError
+    detection: metrics.Detection
     sites: int
     unsafe_in_top_five: int
     unknown_in_top_five: int
-    site_verdicts: tuple[SiteVerdict, ...]
-    missed: tuple[MissedPlace, ...]
-    risk: Reliability | None
+    site_verdicts: tuple[metrics.SiteVerdict, ...]
+    missed: tuple[metrics.MissedPlace, ...]
+    risk: metrics.Reliability | None
     leaves: int
     leaves_estimated: int
     leaves_measured: int
@@ -165,8 +150,8 @@ def evaluate(
     given = None if bag is None else Path(bag)
     doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
     notes = [] if doubt is None else [doubt]
-    heights = elevation_field(results.cells, results.grid, truth)
-    safety = safety_field(results.grid, truth)
+    heights = metrics.elevation_field(results.cells, results.grid, truth)
+    safety = metrics.safety_field(results.grid, truth)
     if not safety.scored.size:
         msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
         raise EvaluationError(msg)
@@ -203,28 +188,28 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
 
     Raises `EvaluationError` when the map and the truth do not overlap.
     """
-    safety = safety_field(results.grid, truth)
+    safety = metrics.safety_field(results.grid, truth)
     if not safety.scored.size:
         raise EvaluationError("the map does not overlap the scanned box")
-    heights = elevation_field(results.cells, results.grid, truth)
+    heights = metrics.elevation_field(results.cells, results.grid, truth)
     return _scores(results, truth, heights, safety)
 
 
 def _scores(
-    results: Results, truth: Truth, heights: ErrorField, safety: SafetyField
+    results: Results, truth: Truth, heights: metrics.ErrorField, safety: metrics.SafetyField
 ) -> EvaluationResult:
-    verdicts = site_verdicts(results.sites[:_TOP], truth)
+    verdicts = metrics.site_verdicts(results.sites[:_TOP], truth)
     cells = results.cells
     times = results.map_ms if results.map_ms.size else np.array([math.nan])
     return EvaluationResult(
-        elevation=elevation_error(heights),
-        detection=detection(safety),
+        elevation=metrics.elevation_error(heights),
+        detection=metrics.detection(safety),
         sites=len(results.sites),
         unsafe_in_top_five=verdicts.count("unsafe"),
         unknown_in_top_five=verdicts.count("unknown"),
         site_verdicts=verdicts,
-        missed=missed_places(safety, truth),
-        risk=reliability_of(safety),
+        missed=metrics.missed_places(safety, truth),
+        risk=metrics.reliability_of(safety),
         leaves=cells.level.size,
         leaves_estimated=int(cells.estimated.sum()),
         leaves_measured=int((cells.measured & cells.estimated).sum()),
@@ -239,7 +224,7 @@ def _scores(
 
 
 def _with_page(
-    result: EvaluationResult, results_dir: Path, truth: Truth, safety: SafetyField
+    result: EvaluationResult, results_dir: Path, truth: Truth, safety: metrics.SafetyField
 ) -> EvaluationResult:
     """Writes ``report.html``; with a note if the results have not what it shows."""
     from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
@@ -358,7 +343,7 @@ def compare(
 
         truth = load_truth(truth_path)
         results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
-        heights = elevation_field(results[names[-1]].cells, results[names[-1]].grid, truth)
+        heights = metrics.elevation_field(results[names[-1]].cells, results[names[-1]].grid, truth)
         drawn = draw_together(together, truth, heights, results)
     result = ComparisonResult(runs, together, drawn)
     text = json.dumps(result.as_dict()["runs"], indent=2, allow_nan=False) + "\n"
