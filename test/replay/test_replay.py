@@ -33,30 +33,10 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.messages.intake import Intake
 
 CONFIG = config_from_values(GROUND)
-FILES = {
-    "history.npz",
-    "sites.csv",
-    "selected.csv",
-    "cells.npz",
-    "grid.npz",
-    "timing.csv",
-    "summary.json",
-    "config.yaml",
-}
-SUMMARY = {
-    "scans",
-    "scans_dropped",
-    "points",
-    "points_dropped",
-    "leaves",
-    "map_ms_median",
-    "map_ms_p99",
-    "lss_ms",
-    "real_time_factor",
-    "peak_memory_mb",
-    "versions",
-    "config",
-}
+FILES = set("history.npz sites.csv selected.csv cells.npz".split())
+FILES |= set("grid.npz timing.csv summary.json config.yaml".split())
+SUMMARY = set("scans scans_dropped points points_dropped leaves map_ms_median".split())
+SUMMARY |= set("map_ms_p99 lss_ms real_time_factor peak_memory_mb versions config".split())
 
 
 @pytest.fixture(scope="module")

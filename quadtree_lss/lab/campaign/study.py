@@ -23,18 +23,7 @@ from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import values_from_config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 
-KEYS = (
-    "name",
-    "kind",
-    "scenario",
-    "config",
-    "seed",
-    "flights",
-    "seeds",
-    "conditions",
-    "parameters",
-    "cases",
-)
+KEYS = tuple("name kind scenario config seed flights seeds conditions parameters cases".split())
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
 
 

@@ -27,17 +27,8 @@ from quadtree_lss.lab.evaluation.results import (
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 _TOP = 5
-_COLUMNS = (
-    "hazardous",
-    "safe",
-    "unsafe sites",
-    "elevation RMS",
-    "largest",
-    "leaves",
-    "map time",
-    "prefit below",
-    "prefit above",
-)
+_COLUMNS = ("hazardous", "safe", "unsafe sites", "elevation RMS", "largest", "leaves")
+_COLUMNS += ("map time", "prefit below", "prefit above")
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 AVOIDANCE = ("package", "paper", "none", "perfect")
 """By the nodes; by them with the paper's rules; straight to the planned point; by the truth."""
 
-FAULTS = (
-    "kill_lss",
-    "kill_mapping",
-    "forget_mapping",
-    "pose_gap",
-    "pose_jump",
-    "lidar_gap",
-    "keep_out",
-)
+FAULTS = tuple("kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out".split())
 MOST = 1e4
 """Of the height of a fault, m, and of its seconds."""
 
