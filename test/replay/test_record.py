@@ -30,15 +30,8 @@ from quadtree_lss.onboard.messages.maps import (
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MS = 1_000_000
 MAPS = {"/map/cells", "/map/observed"}
-LANDING = {
-    "/landing/sites",
-    "/landing/site_table",
-    "/landing/hazards",
-    "/landing/score",
-    "/landing/probability",
-    "/landing/selected",
-    "/landing/status",
-}
+NAMES = "sites site_table hazards score probability selected status".split()
+LANDING = {f"/landing/{name}" for name in NAMES}
 
 
 @pytest.fixture(scope="module")

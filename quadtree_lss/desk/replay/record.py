@@ -9,14 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces as ros
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 
@@ -28,18 +21,9 @@ from quadtree_lss.onboard.messages.outputs import GRID_MAP, GRID_MAP_TYPE, TOPIC
 
 VIEWER_NS = 10**9
 """Between two messages of ``landing/grid_map``, which is large; the last is always written."""
-_NO_TIME = QosTime(0, 0)
-LATCHED = Qos(
-    QosHistory.KEEP_LAST,
-    1,
-    QosReliability.RELIABLE,
-    QosDurability.TRANSIENT_LOCAL,
-    _NO_TIME,
-    _NO_TIME,
-    QosLiveliness.AUTOMATIC,
-    _NO_TIME,
-    False,
-)
+_NO_TIME = ros.QosTime(0, 0)
+_KEPT = ros.QosHistory.KEEP_LAST, 1, ros.QosReliability.RELIABLE, ros.QosDurability.TRANSIENT_LOCAL
+LATCHED = ros.Qos(*_KEPT, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_TIME, False)
 """So that `ros2 bag play` serves late subscribers, as the nodes do."""
 
 

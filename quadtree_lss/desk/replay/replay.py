@@ -146,17 +146,8 @@ def replay(
         "losses": losses,
         "warnings": warnings,
     }
-    result = ReplayResult(
-        folder,
-        decoded,
-        assessment,
-        tuple(run.timings),
-        summary,
-        losses,
-        warnings,
-        run.interrupted,
-        tuple(passes.changes),
-    )
+    ends = losses, warnings, run.interrupted, tuple(passes.changes)
+    result = ReplayResult(folder, decoded, assessment, tuple(run.timings), summary, *ends)
     if folder is not None:
         write_results(folder, result, config, report, history)
     return result

@@ -301,7 +301,6 @@ def compare(
     truth_path: str | Path,
     out: str | Path | None = None,
     *,
-    consistency: bool = True,
     figures: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> ComparisonResult:
@@ -318,14 +317,7 @@ def compare(
         raise EvaluationError(msg)
     together = Path(out) if out is not None else new_folder(Path("results"))
     runs = {
-        name: evaluate(
-            folder,
-            truth_path,
-            together / name,
-            consistency=consistency,
-            figures=figures,
-            progress=progress,
-        )
+        name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
         for name, folder in zip(names, folders, strict=True)
     }
     drawn: tuple[Path, ...] = ()

@@ -424,13 +424,8 @@ def _truth(cells: CellMap, surface: Terrain, config: Config) -> tuple[Single, Si
 
 def lander_of(config: Config) -> LandingGear:
     """The vehicle that the parameters describe: whose safety is judged, and is true."""
-    vehicle = config.vehicle
-    return LandingGear(
-        diameter=vehicle.diameter,
-        pad_radius=vehicle.pad_radius,
-        max_slope_deg=vehicle.max_slope_deg,
-        max_roughness=vehicle.clearance,
-    )
+    of = config.vehicle
+    return LandingGear(of.diameter, of.pad_radius, of.max_slope_deg, max_roughness=of.clearance)
 
 
 @dataclass(frozen=True)
