@@ -8,8 +8,8 @@ from pathlib import Path
 from PIL import Image
 
 from quadtree_lss.api import load_config, replay
-from quadtree_lss.lab.evaluation import evaluate
-from quadtree_lss.lab.simulation import simulate
+from quadtree_lss.lab.evaluation.evaluate import evaluate
+from quadtree_lss.lab.simulation.simulate import simulate
 
 PICTURES = {
     "quadtree.png": "evaluation/fig18_quadtree_over_truth.png",

@@ -3,16 +3,13 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from common.flights import Recording
-from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.results import cells_arrays, grid_arrays
+from quadtree_lss.desk.replay.results import grid_of
 from quadtree_lss.lab.evaluation.metrics import (
     Detection,
     ElevationError,
@@ -21,14 +18,12 @@ from quadtree_lss.lab.evaluation.metrics import (
     elevation_field,
     safety_field,
 )
-from quadtree_lss.lab.evaluation.results import Leaves, ScoredGrid, load_grid, load_leaves
 from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.consistency import Counts, prefit_statistics
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.register import register
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
 @dataclass(frozen=True)
@@ -55,24 +50,14 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
         times.append(1e3 * (time.process_time() - began))
     cells = mapper.snapshot()
     found = LandingSiteSelector(config).assess(cells)
-    leaves, grid = as_evaluated(cells, found)
-    truth = flight.truth
+    grid, truth = grid_of(found), flight.truth
     sites = found.sites.position[:5, :2]
     stands = contact_safe(truth.x, truth.y, truth.elevation, sites, LandingGear())
     return MapScore(
         leaves=int(cells.estimated.sum()),
-        elevation=elevation_error(elevation_field(leaves, grid, truth)),
+        elevation=elevation_error(elevation_field(cells, grid, truth)),
         detection=detection(safety_field(grid, truth)),
         unsafe_in_top_five=int(np.count_nonzero(~stands)),
         scan_ms=np.array(times),
         counts=counts,
     )
-
-
-def as_evaluated(cells: CellMap, found: LandingAssessment) -> tuple[Leaves, ScoredGrid]:
-    """Map and assessment as ``evaluate`` reads them from a results folder."""
-    with tempfile.TemporaryDirectory() as folder:
-        leaves, grid = Path(folder) / "cells.npz", Path(folder) / "grid.npz"
-        write_npz(leaves, cells_arrays(cells))
-        write_npz(grid, grid_arrays(found))
-        return load_leaves(leaves), load_grid(grid)

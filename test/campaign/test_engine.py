@@ -21,9 +21,11 @@ import psutil
 import pytest
 
 from quadtree_lss.desk.commands.common import INTERRUPTED
-from quadtree_lss.lab.campaign import Where, campaign, compare_campaigns, engine, read_study
-from quadtree_lss.lab.campaign.engine import _client, flagged
+from quadtree_lss.lab.campaign import engine
+from quadtree_lss.lab.campaign.engine import Where, _client, campaign, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
+from quadtree_lss.lab.campaign.paired import compare_campaigns
+from quadtree_lss.lab.campaign.study import read_study
 
 LocalCluster = pytest.importorskip("distributed").LocalCluster
 # One after the other: each has processes of its own.
@@ -268,19 +270,6 @@ def test_more_flights_are_added_and_stay(first, study, tmp_path):
     assert sorted(result.records) == [*range(12)]  # whole turns
     assert files(first[0].out).items() <= files(tmp_path / "c").items()
     assert len(campaign(read_study(study), tmp_path / "c").records) == 12
-
-
-@pytest.mark.slow
-def test_it_ends_when_an_interval_is_narrow_enough(tmp_path):
-    until = "until: {quantity: mean_absolute, half_width: 0.01}\n"
-    text = STUDY.replace("flights: 4", "flights: 1000").replace("[0.0, 1.0]", "1.0")
-    path = written(tmp_path, until + text)
-    one = campaign(read_study(path), tmp_path / "one", Where(workers=1))
-    two = campaign(read_study(path), tmp_path / "two", Where(workers=2))
-    assert one.enough == two.enough == len(one.records) < 100
-    assert one.as_dict() == two.as_dict()
-    again = campaign(read_study(path), tmp_path / "two")
-    assert again.as_dict() == two.as_dict()
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.mapped import figures, fly_in_memory, lander_of
 from quadtree_lss.lab.evaluation.evaluate import evaluate, score
 from quadtree_lss.lab.evaluation.results import load_results, load_truth
-from quadtree_lss.lab.simulation import simulate
+from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.loading import load_config
 
 CASES = {
@@ -26,8 +26,11 @@ def _same(one, two, where=""):
     assert type(one) is type(two), where
     if dataclasses.is_dataclass(one):
         for field in dataclasses.fields(one):
-            if field.name not in ("summary", "map_ms"):
+            if field.name not in ("summary", "map_ms", "covariance_range"):
                 _same(getattr(one, field.name), getattr(two, field.name), f"{where}.{field.name}")
+    elif isinstance(one, dict):
+        for name in one | two:
+            _same(one[name], two[name], f"{where}.{name}")
     elif isinstance(one, np.ndarray):
         np.testing.assert_array_equal(one, two, err_msg=where)
         assert one.dtype == two.dtype, where

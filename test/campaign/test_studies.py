@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss.lab.campaign import Where, campaign, read_study
-from quadtree_lss.lab.campaign.engine import fly
+from quadtree_lss.lab.campaign.engine import Where, campaign, fly
+from quadtree_lss.lab.campaign.study import read_study
 
 STUDIES = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))
 

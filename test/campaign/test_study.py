@@ -7,9 +7,9 @@ import dataclasses
 
 import pytest
 
-from quadtree_lss.lab.campaign import CampaignError, read_study
+from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.store import key_of
-from quadtree_lss.lab.campaign.study import parse_seeds
+from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
 VARIED = """
 name: varied
@@ -138,8 +138,6 @@ def test_cases_win_over_what_holds_for_all(study_of):
         ("flights: 3\nconditions: {rocks: {poisson: 3}}", "poisson"),
         ("flights: 3\nconditions: {rocks: []}", "rocks"),
         ("flights: 3\nconditions: {rocks: {log_uniform: [0, 1]}}", "rocks"),
-        ("flights: 3\nuntil: {quantity: luck, half_width: 1}", "luck"),
-        ("flights: 3\nuntil: 4", "until"),
         ("flights: 3\ncases: [{name: a}, {name: a}]", "two cases"),
         ("flights: 9000000", "most"),
     ],

@@ -8,8 +8,10 @@ import pytest
 from scipy.stats import binom
 
 from quadtree_lss.lab.campaign.kinds import Quantity
+from quadtree_lss.lab.campaign.mapped import risks
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.summary import bootstrap, line_of, rate_interval
+from quadtree_lss.lab.evaluation.metrics import reliability
 
 
 def _records(**columns):
@@ -92,3 +94,21 @@ def test_rate_interval_leaves_two_and_a_half_percent_on_each_side(events, trials
     if events:
         assert binom.sf(events - 1, trials, low) == pytest.approx(0.025)
     assert np.isnan(rate_interval(0, 0)).all()
+
+
+def test_told_and_failed_are_counted_by_predicted_risk():
+    rng = np.random.default_rng(1)
+    risk = rng.random(20_000) ** 3
+    failed = rng.random(20_000) < risk
+    found = risks(reliability(risk, failed))
+    for name, low, high in (("0.1", 0.001, 0.003), ("1", 0.01, 0.03), ("10", 0.1, 0.3)):
+        here = (risk >= low) & (risk < high)
+        assert found[f"risk_{name}_points"] == here.sum()
+        assert found[f"risk_{name}_unsafe"] == failed[here].sum()
+        assert found[f"risk_{name}_expected"] == pytest.approx(risk[here].sum())
+    assert found["brier"] == pytest.approx(np.square(risk - failed).mean())
+
+
+def test_a_map_without_risks_has_none():
+    found = risks(None)
+    assert found["brier"] is None and found["risk_10_points"] == 0

@@ -4,8 +4,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
+
+from quadtree_lss.desk.replay.results import cells_arrays
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
 
 SPACING = 0.25
 
@@ -63,27 +68,30 @@ def write_results(
     size = 16.0 / 2.0**level
     x, y = -8.0 + (ix + 0.5) * size, -8.0 + (iy + 0.5) * size
     z = ground(x, y) + offset
-    cells = 4 ** (5 - level)
-    normal = np.array([-0.1, 0.05, 1.0]) / np.linalg.norm([-0.1, 0.05, 1.0])
-    np.savez(
-        folder / "cells.npz",
-        level=level,
-        ix=ix,
-        iy=iy,
-        x=x,
-        y=y,
-        size=size,
+    low, high = (np.nan, np.nan) if bounds is None else bounds
+    cells = CellMap(
+        stamp_ns=98,
+        domain=Domain(-8.0, -8.0, 16.0, 3, 5),
+        level=level.astype(np.uint8),
+        ix=ix.astype(np.uint32),
+        iy=iy.astype(np.uint32),
         z=z if estimated is None else np.where(estimated(x, y), z, np.nan),
-        nx=np.full(x.size, normal[0]),
-        ny=np.full(x.size, normal[1]),
-        nz=np.full(x.size, normal[2]),
-        covariance=np.zeros((x.size, 3, 3)),
-        count=np.full(x.size, 10),
+        normal=np.tile([-0.1, 0.05, 1.0] / np.linalg.norm([-0.1, 0.05, 1.0]), (x.size, 1)),
+        covariance_range=np.zeros((x.size, 3, 3)),
+        covariance_pose=np.zeros((x.size, 3, 3)),
+        count=np.full(x.size, 10, np.uint32),
         measured=np.ones(x.size, bool),
-        domain=np.array([-8.0, -8.0, 16.0, 3, 5]),
-        observed=cells if observed is None else observed(x, y) * cells,
-        **({} if bounds is None else {"low": z * 0 + bounds[0], "high": z * 0 + bounds[1]}),
+        roughness=np.zeros(x.size),
+        exception_fraction=np.zeros(x.size),
+        feature=np.full((x.size, 5), np.nan),
+        low=np.full(x.size, low),
+        high=np.full(x.size, high),
+        observed=np.ones((32, 32), bool),
+        known=np.ones((32, 32), bool),
     )
+    if observed is not None:
+        cells = replace(cells, observed=observed(x, y)[cells.leaf_raster()])
+    np.savez(folder / "cells.npz", **cells_arrays(cells))
     axis = -8.0 + spacing * np.arange(round(16.0 / spacing) + 1)
     gx, gy = np.meshgrid(axis, axis)
     hidden = np.zeros(gx.shape, bool) if unseen is None else unseen(gx, gy)

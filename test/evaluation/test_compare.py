@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from evaluation.scores import write_results, write_truth
 
-from quadtree_lss.lab.evaluation import EvaluationError, compare, evaluate
+from quadtree_lss.lab.evaluation.evaluate import compare, evaluate
+from quadtree_lss.lab.evaluation.figures import processing_time
+from quadtree_lss.lab.evaluation.results import EvaluationError
 
 
 def test_a_row_for_each_run_and_figures_of_all(tmp_path):
@@ -67,7 +69,7 @@ def test_fixed_resolution_and_two_flights_have_figures_of_their_own(tmp_path):
     folder, truth = write_results(tmp_path / "run"), write_truth(tmp_path / "truth.npz")
     cells = dict(np.load(folder / "cells.npz"))
     keep = cells["level"] == 5
-    cells = {k: v[keep] if k != "domain" else v for k, v in cells.items()}
+    cells = {k: v[keep] if len(v.shape) and len(v) == len(keep) else v for k, v in cells.items()}
     cells["domain"] = np.array([-8.0, -8.0, 16.0, 5, 5])
     np.savez(folder / "cells.npz", **cells)
     known = dict(np.load(truth))
@@ -86,3 +88,9 @@ def test_scans_of_the_truth_must_match_one_another(tmp_path):
     np.savez(truth, **known)
     with pytest.raises(EvaluationError, match="scan_flight has 7 rows"):
         evaluate(folder, truth, figures=False)
+
+
+def test_scans_are_counted_in_whole_numbers():
+    axes = processing_time({"run": np.array([1.0, 2.0, 1.5])}).axes[0]
+    ticks = axes.get_xticks()
+    np.testing.assert_array_equal(ticks, np.round(ticks))

@@ -11,7 +11,8 @@ import pytest
 from evaluation.scores import write_results, write_truth
 
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.lab.evaluation import EvaluationError, evaluate
+from quadtree_lss.lab.evaluation.evaluate import evaluate
+from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.loading import load_config
 

@@ -15,7 +15,6 @@ from replay.recordings import (
     Recorder,
     flight,
     storage_file,
-    write_ros1,
     write_ros2,
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -44,13 +43,12 @@ def refused(path, tmp_path, capsys):
     return err
 
 
-@pytest.mark.parametrize("share", [0.4, 0.8])
-def test_a_truncated_sqlite_bag(tmp_path, share):
+def test_a_truncated_sqlite_bag(tmp_path):
     path = write_ros2(tmp_path / "bag", plugin="sqlite3", scans=60)
     file = storage_file(path)
-    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     scans, losses = scans_mapped(path, tmp_path)
-    assert 0.5 * share * 60 < scans < 60 and losses
+    assert 15 < scans < 60 and losses
 
 
 def write_split(split, whole, plugin, choose):
@@ -99,11 +97,6 @@ def test_a_bag_split_into_several_files(tmp_path, plugin, listed, choose):
     np.testing.assert_array_equal(result.cells.z, expected.cells.z)
 
 
-def test_one_file_of_a_split_bag_alone_is_a_bag(tmp_path):
-    path = write_ros2(tmp_path / "bag")
-    assert scans_mapped(storage_file(path), tmp_path)[0] == 10
-
-
 @pytest.mark.parametrize("start", [0, 3 * SECOND])
 def test_stamps_of_1970(tmp_path, monkeypatch, start):
     monkeypatch.setattr(replay.recordings, "START", start)
@@ -121,20 +114,6 @@ def test_a_bag_received_long_after_its_stamps(tmp_path, monkeypatch):
     assert scans_mapped(path, tmp_path) == (10, ())
 
 
-@pytest.mark.parametrize("write", [write_ros1, write_ros2])
-@pytest.mark.parametrize(
-    ("missing", "word"), [("scan_topics", "PointCloud2"), ("pose_topics", "PoseWithCovariance")]
-)
-def test_only_one_of_the_two_topics(tmp_path, capsys, write, missing, word):
-    line = refused(write(tmp_path / "flight.bag", **{missing: ()}), tmp_path, capsys)
-    assert word in line and ("/nav/pose" in line or "/lidar/points" in line)
-
-
-def test_an_empty_bag(tmp_path, capsys):
-    path = write_ros2(tmp_path / "bag", scan_topics=(), pose_topics=())
-    assert "empty" in refused(path, tmp_path, capsys)
-
-
 def test_a_map_without_its_other_half(tmp_path, capsys):
     bag = write_ros2(tmp_path / "flight")
     run_replay(bag, None, CONFIG, record=tmp_path / "products")
@@ -147,13 +126,3 @@ def test_a_map_without_its_other_half(tmp_path, capsys):
             for message in cells:
                 writer.write(connection, message.received_ns, bytes(message.raw))
     assert "no messages of type" in refused(half, tmp_path, capsys)
-
-
-def test_a_truncated_bag_of_maps(tmp_path):
-    bag = write_ros2(tmp_path / "flight", scans=60)
-    path = tmp_path / "products"
-    run_replay(bag, None, CONFIG, record=path)
-    file = storage_file(path)
-    file.write_bytes(file.read_bytes()[: file.stat().st_size * 4 // 5])
-    result = run_replay(path, tmp_path / "out", CONFIG, report=False)
-    assert result.summary["maps"] >= 1 and result.losses

@@ -30,15 +30,8 @@ from quadtree_lss.onboard.messages.maps import (
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MS = 1_000_000
 MAPS = {"/map/cells", "/map/observed"}
-LANDING = {
-    "/landing/sites",
-    "/landing/site_table",
-    "/landing/hazards",
-    "/landing/score",
-    "/landing/probability",
-    "/landing/selected",
-    "/landing/status",
-}
+NAMES = "sites site_table hazards score probability selected status".split()
+LANDING = {f"/landing/{name}" for name in NAMES}
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +47,11 @@ def messages(path):
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         for connection, received, raw in reader.messages():
             yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
+
+
+def products_of(path, name):
+    """Messages of one topic."""
+    return [message for topic, _, message in messages(path) if topic == name]
 
 
 def test_all_products_at_their_rates_in_the_time_of_the_bag(recorded):
@@ -172,7 +170,7 @@ def test_an_existing_bag_is_not_overwritten(recorded, tmp_path):
 
 def test_the_target_is_told_in_the_bag_as_in_the_results(recorded):
     result, path = recorded
-    told = [message for topic, _, message in messages(path) if topic == "/landing/status"]
+    told = products_of(path, "/landing/status")
     records = [
         np.frombuffer(message.data.tobytes(), record_dtype(STATUS_FIELDS))[0] for message in told
     ]
@@ -183,8 +181,7 @@ def test_the_target_is_told_in_the_bag_as_in_the_results(recorded):
         rows = list(csv.DictReader(file))
     assert [int(row["id"]) for row in rows] == [change.id for change in result.targets]
     assert rows[0]["reason"] == "first" and int(rows[-1]["id"]) == records[-1]["id"] > 0
-    places = [m for topic, _, m in messages(path) if topic == "/landing/selected"]
-    last = places[-1].pose.pose.position
+    last = products_of(path, "/landing/selected")[-1].pose.pose.position
     target = result.assessment.selected.position
     np.testing.assert_array_equal([last.x, last.y, last.z], target)
     with (result.out / "sites.csv").open(newline="") as file:
@@ -203,3 +200,39 @@ def test_products_in_the_same_bag_as_scans_are_not_taken_for_scans(recorded, tmp
     assert inspect_bag(bag, CONFIG).scan_topic == "/lidar/points"
     bag = write_ros2(tmp_path / "other", scan_topics=("/os1/points", *topics[1:]))
     assert inspect_bag(bag, CONFIG).scan_topic == "/os1/points"
+
+
+def at(message, name, x, y):
+    """Value at a place: grid_map's index counts down from the greatest x and y, by columns."""
+    info = message.info
+    i = int((info.pose.position.x + 0.5 * info.length_x - x) / info.resolution)
+    j = int((info.pose.position.y + 0.5 * info.length_y - y) / info.resolution)
+    layer = message.data[message.layers.index(name)]
+    columns, rows = layer.layout.dim
+    assert (columns.label, rows.label) == ("column_index", "row_index")
+    assert columns.stride == columns.size * rows.size and rows.stride == rows.size
+    return layer.data[j * rows.size + i]
+
+
+def test_each_layer_of_the_grid_map_has_its_values_at_its_places(recorded):
+    result, path = recorded
+    (*_, last), found = products_of(path, "/landing/grid_map"), result.assessment
+    assert last.header.frame_id == "map" and "elevation" in last.basic_layers
+    names = {"elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score"}
+    assert names <= set(last.layers) and len(last.data) == len(last.layers)
+    rng = np.random.default_rng(1)
+    for row, column in rng.integers(0, found.score.shape, (200, 2)):
+        for name in names:
+            value = at(last, name, found.x[column], found.y[row])
+            expected = np.float32(getattr(found, name)[row, column])
+            np.testing.assert_array_equal(value, expected, name)
+
+
+def test_the_definition_of_the_grid_map_is_that_of_ros_2():
+    """Jazzy's grid_map_msgs: the header stands in GridMap, not in its info."""
+    fields = typestore(ros1=False).fielddefs
+    names = [name for name, _ in fields["grid_map_msgs/msg/GridMap"][1]]
+    indices = ["outer_start_index", "inner_start_index"]
+    assert names == ["header", "info", "layers", "basic_layers", "data", *indices]
+    info = [name for name, _ in fields["grid_map_msgs/msg/GridMapInfo"][1]]
+    assert info == ["resolution", "length_x", "length_y", "pose"]

@@ -127,10 +127,10 @@ def test_a_map_from_before_bounds_is_known_where_it_was_measured(written, tmp_pa
     assert np.isnan(found.low).all() and np.isnan(found.high).all()
     expected = found.observed & found.measured[found.leaf_raster()]
     np.testing.assert_array_equal(found.known, expected)
-    for name in ("low", "known_cells"):
+    for name in ("z", "low", "known_cells", "domain"):
         short = {**arrays, name: np.zeros(3)}
         np.savez(tmp_path / "cells.npz", **short)
-        with pytest.raises(ResultsError, match=f"{name} has another size than the map"):
+        with pytest.raises(ResultsError, match=f"{name} has another size"):
             load_results(tmp_path).map  # noqa: B018
 
 

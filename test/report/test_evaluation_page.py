@@ -8,9 +8,10 @@ import pytest
 from evaluation.scores import write_truth
 from report.pages import Page, in_a_browser, in_browser
 
+from quadtree_lss.desk.replay.results import load_results
 from quadtree_lss.lab.evaluation.evaluate import evaluate
 from quadtree_lss.lab.evaluation.figures import VERDICTS
-from quadtree_lss.lab.evaluation.results import load_grid, load_truth
+from quadtree_lss.lab.evaluation.results import load_truth
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +36,13 @@ def test_its_layers_are_the_truth_and_what_became_of_it(result, evaluated):
     page = Page(text)
     layers = {layer["name"]: layer for layer in page.data["layers"]}
     assert list(layers) == ["verdict", "truth", "error"]
-    grid = load_grid(result.out / "grid.npz")
+    grid = load_results(result.out).grid
     true = truth.elevation_at(*np.meshgrid(grid.x, grid.y)).ravel()
     got = page.column(layers["truth"]["values"])
     np.testing.assert_allclose(got, true, atol=layers["truth"]["values"]["step"])
     error = page.column(layers["error"]["values"])
     assert np.nanmean(error) == pytest.approx(0.0, abs=1e-3)
-    expected = np.where(grid.seen.ravel(), grid.elevation.ravel() - true, np.nan)
+    expected = np.where(grid.seen.ravel(), grid["elevation"].ravel() - true, np.nan)
     np.testing.assert_allclose(
         error, expected - np.nanmean(expected), atol=layers["error"]["values"]["step"]
     )

@@ -13,8 +13,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.results import cells_arrays
-from quadtree_lss.lab.live.demo import cell_differences, read_csv, run_live
+from quadtree_lss.desk.replay.results import cells_arrays, load_results
+from quadtree_lss.lab.live.demo import cell_differences, run_live
 from quadtree_lss.lab.live.processes import program
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
@@ -67,7 +67,7 @@ def test_a_gimballed_bag_live_and_offline(ros):
         assert one["measured"].mean() > 0.5
         np.testing.assert_array_equal(one["level"], other["level"])
         np.testing.assert_allclose(one["z"], other["z"], atol=1e-9)
-    stamps = [int(row["stamp_ns"]) for row in read_csv(moving / "timing.csv")]
+    stamps = load_results(moving).timing["stamp_ns"].tolist()
     assert len(stamps) == SCANS
     live = run_live(bag, ros.params, stamps[-1], ros.folder / "live")
     write_npz(ros.folder / "live.npz", cells_arrays(live.cells))

@@ -15,8 +15,8 @@ from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss import build
 from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.results import cells_arrays
-from quadtree_lss.lab.live.demo import cell_differences, read_csv, run_live, site_difference
+from quadtree_lss.desk.replay.results import cells_arrays, load_results
+from quadtree_lss.lab.live.demo import cell_differences, run_live, site_difference
 from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.lab.live.processes import program
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS
@@ -117,7 +117,8 @@ def test_live_equals_offline_cell_for_cell(ros):
         [str(part) for part in command], env=ros.env, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    stamps = [int(row["stamp_ns"]) for row in read_csv(offline / "timing.csv")]
+    results = load_results(offline)
+    stamps = results.timing["stamp_ns"].tolist()
     assert len(stamps) == SCANS and stamps[-1] == last_scan_ns(SCANS)
 
     live = run_live(bag, ros.params, stamps[-1], ros.folder / "live", rate=2.0)
@@ -125,8 +126,7 @@ def test_live_equals_offline_cell_for_cell(ros):
     write_npz(ros.folder / "live.npz", cells_arrays(live.cells))
     differences = cell_differences(offline / "cells.npz", ros.folder / "live.npz")
     assert differences and set(differences.values()) == {0.0}
-    rows = read_csv(offline / "sites.csv")
-    assert rows and site_difference(live, rows) < 1e-6
+    assert len(results.positions) and site_difference(live, results.sites) < 1e-6
 
 
 def test_malformed_messages_are_counted_and_survived(ros):

@@ -11,7 +11,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.lab.simulation import SimulationError, Terrain, simulate
+from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 

@@ -129,8 +129,7 @@ class Bag:
 
     def _open(self) -> None:
         if not self.path.exists():
-            msg = f"no such bag: {self.path}{likely_bag(self.path)}"
-            raise BagError(msg)
+            raise BagError(f"no such bag: {self.path}{likely_bag(self.path)}")
         files: list[RecordedFile] = []
         try:
             for path in self._paths():
@@ -138,22 +137,19 @@ class Bag:
                 files.append(FORMATS[plain.suffix](plain))
                 self._stack.callback(files[-1].close)
         except PermissionError as error:
-            msg = f"{error.filename}: {error.strerror}"
-            raise BagError(msg) from None
+            raise BagError(f"{error.filename}: {error.strerror}") from None
         self._files = [file for file in files if len(file.index)]
         self._losses += [loss for f in files if not len(f.index) for loss in f.losses]
         if not self._files:
             lost = "; ".join(self.losses) or "it is empty"
-            msg = f"{self.path}: no message can be read: {lost}"
-            raise BagError(msg)
+            raise BagError(f"{self.path}: no message can be read: {lost}")
         self._ros1 = self._files[0].ros1
         self._store = typestore(self._ros1, {topic.type for topic in self.topics} & set(OURS))
 
     def _paths(self) -> list[Path]:
         if self.path.is_file():
             if not _is_stored(self.path):
-                msg = f"{self.path}: not a bag (.mcap, .db3, .bag, or a folder of these)"
-                raise BagError(msg)
+                raise BagError(f"{self.path}: not a bag (.mcap, .db3, .bag, or a folder of these)")
             return [self.path]
         listed = sorted(filter(_is_stored, self.path.iterdir()))
         try:

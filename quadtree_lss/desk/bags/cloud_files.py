@@ -145,8 +145,7 @@ class CloudFiles:
             found += [(file, k, None if stamps is None else stamps[k]) for k in range(len(clouds))]
             corners += [_corners(cloud) for cloud in clouds]
         if not found:
-            msg = "; ".join(self.losses) or f"{self.path}: there is no point cloud"
-            raise BagError(msg)
+            raise BagError("; ".join(self.losses) or f"{self.path}: there is no point cloud")
         stamps_ns = [stamp for _, _, stamp in found if stamp is not None]
         if len(stamps_ns) < len(found):
             stamps_ns = self._stamps([file for file, *_ in found])
@@ -173,11 +172,10 @@ class CloudFiles:
         if len(files) == len(known):
             return known.tolist()
         span = " ... ".join(f"{1e-9 * t:.3f}" for t in (known[0], known[-1]))
-        msg = (
+        raise BagError(
             f"{self.path}: which pose belongs to which cloud? The names hold no times between those"
             f" of the poses ({span} s), and {len(files)} clouds are not {len(known)} poses"
         )
-        raise BagError(msg)
 
     def _pose_stamps(self) -> list[tuple[int]]:
         if self._poses is None:

@@ -27,16 +27,13 @@ def unpack(compression: str, data: bytes, size: int) -> bytes:
     ``lz4``, ``bz2``, or ``none`` or empty. ``data``: what is there. ``size``: bytes it may have.
     Raises `DamagedError`: damaged, larger than ``size``, or that is more than can be read."""
     if size > MOST_BYTES:
-        msg = f"claims {size} bytes, {MOST_BYTES} is the most"
-        raise DamagedError(msg)
+        raise DamagedError(f"claims {size} bytes, {MOST_BYTES} is the most")
     try:
         out = _content(compression, data, size)
     except (zstandard.ZstdError, RuntimeError, OSError, ValueError, EOFError) as error:
-        msg = " ".join(str(error).split()) or type(error).__name__
-        raise DamagedError(msg) from None
+        raise DamagedError(" ".join(str(error).split()) or type(error).__name__) from None
     if len(out) > size:
-        msg = f"holds more than the {size} bytes it claims"
-        raise DamagedError(msg)
+        raise DamagedError(f"holds more than the {size} bytes it claims")
     return out
 
 
@@ -56,8 +53,7 @@ def _content(compression: str, data: bytes, most: int) -> bytes:
         return out
     if compression == "bz2":
         return bz2.BZ2Decompressor().decompress(data, max_length=most + 1)
-    msg = f"unknown compression {compression!r}"
-    raise DamagedError(msg)
+    raise DamagedError(f"unknown compression {compression!r}")
 
 
 def unpack_file(source: BinaryIO, target: BinaryIO) -> str | None:

@@ -164,27 +164,23 @@ class McapFile(ChunkedFile):
                 try:
                     self._declare(kind, records[begin:end])
                 except (struct.error, ValueError) as error:
-                    msg = "damaged record in a chunk"
-                    raise DamagedError(msg) from error
+                    raise DamagedError("damaged record in a chunk") from error
             elif kind == MESSAGE and length >= _MESSAGE.size:
                 channel, _, time_ns, _ = _MESSAGE.unpack_from(records, begin)
                 time_ns = min(time_ns, 2**63 - 1)
                 yield Record(offset, channel, time_ns, records[begin + _MESSAGE.size : end])
             offset = end
         if offset != len(records) and chunk.there == chunk.length:
-            msg = "a record leads out of its chunk"
-            raise DamagedError(msg)
+            raise DamagedError("a record leads out of its chunk")
 
     def _unpacked(self, chunk: Chunk) -> bytes:
         found = self._records_of(chunk.place, chunk.length)
         if found is None:
-            msg = "damaged chunk"
-            raise DamagedError(msg)
+            raise DamagedError("damaged chunk")
         compression, size, checksum, begin = found
         records = self._unpack(chunk, compression, begin, size)
         if chunk.there == chunk.length and checksum and zlib.crc32(records) != checksum:
-            msg = "wrong checksum of a chunk"
-            raise DamagedError(msg)
+            raise DamagedError("wrong checksum of a chunk")
         return records
 
 
@@ -192,6 +188,5 @@ def _text(content: bytes, place: int) -> str:
     (length,) = struct.unpack_from("<I", content, place)
     end = place + 4 + length
     if end > len(content):
-        msg = "a text leads out of its record"
-        raise ValueError(msg)
+        raise ValueError("a text leads out of its record")
     return content[place + 4 : end].decode()

@@ -204,12 +204,10 @@ class ChunkedFile(RecordedFile):
         """Content of a chunk of ``size`` bytes whose data begin at a byte of the file; of a cut
         chunk what is there."""
         if chunk.length > MOST_BYTES:
-            msg = f"chunk of {chunk.length} bytes, {MOST_BYTES} is the most,"
-            raise DamagedError(msg)
+            raise DamagedError(f"chunk of {chunk.length} bytes, {MOST_BYTES} is the most,")
         data = unpack(compression, self._read(begin, chunk.place + chunk.there - begin), size)
         if chunk.there == chunk.length and len(data) != size:
-            msg = f"chunk of {len(data)} bytes instead of {size}"
-            raise DamagedError(msg)
+            raise DamagedError(f"chunk of {len(data)} bytes instead of {size}")
         return data
 
     @property

@@ -101,8 +101,7 @@ class Ros1File(ChunkedFile):
     def _connect(self, fields: Fields, data: bytes) -> None:
         inner = _fields(data)
         if inner is None:
-            msg = "a damaged connection"
-            raise ValueError(msg)
+            raise ValueError("a damaged connection")
         package, _, name = inner["type"].decode().partition("/")
         parts = [part for part in fields["topic"].decode().split("/") if part]
         rooted = "/" if fields["topic"][:1] == b"/" else ""
@@ -113,8 +112,7 @@ class Ros1File(ChunkedFile):
         """The index of the last chunk's messages of a connection."""
         rows = np.frombuffer(data, dtype="<u4").reshape(-1, 3).astype(np.int64)
         if len(rows) != _number(fields["count"]):
-            msg = "a damaged index"
-            raise ValueError(msg)
+            raise ValueError("a damaged index")
         entries = np.zeros(len(rows), INDEX)
         entries["time_ns"], entries["offset"] = rows[:, 0] * 10**9 + rows[:, 1], rows[:, 2]
         entries["channel"] = _number(fields["conn"])
@@ -133,8 +131,7 @@ class Ros1File(ChunkedFile):
                 if offset > len(data):
                     if chunk.there < chunk.length:
                         return
-                    msg = "a record leads out of its chunk"
-                    raise DamagedError(msg)
+                    raise DamagedError("a record leads out of its chunk")
                 parts.append(data[end:offset])
             fields = _fields(parts[0]) or {}
             try:
@@ -145,8 +142,7 @@ class Ros1File(ChunkedFile):
                     time_ns = seconds * 10**9 + nanoseconds
                     yield Record(place, _number(fields["conn"]), time_ns, parts[1])
             except (KeyError, ValueError, struct.error):
-                msg = "damaged record in a chunk"
-                raise DamagedError(msg) from None
+                raise DamagedError("damaged record in a chunk") from None
 
 
 def _number(value: bytes) -> int:

@@ -71,8 +71,7 @@ class SqliteFile(RecordedFile):
             kind, page = self._database.execute(query, (table,)).fetchone() or ("missing", 0)
             columns = self._database.execute(f"PRAGMA table_xinfo({table})").fetchall()
             if kind != "table" or not page or any(column[-1] for column in columns):
-                msg = f"{table} is not a plain table ({kind})"
-                raise sqlite3.DatabaseError(msg)
+                raise sqlite3.DatabaseError(f"{table} is not a plain table ({kind})")
         rows = self._database.execute("SELECT id, name, type FROM topics").fetchmany(1 << 16)
         for number, name, kind in rows:
             if isinstance(number, int) and isinstance(name, str) and isinstance(kind, str):

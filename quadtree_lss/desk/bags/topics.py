@@ -37,8 +37,7 @@ def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option
         return fitting[0]
     if not fitting:
         there = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in bag.topics) or "none"
-        msg = f"{bag.path}: no messages of type {msgtype}; topics: {there}"
-        raise BagError(msg)
+        raise BagError(f"{bag.path}: no messages of type {msgtype}; topics: {there}")
     msg = f"{bag.path}: several topics of type {msgtype}: choose one by {option}: {candidates}"
     raise BagError(msg)
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from quadtree_lss.desk.commands.console import show
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
@@ -41,8 +42,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raises `UsageError`."""
-        msg = f"{message} ({self.prog} --help)"
-        raise UsageError(msg)
+        raise UsageError(f"{message} ({self.prog} --help)")
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None
@@ -75,6 +75,8 @@ def add_command(
     run: Callable[[argparse.Namespace], int],
     text: str,
     examples: str,
+    *,
+    as_json: bool = True,
 ) -> argparse.ArgumentParser:
     """A subcommand with its help and the options that all have."""
     parser = commands.add_parser(
@@ -89,14 +91,15 @@ def add_command(
     add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
     text = "progress bar even without a terminal; where internal errors come from"
     add("-v", "--verbose", action="store_true", help=text)
+    if as_json:
+        add("--json", action="store_true", help="print the result as JSON, for scripts")
     return parser
 
 
 def named(text: str) -> Path:
     """Type of an option: a file or folder, which an empty text does not name."""
     if not text.strip():
-        msg = "the name of a file or folder is empty"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError("the name of a file or folder is empty")
     return Path(text)
 
 
@@ -124,8 +127,7 @@ def whole(least: int) -> Callable[[str], int]:
         except ValueError:
             value = least - 1
         if value < least:
-            msg = f"{text!r} is not a whole number of {least} or more"
-            raise argparse.ArgumentTypeError(msg)
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of {least} or more")
         return value
 
     return convert
@@ -137,14 +139,17 @@ def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and fits(value)):
-        msg = f"{text!r} is not a finite number {wanted}"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number {wanted}")
     return value
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """``--json``."""
-    parser.add_argument("--json", action="store_true", help="print the result as JSON, for scripts")
+def add_topics(parser: argparse.ArgumentParser, *, poses: bool = True) -> None:
+    """``--scan-topic``, ``--pose-topic``, and ``--poses`` of point clouds."""
+    add = parser.add_argument
+    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
+    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    if poses:
+        add("--poses", type=named, metavar="FILE", help=POSES)
 
 
 def completed(action: argparse.Action, values: Callable[..., Iterable[str]]) -> None:
@@ -251,8 +256,7 @@ def place(text: str) -> tuple[list[float] | None]:
     """``3,-4``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) != 1:
-        msg = f"'{text}' is not a place X,Y"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"'{text}' is not a place X,Y")
     return (None if corners is None else corners[0],)
 
 
@@ -268,6 +272,17 @@ def _numbers(text: str) -> list[list[float]] | None:
         msg = f"'{text}' does not consist of pairs X,Y of numbers in m, apart by blanks"
         raise argparse.ArgumentTypeError(msg)
     return corners
+
+
+def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
+    """A result as JSON if that is asked for, else its table and some lines."""
+    if options.json:
+        out = {"out": str(result.out)} if hasattr(result, "out") else {}
+        print_json({**out, **result.as_dict()})
+        return
+    show(result.table())
+    for line in lines:
+        print(line)
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from quadtree_lss.desk.commands.common import DONE, ERROR, add_command, add_json, named, print_json
-from quadtree_lss.desk.commands.console import say, show
+from quadtree_lss.desk.commands.common import DONE, ERROR, add_command, named, tell
+from quadtree_lss.desk.commands.console import say
 
 TEXT = "Compare two results of the same ground: heights, safe ground, sites gained and lost."
 EXAMPLES = """examples:
@@ -28,19 +28,14 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("second", type=named, metavar="B", help="another one of the same ground")
     text = "folder for comparison.json and comparison.png (default: none is written)"
     add("--out", metavar="DIR", type=named, help=text)
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.differences import compare_results
 
     result = compare_results(options.first, options.second, options.out)
-    if options.json:
-        print_json(result.as_dict())
-    else:
-        show(result.table())
-        if options.out is not None:
-            print(f"comparison.json and comparison.png in {options.out}")
+    written = f"comparison.json and comparison.png in {options.out}"
+    tell(options, result, *[written] * (options.out is not None))
     if not result.same_ground:
         text = f"correlation {result.heights.correlation:.2f}, RMS {result.heights.rms:.2f} m"
         say(f"not of the same ground, or not at the same place: their heights differ: {text}")

@@ -20,7 +20,7 @@ SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "completion", _run, TEXT, EXAMPLES)
+    parser = add_command(commands, "completion", _run, TEXT, EXAMPLES, as_json=False)
     parser.add_argument("shell", choices=SHELLS, help="which shell")
 
 

@@ -5,18 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    ERROR,
-    POSES,
-    add_command,
-    add_config_options,
-    add_json,
-    chosen_config,
-    completed,
-    named,
-    print_json,
-)
+from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.completion import names_of_action
 from quadtree_lss.desk.commands.console import ProgressBar, show, warn
 from quadtree_lss.desk.commands.explained import (
@@ -53,13 +42,13 @@ ACTION is print (the default), check, explain or suggest.
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "config", _run, TEXT, EXAMPLES)
+    parser = common.add_command(commands, "config", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("action", nargs="?", choices=ACTIONS, default="print", metavar="ACTION")
     text = "files to check; keys or sections to explain; the bag to suggest for"
-    completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
-    add_config_options(parser)
-    add("--poses", type=named, metavar="FILE", help=POSES)
+    common.completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
+    common.add_config_options(parser)
+    add("--poses", type=common.named, metavar="FILE", help=common.POSES)
     add(
         "--node",
         default="",
@@ -69,7 +58,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "suggest for a vehicle of this diameter and clearance, m"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
     add("--plain", action="store_true", help="print without the explanations")
-    add_json(parser)
 
 
 def vehicle(text: str) -> dict[str, float]:
@@ -93,30 +81,30 @@ def _run(options: argparse.Namespace) -> int:
         return _suggest(options)
     rows = [row for name in options.names for row in explain(name)]
     if options.json:
-        print_json({row.name: parameter_as_dict(row) for row in rows})
+        common.print_json({row.name: parameter_as_dict(row) for row in rows})
     else:
         texts = [explain_text(row) for row in rows]
         if any(row.name.startswith("vehicle.") for row in rows):
-            texts.append(lengths_text(chosen_config(options).vehicle))
+            texts.append(lengths_text(common.chosen_config(options).vehicle))
         show("\n\n".join(texts))
-    return DONE
+    return common.DONE
 
 
 def _print(options: argparse.Namespace) -> int:
     if options.names:
         options.parser.error(f"config print takes no names, got {' '.join(options.names)}")
-    config = chosen_config(options)
+    config = common.chosen_config(options)
     if options.json:
-        print_json(values_from_config(config))
+        common.print_json(values_from_config(config))
     else:
         print(dump_config(config, comments=not options.plain), end="")
-    return DONE
+    return common.DONE
 
 
 def _check(options: argparse.Namespace) -> int:
     found = check_files(options.names, options.node)
     if options.json:
-        print_json(found)
+        common.print_json(found)
     else:
         for name, errors in found.items():
             show("\n".join(f"{name}: {line}" for line in errors or ["good"]))
@@ -126,7 +114,7 @@ def _check(options: argparse.Namespace) -> int:
                 for said in (doubt(config), slow(config.domain.size, finest, config.lss)):
                     if said:
                         warn(f"{name}: {said}")
-    return ERROR if any(found.values()) else DONE
+    return common.ERROR if any(found.values()) else common.DONE
 
 
 def _suggest(options: argparse.Namespace) -> int:
@@ -134,11 +122,11 @@ def _suggest(options: argparse.Namespace) -> int:
 
     if len(options.names) != 1:
         options.parser.error("config suggest takes one bag")
-    config = config_from_values(options.vehicle or {}, chosen_config(options))
+    config = config_from_values(options.vehicle or {}, common.chosen_config(options))
     with ProgressBar("suggest", "s", options.verbose) as bar:
         found = suggest_config(options.names[0], config, poses=options.poses, progress=bar.update)
     if options.json:
-        print_json(found.as_dict())
+        common.print_json(found.as_dict())
     else:
         print(found.text(), end="")
-    return DONE
+    return common.DONE

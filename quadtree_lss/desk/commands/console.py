@@ -172,18 +172,8 @@ def result_text(result: ReplayResult, columns: int) -> str:
     return "\n".join(lines)
 
 
-_SITE_HEADER = (
-    "rank",
-    "x",
-    "y",
-    "z",
-    "probability",
-    "score",
-    "slope",
-    "roughness",
-    "to hazard",
-    "subscale",
-)
+_SITE_HEADER = ("rank", "x", "y", "z", "probability", "score", "slope", "roughness")
+_SITE_HEADER += ("to hazard", "subscale")
 
 
 def _site_rows(sites: Sites) -> list[list[str]]:

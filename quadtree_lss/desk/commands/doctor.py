@@ -7,16 +7,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    ERROR,
-    add_command,
-    add_config_options,
-    add_json,
-    chosen_config,
-    named,
-    print_json,
-)
+from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import ProgressBar, show
 
 TEXT = "Say what is wrong with clouds and poses, live or in a bag, and the line that mends it."
@@ -31,20 +22,18 @@ meanwhile: what does not change cannot be told apart. Exit code 1 if something i
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "doctor", _run, TEXT, EXAMPLES)
+    parser = common.add_command(commands, "doctor", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", nargs="?", type=named, metavar="BAG", help="a bag; without, what is live")
-    add_config_options(parser)
-    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
-    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
+    add("bag", nargs="?", type=common.named, metavar="BAG", help="a bag; without, what is live")
+    common.add_config_options(parser)
+    common.add_topics(parser, poses=False)
     add("--seconds", type=float, default=10.0, metavar="S", help="to listen (default 10)")
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
 
-    config = chosen_config(options)
+    config = common.chosen_config(options)
     with tempfile.TemporaryDirectory() as folder:
         bag = options.bag
         if bag is None:
@@ -61,10 +50,10 @@ def _run(options: argparse.Namespace) -> int:
             )
     wrong = [finding for finding in info.findings if finding.mend or finding.fatal]
     if options.json:
-        print_json({"findings": [finding._asdict() for finding in wrong]})
+        common.print_json({"findings": [finding._asdict() for finding in wrong]})
     else:
         for finding in wrong:
             show(f"wrong: {finding.text}\nmend:  {finding.mend or 'none known'}")
         if not wrong:
             show(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
-    return ERROR if wrong else DONE
+    return common.ERROR if wrong else common.DONE

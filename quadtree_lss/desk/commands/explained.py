@@ -74,8 +74,7 @@ def explain(name: str) -> list[Parameter]:
     rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
     if not rows:
         sections = sorted({row.name.partition(".")[0] for row in table})
-        msg = f"{unknown_parameter(name)} (sections: {', '.join(sections)})"
-        raise ConfigError(msg)
+        raise ConfigError(f"{unknown_parameter(name)} (sections: {', '.join(sections)})")
     return rows
 
 

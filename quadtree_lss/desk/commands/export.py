@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from quadtree_lss.desk.commands.common import DONE, add_command, add_json, named, place, print_json
+from quadtree_lss.desk.commands.common import DONE, add_command, named, place, print_json
 from quadtree_lss.desk.commands.console import show
 
 FORMATS = ("geotiff", "ply", "gltf", "geojson", "map_server")
@@ -39,7 +39,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--crs", metavar="CRS", default="", help="coordinate system of the map frame")
     text = "latitude and longitude of the map frame's origin, deg; x is east, y north"
     add("--origin", metavar="LAT,LON", type=place, help=text)
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

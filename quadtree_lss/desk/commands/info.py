@@ -5,20 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from quadtree_lss.desk.commands.common import (
-    CLOUDS,
-    DONE,
-    ERROR,
-    IN_PART,
-    POSES,
-    add_command,
-    add_config_options,
-    add_json,
-    chosen_config,
-    named,
-    print_json,
-)
-from quadtree_lss.desk.commands.console import ProgressBar, show
+from quadtree_lss.desk.commands import common
+from quadtree_lss.desk.commands.console import ProgressBar
 
 TEXT = "Show what a bag contains and whether it is ready to replay."
 EXAMPLES = """examples:
@@ -31,20 +19,17 @@ Exit code 1 if it cannot be replayed, for the reasons printed as problems.
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "info", _run, TEXT, EXAMPLES)
+    parser = common.add_command(commands, "info", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", type=named, metavar="BAG", help=CLOUDS)
-    add_config_options(parser)
-    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
-    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    add("--poses", type=named, metavar="FILE", help=POSES)
-    add_json(parser)
+    add("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
+    common.add_config_options(parser)
+    common.add_topics(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
 
-    config = chosen_config(options)
+    config = common.chosen_config(options)
     with ProgressBar("info", "s", options.verbose) as bar:
         info = inspect_bag(
             options.bag,
@@ -54,10 +39,7 @@ def _run(options: argparse.Namespace) -> int:
             poses=options.poses,
             progress=bar.update,
         )
-    if options.json:
-        print_json(info.as_dict())
-    else:
-        show(info.table())
+    common.tell(options, info)
     if not info.works:
-        return ERROR
-    return IN_PART if info.losses else DONE
+        return common.ERROR
+    return common.IN_PART if info.losses else common.DONE

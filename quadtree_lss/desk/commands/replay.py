@@ -7,23 +7,7 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from quadtree_lss.desk.commands.common import (
-    CLOUDS,
-    DONE,
-    IN_PART,
-    INTERRUPTED,
-    POSES,
-    add_command,
-    add_config_options,
-    add_json,
-    add_landing_options,
-    chosen_config,
-    landing_of,
-    named,
-    not_negative,
-    positive,
-    print_json,
-)
+from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import (
     Interruption,
     ProgressBar,
@@ -55,30 +39,25 @@ Ctrl-C stops at once.
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "replay", _run, TEXT, EXAMPLES)
+    parser = common.add_command(commands, "replay", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", type=named, metavar="BAG", help=CLOUDS)
-    add("--out", metavar="DIR", type=named, help="folder for the results (default results/<time>)")
-    add_config_options(parser)
-    add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
-    add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    add("--poses", type=named, metavar="FILE", help=POSES)
-    add("--start", metavar="S", type=not_negative, default=0.0, help="begin S seconds into the bag")
-    add("--duration", metavar="D", type=positive, help="process D seconds only")
+    add("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
+    text = "folder for the results (default results/<time>)"
+    add("--out", metavar="DIR", type=common.named, help=text)
+    common.add_config_options(parser)
+    common.add_topics(parser)
+    text = "begin S seconds into the bag"
+    add("--start", metavar="S", type=common.not_negative, default=0.0, help=text)
+    add("--duration", metavar="D", type=common.positive, help="process D seconds only")
     add("--no-report", action="store_true", help="no figures and no report.html")
-    add("--record", metavar="BAG", type=named, help="write what the nodes would publish, as mcap")
+    text = "write what the nodes would publish, as mcap"
+    add("--record", metavar="BAG", type=common.named, help=text)
     add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
-    add_landing_options(parser, "; none lifts the bag's (default: the bag's topic)")
+    common.add_landing_options(parser, "; none lifts the bag's (default: the bag's topic)")
     add("--namespace", metavar="NS", help="of the topics that --publish sends")
-    add(
-        "--remap",
-        metavar="FROM:=TO",
-        action="append",
-        default=[],
-        help="another name for a topic that --publish sends, as of ros2 run; may be repeated",
-    )
-    add("--rate", metavar="R", type=positive, help="speed of --publish (default 1)")
-    add_json(parser)
+    text = "another name for a topic that --publish sends, as of ros2 run; may be repeated"
+    add("--remap", metavar="FROM:=TO", action="append", default=[], help=text)
+    add("--rate", metavar="R", type=common.positive, help="speed of --publish (default 1)")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -93,7 +72,7 @@ def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.files import link_latest, new_folder
     from quadtree_lss.desk.replay.replay import replay
 
-    config = chosen_config(options)
+    config = common.chosen_config(options)
     out = options.out if options.out is not None else new_folder(Path("results"))
     report = "" if options.no_report else ", draws the report"
     then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
@@ -109,7 +88,7 @@ def _run(options: argparse.Namespace) -> int:
             duration=options.duration,
             report=not options.no_report,
             record=options.record,
-            landing=landing_of(options),
+            landing=common.landing_of(options),
             progress=bar.update,
             stop=interruption.asked,
         )
@@ -121,16 +100,16 @@ def _run(options: argparse.Namespace) -> int:
     for line in result.losses:
         warn(f"damaged: {line}")
     if options.json:
-        print_json(result.as_dict())
+        common.print_json(result.as_dict())
     else:
         print_result(result)
     if result.interrupted:
         say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
-        return INTERRUPTED
+        return common.INTERRUPTED
     if result.losses:
         warn("the bag is damaged: everything readable was processed")
-        return IN_PART
-    return DONE
+        return common.IN_PART
+    return common.DONE
 
 
 def _publish(options: argparse.Namespace) -> int:
@@ -161,9 +140,9 @@ def _publish(options: argparse.Namespace) -> int:
     if report.maps:
         sent = f"{report.maps} maps"
     if options.json:
-        print_json(asdict(report))
+        common.print_json(asdict(report))
     else:
         print(f"{sent} sent in {report.duration:.1f} s")
     for line in report.losses:
         warn(f"damaged: {line}")
-    return IN_PART if report.losses else DONE
+    return common.IN_PART if report.losses else common.DONE

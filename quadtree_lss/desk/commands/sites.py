@@ -6,17 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    add_command,
-    add_config_options,
-    add_json,
-    add_landing_options,
-    chosen_config,
-    landing_of,
-    named,
-    print_json,
-)
+from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import print_result, warn
 
 TEXT = "Rank landing sites straight on an elevation model: GeoTIFF, or .npz with x, y, elevation."
@@ -31,14 +21,14 @@ Results are those of replay; coordinates are the model's, which must be in metre
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "sites", _run, TEXT, EXAMPLES)
+    parser = common.add_command(commands, "sites", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("dem", type=named, metavar="DEM", help="elevation model, m, z up")
-    add("--out", metavar="DIR", type=named, help="folder for the results (default results/<time>)")
-    add_config_options(parser)
+    add("dem", type=common.named, metavar="DEM", help="elevation model, m, z up")
+    text = "folder for the results (default results/<time>)"
+    add("--out", metavar="DIR", type=common.named, help=text)
+    common.add_config_options(parser)
     add("--no-report", action="store_true", help="no figures and no report.html")
-    add_landing_options(parser, "")
-    add_json(parser)
+    common.add_landing_options(parser, "")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -46,14 +36,14 @@ def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.files import link_latest, new_folder
 
     out = options.out if options.out is not None else new_folder(Path("results"))
-    config, report = chosen_config(options), not options.no_report
-    result = rank_sites(options.dem, out, config, report=report, landing=landing_of(options))
+    config, report = common.chosen_config(options), not options.no_report
+    result = rank_sites(options.dem, out, config, report=report, landing=common.landing_of(options))
     if options.out is None:
         link_latest(out)
     for line in result.warnings:
         warn(f"note: {line}")
     if options.json:
-        print_json(result.as_dict())
+        common.print_json(result.as_dict())
     else:
         print_result(result)
-    return DONE
+    return common.DONE

@@ -32,23 +32,19 @@ PAUSE_PATIENCE_S = 1.0
 class PlayTime:
     """Waits for the time of each message; serves ``~/pause``, ``~/resume``, ``~/toggle_paused``.
 
-    It spins the ``node`` that owns these. ``rate`` is bag seconds per second; with ``clock`` the
-    time goes out on ``/clock``, standing still while paused. ``pressed`` gives the keys pressed
-    since the last call: a space toggles.
+    It spins the ``node`` that owns these. ``rate`` is bag seconds per second; the time goes out on
+    ``/clock``, standing still while paused. ``pressed`` gives the keys pressed since the last call:
+    a space toggles.
     """
 
-    def __init__(
-        self, node: Node, rate: float, *, clock: bool, pressed: Callable[[], str] = lambda: ""
-    ) -> None:
+    def __init__(self, node: Node, rate: float, pressed: Callable[[], str]) -> None:
         self.paused = False
         self._rate = rate
         self._pressed = pressed
         self._asked: float | None = None  # since when a pause is wanted, steady clock
         self._now_ns: int | None = None
         self._looked = 0.0
-        self._clock = (
-            node.create_publisher(Clock, "/clock", stream(10, reliable=True)) if clock else None
-        )
+        self._clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
         for name, wanted in (("pause", True), ("resume", False), ("toggle_paused", None)):
             node.create_service(Trigger, f"~/{name}", self._serving(wanted))
         self._executor = SingleThreadedExecutor(context=node.context)
@@ -68,8 +64,7 @@ class PlayTime:
                 self._now_ns += round((now - self._last) * self._rate * SECOND_NS)
             self._last = now
             left = (bag_ns - self._now_ns) / (self._rate * SECOND_NS)
-            if self._clock is not None:
-                self._clock.publish(Clock(clock=time_message(min(self._now_ns, bag_ns))))
+            self._clock.publish(Clock(clock=time_message(min(self._now_ns, bag_ns))))
             if left <= 0.0 and not self.paused:
                 if now - self._looked > PERIOD_S:
                     self._look(0.0)

@@ -66,8 +66,7 @@ def record_live(path: Path, seconds: float) -> Path:
         context.try_shutdown()
     if not recorder.count:
         there = ", ".join(sorted(heard)) or "none"
-        msg = f"nothing came in {seconds:g} s; topics of clouds and poses: {there}"
-        raise ListenError(msg)
+        raise ListenError(f"nothing came in {seconds:g} s; topics of clouds and poses: {there}")
     return path
 
 

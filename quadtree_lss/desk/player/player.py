@@ -16,25 +16,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
-from geometry_msgs.msg import (
-    PointStamped,
-    PolygonInstanceStamped,
-    PolygonStamped,
-    PoseWithCovarianceStamped,
-    TransformStamped,
-)
-from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, DamagedError, unpack
-from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, ODOMETRY_TYPE, SCAN_TYPE
+from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, ODOMETRY_TYPE, POSE_TYPE, SCAN_TYPE
 from quadtree_lss.desk.bags.recorded_file import RawMessage, stamp_of
 from quadtree_lss.desk.bags.topics import (
     GIMBAL_TOPIC,
@@ -48,32 +39,22 @@ from quadtree_lss.desk.bags.topics import (
 from quadtree_lss.desk.player.clock import SECOND_NS, PlayTime, keys_pressed
 from quadtree_lss.desk.replay.stream import MapPairs, Stream
 from quadtree_lss.onboard.errors import QuadtreeLssError
-from quadtree_lss.onboard.messages.landing_inputs import MAX_KEEP_OUTS
-from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED
+from quadtree_lss.onboard.messages import landing_inputs
+from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED, TOPIC_TYPES
 from quadtree_lss.onboard.nodes.qos import latched, stream
+from quadtree_lss.onboard.nodes.ros_messages import TYPES
 
 MATCH_PAUSE_S = 0.5
 """After a publisher sees its match the subscriber may not be ready yet."""
 DEPTH = 200
 BAR_S = 0.2
 """Between two changes of the progress bar."""
-KINDS = {
-    SCAN_TOPIC: PointCloud2,
-    POSE_TOPIC: PoseWithCovarianceStamped,
-    ODOMETRY_TOPIC: Odometry,
-    GIMBAL_TOPIC: TransformStamped,
-    "/landing/area": PolygonStamped,
-    "/landing/keep_out": PolygonStamped,
-    "/landing/keep_outs": PolygonInstanceStamped,
-    "/landing/target": PointStamped,
-    "/landing/dispersion": PoseWithCovarianceStamped,
-    f"/{CELLS}": PointCloud2,
-    f"/{OBSERVED}": OccupancyGrid,
-}
-LANDING_TOPICS = tuple(name for name in KINDS if name.startswith("/landing/"))
-OPTIONAL = (GIMBAL_TOPIC, *LANDING_TOPICS)
+LANDING = {f"/landing/{name}": kind for name, kind in landing_inputs.TYPES.items()}
+MAPS = {f"/{name}": TOPIC_TYPES[name] for name in (CELLS, OBSERVED)}
+KINDS = {SCAN_TOPIC: SCAN_TYPE, POSE_TOPIC: POSE_TYPE, ODOMETRY_TOPIC: ODOMETRY_TYPE}
+KINDS |= {GIMBAL_TOPIC: GIMBAL_TYPE, **LANDING, **MAPS}
+OPTIONAL = (GIMBAL_TOPIC, *LANDING)
 """Played though nobody may listen."""
-MAP_TOPICS = (f"/{CELLS}", f"/{OBSERVED}")
 
 
 class PlayError(QuadtreeLssError):
@@ -97,7 +78,6 @@ def play(
     bag: str | Path,
     *,
     rate: float = 1.0,
-    clock: bool = True,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
     start: float = 0.0,
@@ -112,14 +92,14 @@ def play(
 
     Odometry goes out on ``nav/odometry`` instead. ``lidar/gimbal`` and latched ``landing/area``,
     keep-outs and ``landing/target`` are played if they were recorded, the last three with what was
-    said before the part that is played. A bag that holds maps and no scans is played
-    on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses, or maps, have a
-    subscriber, and at the end until all was acknowledged. The services ``/bag_player/pause``,
-    ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of its terminal.
+    said before the part that is played; ``/clock`` tells the bag's time. A bag that holds maps and
+    no scans is played on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses,
+    or maps, have a subscriber, and at the end until all was acknowledged. The services
+    ``/bag_player/pause``, ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of
+    its terminal.
 
     Args:
         rate: Bag seconds per second.
-        clock: Publish the bag's time on ``/clock``.
         scan_topic, pose_topic, start, duration: As of `replay.replay`.
         wait: How long to wait for subscribers, s.
         namespace, remap: Of the topics published on; ``FROM:=TO`` as after ``-r`` of a node.
@@ -131,8 +111,7 @@ def play(
         PlayError: ROS 1 bag, rate not positive and finite, no subscriber in time.
     """
     if not 0.0 < rate < math.inf:
-        msg = f"rate {rate:g} is not positive and finite"
-        raise PlayError(msg)
+        raise PlayError(f"rate {rate:g} is not positive and finite")
     path = Path(bag)
     if ".bag" in path.suffixes or (path.is_dir() and any(path.glob("*.bag*"))):
         msg = f"{path} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"
@@ -150,12 +129,12 @@ def play(
             publishers = _publishers(node, names)
             needed = [p for recorded, p in publishers.items() if names[recorded] not in OPTIONAL]
             wait_for_subscribers(node, needed, wait)
-            wishes = [recorded for recorded, name in names.items() if name in LANDING_TOPICS]
+            wishes = [recorded for recorded, name in names.items() if name in LANDING]
             for message in source.messages(wishes, 0, part.start_ns):
                 publishers[message.topic].publish(_serialised(message.raw))
             messages = source.messages(list(names), part.start_ns, part.stop_ns)
             with keys_pressed() as pressed:
-                times = PlayTime(node, rate, clock=clock, pressed=pressed)
+                times = PlayTime(node, rate, pressed)
                 began = time.monotonic()
                 sent = _send(_told(messages, part, progress), names, publishers, times)
                 seconds = time.monotonic() - began
@@ -168,7 +147,7 @@ def play(
                 counts.get(POSE_TOPIC, 0) + counts.get(ODOMETRY_TOPIC, 0),
                 seconds,
                 tuple(source.losses),
-                counts.get(MAP_TOPICS[0], 0),
+                counts.get(f"/{CELLS}", 0),
             )
         finally:
             context.try_shutdown()
@@ -178,7 +157,7 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
     """The topics of the bag to play, and the name under which each is published."""
     pairs = MapPairs.alone(bag) if scan_topic is None else None
     if pairs is not None:
-        return dict(zip(pairs.topics, MAP_TOPICS, strict=True))
+        return dict(zip(pairs.topics, MAPS, strict=True))
     poses, kind = choose_pose_topic(bag, pose_topic, "pose")
     names = {
         choose_topic(bag, scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic"): SCAN_TOPIC,
@@ -209,7 +188,7 @@ def _send(
     times: PlayTime,
 ) -> dict[str, int]:
     counts = dict.fromkeys(publishers, 0)
-    newest = {name: 0 for name in names.values() if name not in LANDING_TOPICS}
+    newest = {name: 0 for name in names.values() if name not in LANDING}
     scans = SCAN_TOPIC in newest
     for topic, received_ns, raw in messages:
         # A scan that waits for the pose after it during a pause would be dropped by the node.
@@ -234,10 +213,10 @@ def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
     """For each topic of the bag the publisher of its messages."""
     return {
         recorded: node.create_publisher(
-            KINDS[name],
+            TYPES[KINDS[name]],
             name.lstrip("/"),
-            latched(MAX_KEEP_OUTS if name == "/landing/keep_outs" else 1)
-            if name in (*MAP_TOPICS, *LANDING_TOPICS)
+            latched(landing_inputs.MAX_KEEP_OUTS if name == "/landing/keep_outs" else 1)
+            if name in (*MAPS, *LANDING)
             else stream(DEPTH, reliable=True),
         )
         for recorded, name in names.items()

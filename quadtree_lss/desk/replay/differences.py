@@ -134,15 +134,14 @@ def compare_results(
     a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
     grid = a.grid
     row, column, inside = _nearest(b.grid, grid.x, grid.y)
-    seen_a, seen_b = _seen(grid), inside & _seen(b.grid)[row, column]
+    seen_a, seen_b = grid.seen, inside & b.grid.seen[row, column]
     both = seen_a & seen_b
     y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
     one, other = a.map.at(x, y), b.map.at(x, y)
     difference = np.where(both, other.height - one.height, np.nan)
     known = np.isfinite(difference)
     if not known.any():
-        msg = f"{a.folder} and {b.folder} have seen no ground in common"
-        raise ResultsError(msg)
+        raise ResultsError(f"{a.folder} and {b.folder} have seen no ground in common")
     area = float(grid.spacing**2)
     safe_a, safe_b = both & grid["safe"], both & b.grid["safe"][row, column]
     kept, lost, gained = _sites(a, b)
@@ -175,14 +174,10 @@ def _nearest(grid: Grid, x: Array, y: Array) -> tuple[Any, Any, Mask]:
     return row[:, None], column[None, :], inside[0][:, None] & inside[1][None, :]
 
 
-def _seen(grid: Grid) -> Mask:
-    return (grid["hazard"] & UNSEEN) == 0
-
-
 def _seen_alone(grid: Grid, other: Grid) -> float:
     """Ground that a grid has seen and the other has not, m^2."""
     row, column, inside = _nearest(other, grid.x, grid.y)
-    return grid.spacing**2 * np.count_nonzero(_seen(grid) & ~(inside & _seen(other)[row, column]))
+    return grid.spacing**2 * np.count_nonzero(grid.seen & ~(inside & other.seen[row, column]))
 
 
 def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Array) -> Heights:
@@ -252,8 +247,7 @@ def _write(out: Path, result: Comparison) -> None:
         write_json(out / "comparison.json", result.as_dict())
         write_bytes(out / "comparison.png", _picture(result))
     except OSError as error:
-        msg = f"{out}: cannot be written: {error.strerror}"
-        raise ResultsError(msg) from None
+        raise ResultsError(f"{out}: cannot be written: {error.strerror}") from None
 
 
 def _picture(result: Comparison) -> bytes:

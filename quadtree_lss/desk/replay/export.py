@@ -17,7 +17,7 @@ from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
 from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
-from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED, UNSEEN
+from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
 
 NO_DATA = 255
@@ -91,12 +91,11 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     known = (np.where(raster.seen, values, np.nan) for values in (raster.elevation, deviation))
     names = ("map_height", "map_deviation")
     layers += [(name, v, x, y) for name, v in zip(names, known, strict=True)]
-    unseen = (grid["hazard"] & UNSEEN) > 0
     looks = _looks()
     written = []
     for name, values, across, along in layers:
         if name == "safe":
-            values = np.where(unseen, NO_DATA, values).astype(np.uint8)
+            values = np.where(grid.seen, values, NO_DATA).astype(np.uint8)
         path = folder / f"{name}.tif"
         unit, words = LAYERS.get(name, ("", ""))
         look = looks.get(name, {})
@@ -157,10 +156,9 @@ def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
     """``hazards`` as the topic has it, and ``landing``: free where landing is allowed."""
     grid = results.grid
     hazard, safe = np.asarray(grid["hazard"]), np.asarray(grid["safe"])
-    unseen = (hazard & UNSEEN) > 0
     maps = {
-        "hazards": np.where((hazard & IDENTIFIED) > 0, 100, np.where(unseen, -1, 0)),
-        "landing": np.where(safe, 0, np.where(unseen, -1, 100)),
+        "hazards": np.where((hazard & IDENTIFIED) > 0, 100, np.where(grid.seen, 0, -1)),
+        "landing": np.where(safe, 0, np.where(grid.seen, 100, -1)),
     }
     written: list[Path] = []
     for name, values in maps.items():

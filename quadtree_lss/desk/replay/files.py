@@ -93,8 +93,7 @@ def new_folder(root: Path) -> Path:
     for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
         if not (root / f"{name}{suffix}").exists():
             return root / f"{name}{suffix}"
-    msg = f"{root}: a thousand results of one second"
-    raise OSError(msg)
+    raise OSError(f"{root}: a thousand results of one second")
 
 
 def link_latest(folder: Path) -> Path | None:

@@ -308,14 +308,11 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
         if topic.backward:
             found.append(Finding("order", f"{topic.name}: {topic.backward} stamps go back in time"))
         if topic.first_stamp_ns < OLD_STAMP_NS:
-            text = (
-                f"{topic.name}: stamps of 1970: they count from a computer's start, which is fine"
-            )
-            found.append(Finding("boot", f"{text} as long as scans and poses agree"))
+            text = f"{topic.name}: stamps of 1970: they count from a computer's start, which is"
+            found.append(Finding("boot", f"{text} fine as long as scans and poses agree"))
         if len(topic.frames) > 1:
-            found.append(
-                Finding("frames", f"{topic.name}: several frames: {', '.join(topic.frames)}")
-            )
+            text = f"{topic.name}: several frames: {', '.join(topic.frames)}"
+            found.append(Finding("frames", text))
     both = (scans.first_stamp_ns, scans.last_stamp_ns, poses.first_stamp_ns, poses.last_stamp_ns)
     if None not in both:
         first, last, begin, end = (value or 0 for value in both)
@@ -334,15 +331,10 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
         found.append(Finding("no_pose", "no scan has a pose at its stamp", fatal=True))
     if poses.rate < scans.rate:
         gap = config.pose.max_gap
-        text = (
-            f"poses come at {poses.rate:.1f} Hz, scans at {scans.rate:.1f} Hz: interpolation over"
-        )
-        mend = ""
-        if poses.rate * gap < 1.0:
-            mend = (
-                f"raise the poses' rate above the scans', or pose.max_gap: {1.5 / poses.rate:.2g}"
-            )
-        found.append(Finding("rate", f"{text} up to pose.max_gap = {gap:g} s", mend))
+        text = f"poses come at {poses.rate:.1f} Hz, scans at {scans.rate:.1f} Hz: interpolation"
+        mend = f"raise the poses' rate above the scans', or pose.max_gap: {1.5 / poses.rate:.2g}"
+        mend = mend if poses.rate * gap < 1.0 else ""
+        found.append(Finding("rate", f"{text} over up to pose.max_gap = {gap:g} s", mend))
     return found
 
 

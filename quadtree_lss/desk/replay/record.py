@@ -9,14 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces as ros
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 
@@ -26,18 +19,11 @@ from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.outputs import GRID_MAP, GRID_MAP_TYPE, TOPIC_TYPES, MessageMaker
 
-_NO_TIME = QosTime(0, 0)
-LATCHED = Qos(
-    QosHistory.KEEP_LAST,
-    1,
-    QosReliability.RELIABLE,
-    QosDurability.TRANSIENT_LOCAL,
-    _NO_TIME,
-    _NO_TIME,
-    QosLiveliness.AUTOMATIC,
-    _NO_TIME,
-    False,
-)
+VIEWER_NS = 10**9
+"""Between two messages of ``landing/grid_map``, which is large; the last is always written."""
+_NO_TIME = ros.QosTime(0, 0)
+_KEPT = ros.QosHistory.KEEP_LAST, 1, ros.QosReliability.RELIABLE, ros.QosDurability.TRANSIENT_LOCAL
+LATCHED = ros.Qos(*_KEPT, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_TIME, False)
 """So that `ros2 bag play` serves late subscribers, as the nodes do."""
 
 
@@ -48,22 +34,17 @@ class Recorder:
         path: Folder to write, which must not exist.
         frame: Of the map.
         maps: Write maps too; not for a bag that holds them already.
-        viewer_rate: ``landing/grid_map``, which is large, at most so often in the bag's time, Hz,
-            and the last.
 
     Raises:
         ReplayError: ``path`` exists or cannot be written.
     """
 
-    def __init__(
-        self, path: Path, frame: str, *, maps: bool = True, viewer_rate: float = 1.0
-    ) -> None:
+    def __init__(self, path: Path, frame: str, *, maps: bool = True) -> None:
         self._path, self._maps = path, maps
         self._writer = self._open()
         self._store = typestore(ros1=False)
         self._messages = MessageMaker(self._store.types, np.asarray, frame)
         self._connections: dict[str, Any] = {}
-        self._period_ns = round(1e9 / viewer_rate)
         self._viewed_ns: int | None = None
         self._unseen: tuple[int, LandingAssessment] | None = None
 
@@ -89,7 +70,7 @@ class Recorder:
         for topic, message in self._messages.of_landing(found, age):
             self._write(topic, message, now_ns)
         self._unseen = (now_ns, found)
-        if self._viewed_ns is None or abs(now_ns - self._viewed_ns) >= self._period_ns:
+        if self._viewed_ns is None or abs(now_ns - self._viewed_ns) >= VIEWER_NS:
             self._view(now_ns, found)
 
     def _view(self, now_ns: int, found: LandingAssessment) -> None:
@@ -108,8 +89,7 @@ class Recorder:
                 text = f"{error.filename}: {error.strerror}"
             if self._path.exists():
                 text = "it exists already"
-            msg = f"--record {self._path}: cannot be written: {text}"
-            raise ReplayError(msg) from None
+            raise ReplayError(f"--record {self._path}: cannot be written: {text}") from None
         return writer
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:

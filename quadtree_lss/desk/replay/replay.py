@@ -74,7 +74,7 @@ def replay(
     """
     folder = None if out is None else Path(out)
     began = time.perf_counter()
-    run, stream = Run(config, progress, stop), Stream(scan_topic, pose_topic, start, duration)
+    stream = Stream(scan_topic, pose_topic, start, duration)
     with ExitStack() as stack:
         given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
         opened = stack.enter_context(given)
@@ -85,10 +85,10 @@ def replay(
             stream.limit(opened)
         wishes = LandingWishes(config.frames.map, landing)
         stream.navigation = wishes.navigation
-        run.landing = LandingTopics(wishes, opened, stream.start_ns)
+        topics = LandingTopics(wishes, opened, stream.start_ns)
         made = _make_folder(folder)
         try:
-            history = run.history = History()
+            history = History()
             sinks: list[Sink] = [history]
             if record is not None:
                 from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
@@ -96,12 +96,9 @@ def replay(
                 options = {"maps": pairs is None}
                 recorder = Recorder(Path(record), config.frames.map, **options)
                 sinks.append(stack.enter_context(recorder))
-            passes = run.passes = Passes(config, wishes.arguments, sinks)
-            cells = (
-                run.map_scans(opened, stream)
-                if pairs is None
-                else run.read_maps(opened, stream, pairs)
-            )
+            passes = Passes(config, wishes.arguments, sinks)
+            run = Run(config, stream, passes, topics, history, progress, stop)
+            cells = run.map_scans(opened) if pairs is None else run.read_maps(opened, pairs)
         except BaseException:
             if made is not None:
                 with contextlib.suppress(OSError):  # not empty: somebody else's files
@@ -149,17 +146,8 @@ def replay(
         "losses": losses,
         "warnings": warnings,
     }
-    result = ReplayResult(
-        folder,
-        decoded,
-        assessment,
-        tuple(run.timings),
-        summary,
-        losses,
-        warnings,
-        run.interrupted,
-        tuple(passes.changes),
-    )
+    ends = losses, warnings, run.interrupted, tuple(passes.changes)
+    result = ReplayResult(folder, decoded, assessment, tuple(run.timings), summary, *ends)
     if folder is not None:
         write_results(folder, result, config, report, history)
     return result
@@ -181,6 +169,5 @@ def _make_folder(folder: Path | None) -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"{folder}: cannot be written: {error.strerror}"
-        raise ReplayError(msg) from None
+        raise ReplayError(f"{folder}: cannot be written: {error.strerror}") from None
     return folder if fresh else None

@@ -23,9 +23,10 @@ from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.desk.replay.result import ReplayResult, ScanTiming
 from quadtree_lss.desk.replay.stream import ReplayError
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.loading import dump_config, load_config, read_values
 from quadtree_lss.onboard.config.settings import Config, still_parameters
+from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -59,8 +60,7 @@ def write_results(
     try:
         _write(out, result, config, report, history or History())
     except OSError as error:
-        msg = f"{out}: cannot be written: {error.strerror}"
-        raise ReplayError(msg) from None
+        raise ReplayError(f"{out}: cannot be written: {error.strerror}") from None
 
 
 def _write(out: Path, result: ReplayResult, config: Config, report: bool, history: History) -> None:
@@ -148,11 +148,22 @@ class Grid:
     @property
     def spacing(self) -> float:
         """Distance of neighbouring grid points, m."""
-        return float(self.x[1] - self.x[0]) if len(self.x) > 1 else 1.0
+        return float(self.x[-1] - self.x[0]) / (self.x.size - 1) if self.x.size > 1 else 1.0
+
+    @property
+    def seen(self) -> Mask:
+        """(ny, nx) of the grid points on seen ground that is mapped."""
+        return np.asarray((self["hazard"] & UNSEEN) == 0)
 
     def __repr__(self) -> str:
         shape = f"{len(self.x)} x {len(self.y)} grid points, {self.spacing:g} m apart"
         return f"<Grid: {shape}; {', '.join(self.layers)}>"
+
+
+def grid_of(assessment: LandingAssessment) -> Grid:
+    """What ``grid.npz`` would hold."""
+    arrays = grid_arrays(assessment)
+    return Grid(arrays.pop("x"), arrays.pop("y"), arrays)
 
 
 @dataclass(frozen=True, repr=False)
@@ -232,8 +243,7 @@ def load_results(folder: str | os.PathLike[str]) -> Results:
     folder has no ``summary.json`` or no ``grid.npz``."""
     path = Path(folder)
     if not path.is_dir():
-        msg = f"{path} is not a results folder"
-        raise ResultsError(msg)
+        raise ResultsError(f"{path} is not a results folder")
     for name in ("summary.json", "grid.npz"):
         if not (path / name).is_file():
             msg = f"{path} has no {name}: replay did not write this folder"
@@ -247,6 +257,8 @@ def _cell_map(path: Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
     missing = [name for name in (*NEEDED, *NEEDED_ELSE) if name not in a]
     if missing:
         raise _unreadable(path, f"it lacks {', '.join(missing)}: replay the bag again")
+    if a["domain"].shape != (5,):
+        raise _unreadable(path, "domain has another size than 5")
     xmin, ymin, size, low, high = a["domain"].tolist()
     domain = Domain(xmin, ymin, size, int(low), int(high))
     leaves, sides = len(a["level"]), (domain.finest_count,) * 2

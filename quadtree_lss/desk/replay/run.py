@@ -7,10 +7,11 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.replay.history import History
+from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.points import points_warning
 from quadtree_lss.desk.replay.result import ScanTiming
 from quadtree_lss.desk.replay.stream import SECOND_NS, LandingTopics, MapPairs, ReplayError, Stream
@@ -29,10 +30,6 @@ from quadtree_lss.onboard.messages.lost_points import (
     overruled_text,
 )
 
-if TYPE_CHECKING:
-    from quadtree_lss.desk.replay.history import History
-    from quadtree_lss.desk.replay.passes import Passes
-
 Progress = Callable[[float, float], None]
 """Called with the seconds of the bag that are done and the seconds there are."""
 
@@ -43,11 +40,12 @@ class Run:
 
     Args:
         config: Everything that can be set.
+        stream: What is read.
+        passes: Gets the maps as they come.
+        landing: Hears areas, keep-outs and targets as they come.
+        history: Notes where the lidar looked.
         progress: See `Progress`.
         stop: Asked after each message; True ends the run there, which is then ``interrupted``.
-        passes: Gets the maps as they come, or None.
-        landing: Hears areas, keep-outs and targets as they come, or None.
-        history: Notes where the lidar looked, or None.
 
     Attributes:
         done_ns: Time of reception up to which the bag was processed.
@@ -58,11 +56,12 @@ class Run:
     """
 
     config: Config
+    stream: Stream
+    passes: Passes
+    landing: LandingTopics
+    history: History
     progress: Progress | None = None
     stop: Callable[[], bool] | None = None
-    passes: Passes | None = None
-    landing: LandingTopics | None = None
-    history: History | None = None
     interrupted: bool = False
     done_ns: int = 0
     timings: list[ScanTiming] = field(default_factory=list)
@@ -81,24 +80,22 @@ class Run:
         self._missed_why = ""
         self._shown_ns = 0
 
-    def map_scans(self, bag: Bag, stream: Stream) -> CellMap:
+    def map_scans(self, bag: Bag) -> CellMap:
         """Maps every scan of the stream. Raises `ReplayError`: there was none that could be mapped;
         or KeyboardInterrupt: stopped before there was one."""
+        stream, mapper = self.stream, Mapper(self.config)
         self.intake = stream.intake(self.config)
-        mapper = Mapper(self.config)
-        for message in self._messages(bag, stream.topics, stream):
+        for message in self._messages(bag, stream.topics):
             began = time.perf_counter()
             stamp_ns = stream.take(bag, self.intake, message)
             if stamp_ns is not None:
                 self._decode_ms[stamp_ns] = 1e3 * (time.perf_counter() - began)
             for scan in self.intake.ready(message.received_ns):
                 self._map(mapper, scan)
-                if self.passes is not None:
-                    self.passes.changed()
+                self.passes.changed()
             self._note()
-            if self.passes is not None:
-                self.passes.tick(message.received_ns, mapper.snapshot)
-            if self._ends_after(message.received_ns, stream):
+            self.passes.tick(message.received_ns, mapper.snapshot)
+            if self._ends_after(message.received_ns):
                 break
         self.intake.finish()
         self._note()
@@ -106,11 +103,11 @@ class Run:
         self._need(bool(self.timings), bag, "no scan could be mapped", "there is no scan")
         return mapper.snapshot()
 
-    def read_maps(self, bag: Bag, stream: Stream, pairs: MapPairs) -> CellMap:
+    def read_maps(self, bag: Bag, pairs: MapPairs) -> CellMap:
         """The last map of a bag of maps; the landing passes get all of them. Raises as
         `map_scans`."""
         last: CellMap | None = None
-        for message in self._messages(bag, pairs.topics, stream):
+        for message in self._messages(bag, pairs.topics):
             try:
                 found = pairs.take(bag, message, self.config.lss)
             except MessageError as error:
@@ -118,27 +115,25 @@ class Run:
                 found = None
             if found is not None:
                 last, self.maps = found, self.maps + 1
-                if self.passes is not None:
-                    self.passes.changed()
+                self.passes.changed()
             self._note()
-            if self.passes is not None and last is not None:
+            if last is not None:
                 newest = last
                 self.passes.tick(message.received_ns, lambda: newest)  # noqa: B023
-            if self._ends_after(message.received_ns, stream):
+            if self._ends_after(message.received_ns):
                 break
         self._need(last is not None, bag, "no map can be read", "no cells with observed cells")
         assert last is not None
         return last
 
-    def _messages(self, bag: Bag, topics: Iterable[str], stream: Stream) -> Iterator[RawMessage]:
+    def _messages(self, bag: Bag, topics: Iterable[str]) -> Iterator[RawMessage]:
         """Those of the topics; what is asked of landing goes where it is heard."""
-        landing = self.landing
-        wanted = [*topics, *(landing.names if landing is not None else ())]
-        for message in bag.messages(wanted, stream.start_ns, stream.stop_ns):
-            if landing is None or not landing.take(bag, message):
-                yield message
-            elif self.passes is not None:
+        limits = self.stream.start_ns, self.stream.stop_ns
+        for message in bag.messages([*topics, *self.landing.names], *limits):
+            if self.landing.take(bag, message):
                 self.passes.landing_changed()
+            else:
+                yield message
 
     @property
     def points(self) -> int:
@@ -150,7 +145,7 @@ class Run:
         """Those of them that entered the map."""
         return self.points - sum(self.points_dropped.values())
 
-    def lost_points(self) -> str | None:
+    def _lost_points(self) -> str | None:
         """Why less than half of the points entered the map; None if more did."""
         d = self.config.domain
         domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
@@ -159,8 +154,7 @@ class Run:
 
     def warnings(self) -> list[str]:
         """One line per kind of trouble, most frequent first."""
-        lost = self.lost_points()
-        lines = [] if lost is None else [lost]
+        lines = list(filter(None, [self._lost_points()]))
         lines += [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
         if self.refused_divisions:
             lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
@@ -176,14 +170,14 @@ class Run:
         if self.interrupted:
             raise KeyboardInterrupt
         causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
-        msg = f"{bag.path}: {failure}: {causes}"
-        raise ReplayError(msg)
+        raise ReplayError(f"{bag.path}: {failure}: {causes}")
 
-    def _ends_after(self, received_ns: int, stream: Stream) -> bool:
+    def _ends_after(self, received_ns: int) -> bool:
         self.done_ns = received_ns
         if self.progress is not None and received_ns - self._shown_ns >= SECOND_NS // 5:
             self._shown_ns = received_ns
-            self.progress((received_ns - stream.start_ns) / SECOND_NS, stream.seconds)
+            done = (received_ns - self.stream.start_ns) / SECOND_NS
+            self.progress(done, self.stream.seconds)
         self.interrupted = self.stop is not None and self.stop()
         return self.interrupted
 
@@ -193,8 +187,7 @@ class Run:
         map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
         if len(self._decode_ms) > 2 * self.config.pose.queue:
             self._decode_ms.clear()  # those of dropped scans
-        if self.history is not None:
-            self.history.scan(scan)
+        self.history.scan(scan)
         self.points_dropped.update(report.dropped)
         if misplaced(report) and not self._missed_why:
             self._missed_at = report.centre
@@ -206,16 +199,8 @@ class Run:
         self.noise_ratio = report.noise_ratio
         if len(self.timings) % LEAST == 0:
             self._judge_poses(mapper)
-        self.timings.append(
-            ScanTiming(
-                report.stamp_ns,
-                report.points,
-                report.points_used,
-                report.leaves,
-                report.divisions,
-                map_ms,
-            )
-        )
+        counts = report.points, report.points_used, report.leaves, report.divisions
+        self.timings.append(ScanTiming(report.stamp_ns, *counts, map_ms))
 
     def _judge_poses(self, mapper: Mapper) -> None:
         notices = pose_notices(mapper.pose_errors(), self.config)
@@ -232,12 +217,9 @@ class Run:
         return [one_line(f"{self._notices[k]} messages lost: {self._texts[k]}") for k in others]
 
     def _note(self) -> None:
-        told = self.intake.notices()
-        if self.landing is not None:
-            told += self.landing.notices
-            self.landing.notices.clear()
-        for notice in told:
+        for notice in (*self.intake.notices(), *self.landing.notices):
             self._tell(notice.reason, notice.text)
+        self.landing.notices.clear()
 
     def _tell(self, reason: str, text: str) -> None:
         self._notices[reason] += 1

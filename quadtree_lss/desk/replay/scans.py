@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import open_recording
@@ -46,21 +46,11 @@ class Step(NamedTuple):
     mapper: Mapper
 
 
-def steps(
-    bag: str | Path | Bag,
-    config: Config,
-    *,
-    scan_topic: str | None = None,
-    pose_topic: str | None = None,
-    poses: str | Path | None = None,
-    start: float = 0.0,
-    duration: float | None = None,
-) -> Iterator[Step]:
+def steps(bag: str | Path | Bag, config: Config, **options: Any) -> Iterator[Step]:
     """Maps a bag scan by scan; ``step.mapper.snapshot()`` is the map so far.
 
-    Arguments and errors are those of `scans`.
+    Arguments, options and errors are those of `scans`.
     """
     mapper = Mapper(config)
-    options = {"scan_topic": scan_topic, "pose_topic": pose_topic, "poses": poses}
-    for scan in scans(bag, config, **options, start=start, duration=duration):
+    for scan in scans(bag, config, **options):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)

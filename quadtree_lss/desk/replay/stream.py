@@ -117,11 +117,9 @@ class Stream:
         self.bag = str(bag.path.resolve())
         length = (bag.end_ns - bag.start_ns) / SECOND_NS
         if not 0.0 <= self.start <= length:
-            msg = f"--start {self.start:g} s is outside the bag's {length:.3f} s"
-            raise ReplayError(msg)
+            raise ReplayError(f"--start {self.start:g} s is outside the bag's {length:.3f} s")
         if self.duration is not None and not 0.0 < self.duration < math.inf:
-            msg = f"--duration {self.duration:g} s is not positive and finite"
-            raise ReplayError(msg)
+            raise ReplayError(f"--duration {self.duration:g} s is not positive and finite")
         self.start_ns = bag.start_ns + round(self.start * SECOND_NS)
         self.stop_ns = bag.end_ns + 1
         if self.duration is not None:

@@ -82,8 +82,7 @@ def suggest_config(
         causes = [notice.text for notice in intake.notices()]
     if not seen.places:
         why = causes[0] if causes else "no scan has a pose and a return"
-        msg = f"{bag}: nothing to suggest from: {why}"
-        raise ReplayError(msg)
+        raise ReplayError(f"{bag}: nothing to suggest from: {why}")
     return seen.suggestion(Path(bag), config)
 
 

@@ -33,8 +33,6 @@ def _page(
     result: CampaignResult, times: Sequence[Mapping[str, str]], pictures: Mapping[str, bytes]
 ) -> str:
     note = f"{len(result.records)} of {result.study.count} flights"
-    if result.enough is not None:
-        note += f", {result.enough} were enough"
     if result.failed:
         note += f", {len(result.failed)} failed"
     return render(

@@ -19,7 +19,7 @@ from typing import Any
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Flown, kind_of
 from quadtree_lss.lab.campaign.store import Record, Store
 from quadtree_lss.lab.campaign.study import Study, this_build
-from quadtree_lss.lab.campaign.summary import CampaignResult, narrow_enough, write_summary
+from quadtree_lss.lab.campaign.summary import CampaignResult, write_summary
 from quadtree_lss.onboard.errors import one_line
 
 Progress = Callable[[int, int], None]
@@ -38,8 +38,6 @@ TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
 """One and the same from Python 3.11 on."""
 NO_WORKER_S = 60.0
 """After so long without a worker nobody will come."""
-TURN = 20
-"""Flights after which it is asked again whether an interval is narrow enough."""
 
 
 @dataclass(frozen=True)
@@ -95,25 +93,21 @@ def campaign(
                 store.forget(study.case(index))
             elif record is not None:
                 records[index] = record
-        enough = _Enough(study, records)
         missing = iter(i for i in range(study.count) if i not in records)
         tell_progress = progress or (lambda done, total: None)
         tell_progress(len(records), study.count)
         interrupted = False
-        if len(records) < study.count and not enough.reached():
+        if len(records) < study.count:
             with _client(where or Where()) as client:
                 if tell is not None:
                     tell(f"dashboard: {client.dashboard_link}")
-                for record in _fly_all(client, study, store, missing, enough, stopped):
+                for record in _fly_all(client, study, store, missing, stopped):
                     records[record.index] = record
                     tell_progress(len(records), study.count)
-                interrupted = stopped() and not enough.reached() and len(records) < study.count
+                interrupted = stopped() and len(records) < study.count
         if interrupted and not records:
             raise KeyboardInterrupt
-        kept = dict(sorted(records.items()))
-        if enough.count is not None:
-            kept = {index: record for index, record in kept.items() if index < enough.count}
-        result = CampaignResult(store.out, study, kept, interrupted, enough.count)
+        result = CampaignResult(store.out, study, dict(sorted(records.items())), interrupted)
         write_summary(result, store)
         return result
 
@@ -128,8 +122,7 @@ def flagged(out: str | Path) -> list[int]:
         worst = json.loads((Path(out) / "campaign.json").read_text("utf-8"))["worst"]
         return sorted({int(index) for pairs in worst.values() for index, _ in pairs})
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        msg = f"{out} is no folder of a campaign that was summed up"
-        raise CampaignError(msg) from None
+        raise CampaignError(f"{out} is no folder of a campaign that was summed up") from None
 
 
 def keep(study: Study, out: str | Path, index: int) -> Path:
@@ -142,8 +135,7 @@ def keep(study: Study, out: str | Path, index: int) -> Path:
     with store.opened():
         count = replace(study, repeats=study.repeats + store.added()).count
     if not 0 <= index < count or (study.seeds and index >= study.count):
-        msg = f"there is no flight {index}"
-        raise CampaignError(msg)
+        raise CampaignError(f"there is no flight {index}")
     folder = store.out / "kept" / f"{index:06d}"
     kind_of(study.kind).keep(study.case(index), folder)
     return folder
@@ -154,32 +146,6 @@ def _extended(study: Study, added: int) -> Study:
         msg = "flights are added to a number of flights; of seeds, name more in the study"
         raise CampaignError(msg)
     return replace(study, repeats=study.repeats + -(-added // len(study.combinations)))
-
-
-class _Enough:
-    """Whether the first flights, without a gap, have an interval as narrow as was asked for.
-
-    Only whole turns count, so that the answer does not depend on which flight ends first.
-    """
-
-    def __init__(self, study: Study, records: dict[int, Record]) -> None:
-        self.study, self.records = study, records
-        self.count: int | None = None
-        self._first = 0
-
-    def reached(self) -> bool:
-        """Looks at what is new."""
-        if self.study.until is None or self.count is not None:
-            return self.count is not None
-        while self._first in self.records:
-            self._first += 1
-            if self._first % (TURN * len(self.study.combinations)):
-                continue
-            first = [self.records[index] for index in range(self._first)]
-            if narrow_enough(self.study, first):
-                self.count = self._first
-                return True
-        return False
 
 
 def fly(case: Case) -> Flown | str:
@@ -202,7 +168,6 @@ def _fly_all(
     study: Study,
     store: Store,
     missing: Iterator[int],
-    enough: _Enough,
     stop: Callable[[], bool],
 ) -> Iterator[Record]:
     """Keeps two flights for each worker on the way, so that a million need no more memory."""
@@ -217,8 +182,7 @@ def _fly_all(
         if threads:
             seen = time.monotonic()
         elif time.monotonic() - seen > NO_WORKER_S:
-            msg = f"the scheduler has had no worker for {NO_WORKER_S:.0f} s"
-            raise CampaignError(msg)
+            raise CampaignError(f"the scheduler has had no worker for {NO_WORKER_S:.0f} s")
         while len(running) < 2 * max(threads, 1):
             index = next(missing, None)
             if index is None:
@@ -228,7 +192,7 @@ def _fly_all(
             running[future] = case
 
     fill()
-    while running and not stop() and not enough.reached():
+    while running and not stop():
         with contextlib.suppress(*TIMED_OUT):
             wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
         for future in [f for f in running if f.done()]:
@@ -261,12 +225,10 @@ def _client(where: Where) -> Iterator[Any]:
         import dask
         from dask.distributed import Client, LocalCluster
     except ImportError as error:
-        msg = f"campaigns need Dask: {REMEDY}"
-        raise CampaignError(msg) from error
+        raise CampaignError(f"campaigns need Dask: {REMEDY}") from error
     given = [v for v in (where.workers, where.scheduler_address, where.scheduler_file) if v]
     if len(given) > 1:
-        msg = "workers, scheduler_address and scheduler_file exclude one another"
-        raise CampaignError(msg)
+        raise CampaignError("workers, scheduler_address and scheduler_file exclude one another")
     for name in ("distributed", "asyncio", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
@@ -275,8 +237,7 @@ def _client(where: Where) -> Iterator[Any]:
                 how: dict[str, Any] = {"timeout": "20s"}
                 if where.scheduler_file:
                     if not Path(where.scheduler_file).is_file():
-                        msg = f"{where.scheduler_file}: no such file"
-                        raise CampaignError(msg)
+                        raise CampaignError(f"{where.scheduler_file}: no such file")
                     how["scheduler_file"] = where.scheduler_file
                 else:
                     how["address"] = where.scheduler_address

@@ -127,9 +127,7 @@ def kind_of(name: str) -> Kind:
         try:
             kind = getattr(importlib.import_module(module), attribute)
         except (ImportError, AttributeError, ValueError) as error:
-            msg = f"kind {name!r} cannot be imported: {error}"
-            raise CampaignError(msg) from error
+            raise CampaignError(f"kind {name!r} cannot be imported: {error}") from error
         if isinstance(kind, Kind):
             return kind
-    msg = f"unknown kind {name!r}; there are {', '.join(sorted(REGISTERED))}"
-    raise CampaignError(msg)
+    raise CampaignError(f"unknown kind {name!r}; there are {', '.join(sorted(REGISTERED))}")

@@ -11,21 +11,8 @@ from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity
 from quadtree_lss.lab.flight import fly as lockstep
 from quadtree_lss.lab.flight.settings import AVOIDANCE, FlightSettings, flight_settings
 
-CONDITIONS = (
-    "terrain",
-    "rocks",
-    "range_noise",
-    "outliers",
-    "dropouts",
-    "half",
-    "slant_range",
-    "speed",
-    "glide_slope_deg",
-    "scatter",
-    "survey",
-    "fault",
-    "reference",
-)
+CONDITIONS = "terrain rocks range_noise outliers dropouts half".split()
+CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault reference".split()
 """As of ``flight.settings``; ``survey`` is the first pass of the lidar, s."""
 
 

@@ -18,9 +18,9 @@ from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, sco
 from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
-from quadtree_lss.lab.simulation import SCENARIOS, simulate
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, TYPES
-from quadtree_lss.lab.simulation.scenarios import Conditions
+from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
+from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config

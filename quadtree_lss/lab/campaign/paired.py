@@ -49,17 +49,9 @@ class Comparison:
         for d in self.differences:
             digits = f".{max(d.quantity.digits, 2)}f"
             flight = "-" if d.largest_flight is None else str(d.largest_flight)
-            rows.append(
-                (
-                    d.quantity.label,
-                    f"{d.first:{digits}}",
-                    f"{d.second:{digits}}",
-                    f"{d.mean:+{digits}}",
-                    f"{d.low:+{digits}} … {d.high:+{digits}}",
-                    f"{d.better} / {d.worse}",
-                    flight,
-                )
-            )
+            values = f"{d.first:{digits}}", f"{d.second:{digits}}", f"{d.mean:+{digits}}"
+            interval = f"{d.low:+{digits}} … {d.high:+{digits}}"
+            rows.append((d.quantity.label, *values, interval, f"{d.better} / {d.worse}", flight))
         lines = aligned(rows)
         pairs = max((d.count for d in self.differences), default=0)
         lines.append(f"{pairs} pairs of flights; the flight is where the second lost most")
@@ -85,16 +77,14 @@ def compare_campaigns(first: str | Path, second: str | Path) -> Comparison:
     """
     (kind, one), (other_kind, two) = read_campaign(Path(first)), read_campaign(Path(second))
     if kind != other_kind:
-        msg = f"{first} is of kind {kind}, {second} of {other_kind}"
-        raise CampaignError(msg)
+        raise CampaignError(f"{first} is of kind {kind}, {second} of {other_kind}")
     pairs = [
         (one[index], two[index])
         for index in sorted(one.keys() & two.keys())
         if one[index].seed == two[index].seed
     ]
     if not pairs:
-        msg = f"{first} and {second} have no flight of the same number and seed"
-        raise CampaignError(msg)
+        raise CampaignError(f"{first} and {second} have no flight of the same number and seed")
     quantities = kind_of(kind).quantities
     differences = (_difference(quantity, pairs) for quantity in quantities)
     return Comparison(
@@ -116,16 +106,7 @@ def _difference(quantity: Quantity, pairs: list[tuple[Record, Record]]) -> Diffe
     low, high = bootstrap(change)
     at = int(gain.argmin())
     flight = pairs[int(np.flatnonzero(known)[at])][0].index if gain[at] < 0.0 else None
-    return Difference(
-        quantity,
-        float(values[:, 0].mean()),
-        float(values[:, 1].mean()),
-        float(change.mean()),
-        low,
-        high,
-        int((gain > 0.0).sum()),
-        int((gain < 0.0).sum()),
-        float(change[at]),
-        flight,
-        int(change.size),
-    )
+    means = (float(of.mean()) for of in (values[:, 0], values[:, 1], change))
+    better, worse = int((gain > 0.0).sum()), int((gain < 0.0).sum())
+    rest = better, worse, float(change[at]), flight, int(change.size)
+    return Difference(quantity, *means, low, high, *rest)

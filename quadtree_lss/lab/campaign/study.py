@@ -23,19 +23,7 @@ from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import values_from_config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 
-KEYS = (
-    "name",
-    "kind",
-    "scenario",
-    "config",
-    "seed",
-    "flights",
-    "seeds",
-    "conditions",
-    "parameters",
-    "cases",
-    "until",
-)
+KEYS = tuple("name kind scenario config seed flights seeds conditions parameters cases".split())
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
 
 
@@ -77,7 +65,6 @@ class Study:
         seed: Entropy of the flights' seeds, unless ``seeds`` names them.
         repeats: Flights of each combination.
         combinations: What of the lists goes together, in turn.
-        until: Quantity and half width of its interval at which enough was flown, or None.
         files: Configurations of each case.
     """
 
@@ -89,7 +76,6 @@ class Study:
     combinations: tuple[Combination, ...] = ({},)
     files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     varied: tuple[str, ...] = ()
-    until: tuple[str, float] | None = None
 
     @property
     def count(self) -> int:
@@ -166,18 +152,15 @@ def read_study(path: str | Path) -> Study:
         msg = f"{file}: cannot be read: {getattr(error, 'strerror', None) or error}"
         raise CampaignError(msg) from None
     except YamlError as error:
-        msg = f"{file}: {error}"
-        raise CampaignError(msg) from None
+        raise CampaignError(f"{file}: {error}") from None
     if not isinstance(content, Mapping):
-        msg = f"{file}: a study is a mapping with some of {', '.join(KEYS)}"
-        raise CampaignError(msg)
+        raise CampaignError(f"{file}: a study is a mapping with some of {', '.join(KEYS)}")
     try:
         study = _study(content, file)
         for index in range(min(study.count, len(study.combinations))):
             study.case(index)
     except CampaignError as error:
-        msg = f"{file}: {error}"
-        raise CampaignError(msg) from None
+        raise CampaignError(f"{file}: {error}") from None
     return study
 
 
@@ -186,8 +169,7 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
     kind = kind_of(str(content.get("kind", "map")))
     seeds: tuple[int, ...] = ()
     if ("seeds" in content) == ("flights" in content):
-        msg = "needs either seeds (101-120) or flights (a number, with seed)"
-        raise CampaignError(msg)
+        raise CampaignError("needs either seeds (101-120) or flights (a number, with seed)")
     if "seeds" in content:
         seeds = tuple(parse_seeds(str(content["seeds"])))
     seed = _whole(content.get("seed", 0), "seed", 0)
@@ -196,14 +178,12 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
     files: dict[str, tuple[str, ...]] = {}
     cases = content.get("cases") or [{}]
     if not isinstance(cases, list) or not all(isinstance(case, Mapping) for case in cases):
-        msg = "cases must be a list of mappings"
-        raise CampaignError(msg)
+        raise CampaignError("cases must be a list of mappings")
     for number, case in enumerate(cases, start=1):
         _only(case, OF_CASES, f"case {number}")
         name = str(case.get("name", number))
         if name in files:
-            msg = f"two cases are called {name!r}"
-            raise CampaignError(msg)
+            raise CampaignError(f"two cases are called {name!r}")
         named = case.get("config", content.get("config", []))
         listed = [named] if isinstance(named, str) else list(named or [])
         files[name] = tuple(str(_beside(entry, file)) for entry in listed)
@@ -213,16 +193,8 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
     listed_names = {
         name for part, name in keys if len({repr(c.get((part, name))) for c in combinations}) > 1
     }
-    until = content.get("until")
-    if until is not None:
-        if not isinstance(until, Mapping) or set(until) != {"quantity", "half_width"}:
-            msg = "until needs quantity and half_width"
-            raise CampaignError(msg)
-        kind.quantity(str(until["quantity"]))
-        until = (str(until["quantity"]), float(until["half_width"]))
     if repeats * len(combinations) > MOST_FLIGHTS:
-        msg = f"{repeats * len(combinations)} flights; {MOST_FLIGHTS} is the most"
-        raise CampaignError(msg)
+        raise CampaignError(f"{repeats * len(combinations)} flights; {MOST_FLIGHTS} is the most")
     return Study(
         name=str(content.get("name", file.stem)),
         kind=str(content.get("kind", "map")),
@@ -232,7 +204,6 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         combinations=tuple(combinations),
         files=files,
         varied=tuple(sorted(drawn | listed_names)),
-        until=until,
     )
 
 
@@ -246,8 +217,7 @@ def _combinations(
     for part in ("conditions", "parameters"):
         for given in (content.get(part) or {}, case.get(part) or {}):
             if not isinstance(given, Mapping):
-                msg = f"{part} must be a mapping"
-                raise CampaignError(msg)
+                raise CampaignError(f"{part} must be a mapping")
             for key, value in given.items():
                 parts[(part, str(key))] = value
     axes = {key: values_of(value, key[1]) for key, value in parts.items()}
@@ -272,14 +242,12 @@ def _beside(name: object, file: Path) -> Path:
 def _only(given: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
     unknown = [str(key) for key in given if key not in known]
     if unknown:
-        msg = f"unknown key {unknown[0]!r} in {where}; there are {', '.join(known)}"
-        raise CampaignError(msg)
+        raise CampaignError(f"unknown key {unknown[0]!r} in {where}; there are {', '.join(known)}")
 
 
 def _whole(value: object, name: str, least: int) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        msg = f"{name} must be a whole number from {least}, not {value!r}"
-        raise CampaignError(msg)
+        raise CampaignError(f"{name} must be a whole number from {least}, not {value!r}")
     return value
 
 
@@ -287,8 +255,7 @@ def values_of(value: Any, name: str) -> list[Any]:
     """What a value in a study stands for: one, several in turn, or one that is drawn."""
     if isinstance(value, list):
         if not value:
-            msg = f"{name}: an empty list"
-            raise CampaignError(msg)
+            raise CampaignError(f"{name}: an empty list")
         return value
     if not isinstance(value, Mapping):
         return [value]
@@ -309,11 +276,10 @@ def values_of(value: Any, name: str) -> list[Any]:
                 return [Drawn(how, (low, high))]
     except (TypeError, ValueError):
         pass
-    msg = (
+    raise CampaignError(
         f"{name}: {value} is no value, list, range: [first, last, number], each: [...],"
         " choice: [...], uniform: [low, high], log_uniform: [low, high], normal: [mean, sigma]"
     )
-    raise CampaignError(msg)
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -323,10 +289,8 @@ def parse_seeds(text: str) -> list[int]:
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if not first <= last < first + MOST_FLIGHTS:
-            msg = f"{text!r}: expected numbers and ranges, such as 101-120 or 1,2,7"
-            raise CampaignError(msg)
+            raise CampaignError(f"{text!r}: expected numbers and ranges, such as 101-120 or 1,2,7")
         seeds += range(first, last + 1)
     if len(set(seeds)) < len(seeds):
-        msg = f"{text!r}: a number is named more than once"
-        raise CampaignError(msg)
+        raise CampaignError(f"{text!r}: a number is named more than once")
     return seeds

@@ -119,16 +119,6 @@ def badness(quantity: Quantity, record: Record) -> float:
     return value if value == value else float("-inf")
 
 
-def narrow_enough(study: Study, records: Sequence[Record]) -> bool:
-    """Whether the interval that the study names is as narrow as it says, in every case of it."""
-    assert study.until is not None
-    name, half_width = study.until
-    quantity = study.what.quantity(name)
-    lines = [line_of(quantity, group) for _, group in groups(study, flown(records))]
-    scale = 1.0 if quantity.of is None else 100.0
-    return all(0.5 * scale * (line.high - line.low) <= half_width for line in lines)
-
-
 def flown(records: Iterable[Record]) -> list[Record]:
     """Those that did not fail."""
     return [record for record in records if not record.error]
@@ -155,14 +145,12 @@ class CampaignResult:
     Attributes:
         records: Flights by number, failed ones too.
         interrupted: Stopped before all were flown.
-        enough: Number of flights at which the study's ``until`` was reached, or None.
     """
 
     out: Path
     study: Study
     records: Mapping[int, Record]
     interrupted: bool = False
-    enough: int | None = None
 
     @property
     def failed(self) -> dict[int, str]:
@@ -198,8 +186,6 @@ class CampaignResult:
             ]
             lines += [name, *aligned(rows)]
             lines.append("")
-        if self.enough is not None:
-            lines.append(f"{self.enough} flights were enough for the interval that was asked for")
         lines += [f"flight {index} failed: {why}" for index, why in list(self.failed.items())[:10]]
         return "\n".join(lines).rstrip()
 
@@ -217,7 +203,6 @@ class CampaignResult:
                 "flights": len(self.records),
                 "of": self.study.count,
                 "interrupted": self.interrupted,
-                "enough": self.enough,
                 "summary": parts,
                 "worst": worst,
                 "failed": {str(index): why for index, why in self.failed.items()},
@@ -250,8 +235,7 @@ def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
         content = json.loads((out / "campaign.json").read_text("utf-8"))
         kind, names = str(content["kind"]), list(content["files"])
     except (OSError, ValueError, KeyError, TypeError):
-        msg = f"{out} is no folder of a campaign"
-        raise CampaignError(msg) from None
+        raise CampaignError(f"{out} is no folder of a campaign") from None
     records = [read_record(out / "flights" / str(name)) for name in names]
     return kind, {r.index: r for r in records if not r.error}
 

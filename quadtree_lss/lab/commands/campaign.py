@@ -5,17 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    IN_PART,
-    INTERRUPTED,
-    add_command,
-    add_json,
-    named,
-    print_json,
-    whole,
-)
-from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, show, warn
+from quadtree_lss.desk.commands import common
+from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, warn
 
 TEXT = "Fly a study of many flights on this computer's cores or on a Dask cluster, with resume."
 EXAMPLES = """examples:
@@ -35,20 +26,20 @@ second one stops at once.
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "campaign", _run, TEXT, EXAMPLES)
+    parser = common.add_command(commands, "campaign", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("what", nargs="+", metavar="STUDY.yaml", help="a study; or: compare DIR DIR")
-    add("--out", type=named, metavar="DIR", help="folder of the campaign; resumed if it is there")
+    text = "folder of the campaign; resumed if it is there"
+    add("--out", type=common.named, metavar="DIR", help=text)
     where = parser.add_mutually_exclusive_group()
     text = "processes on this computer (default: one for each core)"
-    where.add_argument("--workers", type=whole(1), metavar="N", help=text)
+    where.add_argument("--workers", type=common.whole(1), metavar="N", help=text)
     where.add_argument("--scheduler-address", metavar="A", help="of a running Dask scheduler")
     where.add_argument("--scheduler-file", metavar="F", help="that a Dask scheduler wrote")
-    add("--add", type=whole(1), default=0, metavar="N", help="fly N flights more")
+    add("--add", type=common.whole(1), default=0, metavar="N", help="fly N flights more")
     add("--rerun", metavar="LIST", help="fly these again, 17 or 3,8-12, or: failed")
     text = "fly these again into DIR/kept, all of it kept: 17 or 3,8-12, or: worst"
     add("--keep", metavar="LIST", help=text)
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -56,17 +47,15 @@ def _run(options: argparse.Namespace) -> int:
         return _compare(options)
     if len(options.what) != 1 or options.out is None:
         options.parser.error("one STUDY.yaml and --out are required")
-    from quadtree_lss.lab.campaign import Where, campaign, read_study
-    from quadtree_lss.lab.campaign.study import parse_seeds
+    from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep
+    from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
     study = read_study(options.what[0])
     if options.keep is not None:
-        from quadtree_lss.lab.campaign.engine import flagged, keep
-
         worst = options.keep == "worst"
         for index in flagged(options.out) if worst else parse_seeds(options.keep):
             print(f"flight {index} is in {keep(study, options.out, index)}", flush=True)
-        return DONE
+        return common.DONE
     failed = options.rerun == "failed"
     where = Where(options.workers, options.scheduler_address, options.scheduler_file)
     then = f"sums up in {options.out} what is done"
@@ -83,28 +72,20 @@ def _run(options: argparse.Namespace) -> int:
             stop=interruption.asked,
             tell=warn,
         )
-    if options.json:
-        print_json({"out": str(result.out), **result.as_dict()})
-    else:
-        show(result.table())
-        print(f"page and tables in {result.out}")
+    common.tell(options, result, f"page and tables in {result.out}")
     if result.interrupted:
         say(f"interrupted: {len(result.records)} of {result.study.count} flights are done")
-        return INTERRUPTED
+        return common.INTERRUPTED
     if result.failed:
         warn(f"{len(result.failed)} of {len(result.records)} flights failed")
-        return IN_PART
-    return DONE
+        return common.IN_PART
+    return common.DONE
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from quadtree_lss.lab.campaign import compare_campaigns
+    from quadtree_lss.lab.campaign.paired import compare_campaigns
 
     if len(options.what) != 3:
         options.parser.error("compare needs two folders of campaigns")
-    comparison = compare_campaigns(*options.what[1:])
-    if options.json:
-        print_json(comparison.as_dict())
-    else:
-        show(comparison.table())
-    return DONE
+    common.tell(options, compare_campaigns(*options.what[1:]))
+    return common.DONE

@@ -6,15 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    add_command,
-    add_config_options,
-    add_json,
-    chosen_config,
-    named,
-    print_json,
-)
+from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import ProgressBar, show
 
 TEXT = "Fit how a map tells of a safe touchdown, for another lander or lidar (lss.risk_model)."
@@ -32,14 +24,13 @@ SEEDS = "90000-90219"
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "fit-risk", _run, TEXT, EXAMPLES)
+    parser = common.add_command(commands, "fit-risk", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("--out", required=True, type=named, metavar="YAML", help="file to write")
+    add("--out", required=True, type=common.named, metavar="YAML", help="file to write")
     add("--seeds", default=SEEDS, metavar="LIST", help=f"of the flights (default {SEEDS})")
     add("--families", metavar="LIST", help="of flights, of those that the docs list (all)")
-    add_config_options(parser)
+    common.add_config_options(parser)
     add("--overwrite", action="store_true", help="replace an existing file")
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -51,7 +42,7 @@ def _run(options: argparse.Namespace) -> int:
     if out.exists() and not options.overwrite:
         options.parser.error(f"{out} exists; --overwrite replaces it")
     options.config = options.config or ["morpheus"]
-    config = chosen_config(options)
+    config = common.chosen_config(options)
     families = options.families.split(",") if options.families else tuple(FAMILIES)
     seeds = parse_seeds(options.seeds)
     with ProgressBar("fit-risk", "flights", options.verbose) as bar:
@@ -60,8 +51,8 @@ def _run(options: argparse.Namespace) -> int:
     out.write_text(risk_model_text(model), encoding="utf-8")
     origin = model.provenance
     if options.json:
-        print_json({"out": str(out), **origin})
-        return DONE
+        common.print_json({"out": str(out), **origin})
+        return common.DONE
     lines = [f"{'family':10} {'flights':>7} {'points':>8} {'failed':>7} {'Brier':>8} {'log':>8}"]
     for name, case in origin["families"].items():
         share = f"{100.0 * case['failed']:.1f} %"
@@ -71,4 +62,4 @@ def _run(options: argparse.Namespace) -> int:
         )
     show("\n".join(lines))
     print(f"the fit is in {out}")
-    return DONE
+    return common.DONE

@@ -7,19 +7,7 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    ERROR,
-    add_command,
-    add_json,
-    named,
-    not_negative,
-    overrides,
-    positive,
-    print_json,
-    share,
-    whole,
-)
+from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import ProgressBar, first_line, say, warn
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -42,22 +30,23 @@ LONGEST = 100.0
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "fly", _run, TEXT, EXAMPLES)
+    parser = common.add_command(commands, "fly", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("--seed", type=whole(0), default=1, metavar="N", help="of ground, start, navigation, lidar")
-    add("--out", required=True, type=named, metavar="DIR", help="folder for the results")
+    text = "of ground, start, navigation, lidar"
+    add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
+    add("--out", required=True, type=common.named, metavar="DIR", help="folder for the results")
     text = "without ROS: the nodes' functions, called in the flight's own time"
     add("--lockstep", action="store_true", help=text)
     text = "seconds of flight per second over ROS (default 1); /clock tells them"
-    add("--rate", type=positive, metavar="R", help=text)
+    add("--rate", type=common.positive, metavar="R", help=text)
     text = "by the nodes; with the paper's rules; straight to the planned point; by the truth"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
-    add("--terrain", type=named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    add("--terrain", type=common.named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
     text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
-    add("--rocks", type=share, metavar="K", help=text)
-    add("--range-noise", type=not_negative, default=0.06, metavar="M", help="one sigma, m")
-    add("--outliers", type=share, default=0.0, metavar="F", help="share of false returns")
-    add("--dropouts", type=share, default=0.0, metavar="F", help="share of missing returns")
+    add("--rocks", type=common.share, metavar="K", help=text)
+    add("--range-noise", type=common.not_negative, default=0.06, metavar="M", help="one sigma, m")
+    add("--outliers", type=common.share, default=0.0, metavar="F", help="share of false returns")
+    add("--dropouts", type=common.share, default=0.0, metavar="F", help="share of missing returns")
     text = "KIND@HEIGHT or KIND@HEIGHT+SECONDS; may be repeated; kinds in docs/closed_loop.md"
     add("--fault", action="append", default=[], metavar="FAULT", help=text)
     text = "set one parameter of the nodes, for instance lss.margin=1.0"
@@ -65,7 +54,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "compare with the least propellant there could be (extra 'guidance')"
     add("--reference", action="store_true", help=text)
     add("--no-page", action="store_true", help="no picture and no page")
-    add_json(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -92,14 +80,14 @@ def _run(options: argparse.Namespace) -> int:
     if done.figures["warnings"]:
         warn(f"warning: {done.figures['warnings']}")
     if options.json:
-        print_json(done.figures)
+        common.print_json(done.figures)
     else:
         _print(done.figures)
         print(f"results in {options.out}")
     if others := done.figures.get("others"):
         say(f"error: the flight says nothing, for others published {'; '.join(others)}")
-        return ERROR
-    return DONE
+        return common.ERROR
+    return common.DONE
 
 
 def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progress) -> Flown:
@@ -124,7 +112,7 @@ def _values(options: argparse.Namespace) -> dict[str, Any]:
         "outliers": options.outliers,
         "dropouts": options.dropouts,
         "faults": tuple(options.fault),
-        "config": overrides(options),
+        "config": common.overrides(options),
     }
 
 

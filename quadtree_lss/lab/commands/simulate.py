@@ -5,19 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    INTERRUPTED,
-    add_command,
-    add_json,
-    named,
-    not_negative,
-    positive,
-    print_json,
-    share,
-    whole,
-)
-from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, show
+from quadtree_lss.desk.commands import common
+from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say
 
 SCENARIOS = ("morpheus", "parabola", "descent", "drone")
 TEXT = "Simulate a flight: a bag, and truth.npz beside it."
@@ -47,35 +36,25 @@ stops at once and leaves no bag.
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declares the subcommand."""
-    parser = add_command(commands, "simulate", _run, TEXT, FLIGHTS + EXAMPLES)
+    parser = common.add_command(commands, "simulate", _run, TEXT, FLIGHTS + EXAMPLES)
     add = parser.add_argument
     add("scenario", choices=SCENARIOS, help="which flight")
-    add("--seed", type=whole(0), default=1, metavar="N", help="of terrain and noise (default 1)")
-    add("--out", required=True, type=named, metavar="BAG", help="bag to write")
-    add_flight_options(parser)
-    add("--overwrite", action="store_true", help="replace an existing bag and truth.npz")
-    add_json(parser)
-
-
-def add_flight_options(parser: argparse._ActionsContainer) -> None:
-    """What is flown, over what, with which noise."""
-    add = parser.add_argument
-    add("--duration", type=positive, metavar="D", help="seconds of flight")
-    add("--terrain", type=named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
-    add("--range-noise", type=not_negative, metavar="M", help="one sigma of a range, m")
-    add("--outliers", type=share, default=0.0, metavar="F", help="share of false returns")
-    add("--dropouts", type=share, default=0.0, metavar="F", help="share of missing returns")
-    add("--rocks", type=not_negative, metavar="K", help="share of the ground that rocks cover")
-    add("--glide-slope", type=positive, default=30.0, metavar="DEG", help="of morpheus")
+    text = "of terrain and noise (default 1)"
+    add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
+    add("--out", required=True, type=common.named, metavar="BAG", help="bag to write")
+    add("--duration", type=common.positive, metavar="D", help="seconds of flight")
+    add("--terrain", type=common.named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    add("--range-noise", type=common.not_negative, metavar="M", help="one sigma of a range, m")
+    add("--outliers", type=common.share, default=0.0, metavar="F", help="share of false returns")
+    add("--dropouts", type=common.share, default=0.0, metavar="F", help="share of missing returns")
+    text = "share of the ground that rocks cover"
+    add("--rocks", type=common.not_negative, metavar="K", help=text)
+    add("--glide-slope", type=common.positive, default=30.0, metavar="DEG", help="of morpheus")
     text = "errors of the navigation, as many times as usual"
-    add("--navigation-error", type=not_negative, default=1.0, metavar="X", help=text)
-    add(
-        "--flights",
-        type=whole(1),
-        default=1,
-        metavar="N",
-        help="fly N times over the same ground, with other navigation errors, into one bag",
-    )
+    add("--navigation-error", type=common.not_negative, default=1.0, metavar="X", help=text)
+    text = "fly N times over the same ground, with other navigation errors, into one bag"
+    add("--flights", type=common.whole(1), default=1, metavar="N", help=text)
+    add("--overwrite", action="store_true", help="replace an existing bag and truth.npz")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -101,11 +80,8 @@ def _run(options: argparse.Namespace) -> int:
             progress=bar.update,
             stop=interruption.asked,
         )
-    if options.json:
-        print_json(result.as_dict())
-    else:
-        show(result.table())
+    common.tell(options, result)
     if result.interrupted:
         say(f"interrupted: the bag has the first {result.scans} scans")
-        return INTERRUPTED
-    return DONE
+        return common.INTERRUPTED
+    return common.DONE

@@ -91,9 +91,8 @@ def _check(report: ScanReport, row: list[int], exact: bool, bag: str | Path) -> 
     near = abs(report.leaves - leaves) <= 2 + leaves // 100
     if report.points == points and (not exact or (report.points_used == used and near)):
         return
-    msg = (
+    raise EvaluationError(
         f"{bag} holds other scans than were mapped: after that of {report.stamp_ns} ns"
         f" {report.points_used} of {report.points} points are used and there are"
         f" {report.leaves} leaves, by timing.csv {used} of {points} and {leaves}"
     )
-    raise EvaluationError(msg)

@@ -8,27 +8,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from quadtree_lss.desk.replay.files import new_folder, plain
-from quadtree_lss.lab.evaluation.metrics import (
-    Detection,
-    ElevationError,
-    ErrorField,
-    MissedPlace,
-    Reliability,
-    SafetyField,
-    SiteVerdict,
-    detection,
-    elevation_error,
-    elevation_field,
-    missed_places,
-    reliability_of,
-    safety_field,
-    site_verdicts,
-)
+from quadtree_lss.lab.evaluation import metrics
+from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.provenance import check_truth, recorded_bag, results_config
 from quadtree_lss.lab.evaluation.results import (
     EvaluationError,
@@ -40,21 +26,9 @@ from quadtree_lss.lab.evaluation.results import (
 )
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-if TYPE_CHECKING:
-    from quadtree_lss.lab.evaluation.consistency import Consistency
-
 _TOP = 5
-_COLUMNS = (
-    "hazardous",
-    "safe",
-    "unsafe sites",
-    "elevation RMS",
-    "largest",
-    "leaves",
-    "map time",
-    "prefit below",
-    "prefit above",
-)
+_COLUMNS = ("hazardous", "safe", "unsafe sites", "elevation RMS", "largest", "leaves")
+_COLUMNS += ("map time", "prefit below", "prefit above")
 
 
 @dataclass(frozen=True)
@@ -67,14 +41,14 @@ class EvaluationResult:
     was at hand; ``notes`` say what could not be done or checked, and why.
     """
 
-    elevation: ElevationError
-    detection: Detection
+    elevation: metrics.ElevationError
+    detection: metrics.Detection
     sites: int
     unsafe_in_top_five: int
     unknown_in_top_five: int
-    site_verdicts: tuple[SiteVerdict, ...]
-    missed: tuple[MissedPlace, ...]
-    risk: Reliability | None
+    site_verdicts: tuple[metrics.SiteVerdict, ...]
+    missed: tuple[metrics.MissedPlace, ...]
+    risk: metrics.Reliability | None
     leaves: int
     leaves_estimated: int
     leaves_measured: int
@@ -167,8 +141,8 @@ def evaluate(
     given = None if bag is None else Path(bag)
     doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
     notes = [] if doubt is None else [doubt]
-    heights = elevation_field(results.leaves, results.grid, truth)
-    safety = safety_field(results.grid, truth)
+    heights = metrics.elevation_field(results.cells, results.grid, truth)
+    safety = metrics.safety_field(results.grid, truth)
     if not safety.scored.size:
         msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
         raise EvaluationError(msg)
@@ -180,8 +154,7 @@ def evaluate(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"cannot create {folder}: {error.strerror}"
-        raise EvaluationError(msg) from error
+        raise EvaluationError(f"cannot create {folder}: {error.strerror}") from error
     written: tuple[Path, ...] = ()
     if figures:
         from quadtree_lss.lab.evaluation.figures import draw_all
@@ -206,32 +179,31 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
 
     Raises `EvaluationError` when the map and the truth do not overlap.
     """
-    safety = safety_field(results.grid, truth)
+    safety = metrics.safety_field(results.grid, truth)
     if not safety.scored.size:
-        msg = "the map does not overlap the scanned box"
-        raise EvaluationError(msg)
-    heights = elevation_field(results.leaves, results.grid, truth)
+        raise EvaluationError("the map does not overlap the scanned box")
+    heights = metrics.elevation_field(results.cells, results.grid, truth)
     return _scores(results, truth, heights, safety)
 
 
 def _scores(
-    results: Results, truth: Truth, heights: ErrorField, safety: SafetyField
+    results: Results, truth: Truth, heights: metrics.ErrorField, safety: metrics.SafetyField
 ) -> EvaluationResult:
-    verdicts = site_verdicts(results.sites[:_TOP], truth)
-    leaves = results.leaves
+    verdicts = metrics.site_verdicts(results.sites[:_TOP], truth)
+    cells = results.cells
     times = results.map_ms if results.map_ms.size else np.array([math.nan])
     return EvaluationResult(
-        elevation=elevation_error(heights),
-        detection=detection(safety),
+        elevation=metrics.elevation_error(heights),
+        detection=metrics.detection(safety),
         sites=len(results.sites),
         unsafe_in_top_five=verdicts.count("unsafe"),
         unknown_in_top_five=verdicts.count("unknown"),
         site_verdicts=verdicts,
-        missed=missed_places(safety, truth),
-        risk=reliability_of(safety),
-        leaves=leaves.level.size,
-        leaves_estimated=int(leaves.estimated.sum()),
-        leaves_measured=int((leaves.measured & leaves.estimated).sum()),
+        missed=metrics.missed_places(safety, truth),
+        risk=metrics.reliability_of(safety),
+        leaves=cells.level.size,
+        leaves_estimated=int(cells.estimated.sum()),
+        leaves_measured=int((cells.measured & cells.estimated).sum()),
         map_ms_median=float(np.median(times)),
         map_ms_p99=float(np.percentile(times, 99.0)),
         map_s_total=float(times.sum() * 1e-3),
@@ -243,7 +215,7 @@ def _scores(
 
 
 def _with_page(
-    result: EvaluationResult, results_dir: Path, truth: Truth, safety: SafetyField
+    result: EvaluationResult, results_dir: Path, truth: Truth, safety: metrics.SafetyField
 ) -> EvaluationResult:
     """Writes ``report.html``; with a note if the results have not what it shows."""
     from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
@@ -266,8 +238,6 @@ def _table_2(
 
     What is wrong with a bag that was given is an error; with one that was merely found, a reason.
     """
-    from quadtree_lss.lab.evaluation.consistency import consistency  # maps: the whole core
-
     bag = given if given is not None else recorded_bag(results)
     if bag is None:
         return None, "needs --bag"
@@ -331,7 +301,6 @@ def compare(
     truth_path: str | Path,
     out: str | Path | None = None,
     *,
-    consistency: bool = True,
     figures: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> ComparisonResult:
@@ -348,14 +317,7 @@ def compare(
         raise EvaluationError(msg)
     together = Path(out) if out is not None else new_folder(Path("results"))
     runs = {
-        name: evaluate(
-            folder,
-            truth_path,
-            together / name,
-            consistency=consistency,
-            figures=figures,
-            progress=progress,
-        )
+        name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
         for name, folder in zip(names, folders, strict=True)
     }
     drawn: tuple[Path, ...] = ()
@@ -364,7 +326,7 @@ def compare(
 
         truth = load_truth(truth_path)
         results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
-        heights = elevation_field(results[names[-1]].leaves, results[names[-1]].grid, truth)
+        heights = metrics.elevation_field(results[names[-1]].cells, results[names[-1]].grid, truth)
         drawn = draw_together(together, truth, heights, results)
     result = ComparisonResult(runs, together, drawn)
     text = json.dumps(result.as_dict()["runs"], indent=2, allow_nan=False) + "\n"

@@ -23,8 +23,9 @@ from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.drawing import Box
 from quadtree_lss.desk.report.palette import SITE_COLOUR, even_limits
 from quadtree_lss.lab.evaluation.metrics import ErrorField, Reliability, SafetyField, reliability_of
-from quadtree_lss.lab.evaluation.results import Leaves, Results, Truth
+from quadtree_lss.lab.evaluation.results import Results, Truth
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SAFE_FOUND, HAZARD_FOUND = "#56b4e9", "#7f7f7f"
 VERDICTS = (
@@ -54,7 +55,7 @@ def draw_all(
     12), one of several flights for FF13 + FF14 (Fig. 24 instead of 23).
     """
     sites = {"sites": results.sites[:TOP]}
-    fixed, several = results.leaves.fixed, truth.flights_of(results.stamps_ns) > 1
+    fixed, several = _fixed(results.cells), truth.flights_of(results.stamps_ns) > 1
     cells = "fig10_fixed_resolution_and_scans" if fixed else "fig09_quadtree_and_scans"
     error = "fig13_fixed_resolution_error" if fixed else "fig12_quadtree_error"
     score = "fig24_site_score_of_several_flights" if several else "fig23_site_score"
@@ -62,7 +63,7 @@ def draw_all(
         cells: _cells_and_scans(results, truth),
         "fig11_processing_time": processing_time({"map": results.map_ms}),
         error: _elevation_error(heights, truth, centred=False),
-        "fig18_quadtree_over_truth": _quadtree_over_truth(results.leaves, truth),
+        "fig18_quadtree_over_truth": _quadtree_over_truth(results.cells, truth),
         "fig19_elevation_estimate": _elevation_estimate(heights, truth),
         "fig20_elevation_error": _elevation_error(heights, truth, centred=True),
         "fig21_true_safety": _true_safety(truth),
@@ -129,23 +130,23 @@ def _map(title: str, box: Box) -> tuple[Figure, Axes]:
 
 def _cells_and_scans(results: Results, truth: Truth) -> Figure:
     """Boundaries of the leaves and of every fifth scan (Figs. 9, 10)."""
-    leaves = results.leaves
+    cells = results.cells
     shown, total = truth.outlines_of(results.stamps_ns, EVERY)
-    box = _domain(leaves)
+    box = _domain(cells)
     if shown.size and np.isfinite(shown).any():  # and a little of what scans saw beyond
-        room = 0.1 * leaves.domain.size
+        room = 0.1 * cells.domain.size
         low, high = np.nanmin(shown, axis=(0, 1)), np.nanmax(shown, axis=(0, 1))
         xmin, xmax, ymin, ymax = box
         xmin, xmax = max(min(xmin, low[0]), xmin - room), min(max(xmax, high[0]), xmax + room)
         ymin, ymax = max(min(ymin, low[1]), ymin - room), min(max(ymax, high[1]), ymax + room)
         box = float(xmin), float(xmax), float(ymin), float(ymax)
-    kind = "Fixed-resolution cells" if leaves.fixed else "Quadtree cells"
+    kind = "Fixed-resolution cells" if _fixed(cells) else "Quadtree cells"
     scans = f"outlines of every {EVERY}th of {total} scans" if total else "no scan outlines known"
-    figure, axes = _map(f"{kind}, {_count(leaves)}; {scans}", box)
-    edges, wide = _edges(leaves), _width(leaves)
+    figure, axes = _map(f"{kind}, {_count(cells)}; {scans}", box)
+    edges, wide = _edges(cells), _width(cells)
     for part, colour, width in (
-        (~leaves.estimated, "#bbbbbb", 0.4),
-        (leaves.estimated, "black", wide),
+        (~cells.estimated, "#bbbbbb", 0.4),
+        (cells.estimated, "black", wide),
     ):
         axes.add_collection(LineCollection(list(edges[part]), colors=colour, linewidths=width))
     if total:
@@ -156,34 +157,39 @@ def _cells_and_scans(results: Results, truth: Truth) -> Figure:
     return figure
 
 
-def _domain(leaves: Leaves) -> Box:
-    of = leaves.domain
+def _fixed(cells: CellMap) -> bool:
+    """Whether the map has one level only (Section VI.B)."""
+    return cells.domain.min_level == cells.domain.max_level
+
+
+def _domain(cells: CellMap) -> Box:
+    of = cells.domain
     return of.xmin, of.xmin + of.size, of.ymin, of.ymin + of.size
 
 
-def _count(leaves: Leaves) -> str:
-    return f"{int(leaves.estimated.sum())} with an estimate of {leaves.level.size}"
+def _count(cells: CellMap) -> str:
+    return f"{int(cells.estimated.sum())} with an estimate of {cells.level.size}"
 
 
-def _edges(leaves: Leaves) -> Array:
+def _edges(cells: CellMap) -> Array:
     """Closed outlines of the leaves (M, 5, 2)."""
     corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
-    centre = np.stack([leaves.x, leaves.y], axis=-1)
-    return np.asarray(centre[:, None, :] + 0.5 * leaves.size[:, None, None] * corner)
+    centre = np.stack([cells.x, cells.y], axis=-1)
+    return np.asarray(centre[:, None, :] + 0.5 * cells.size[:, None, None] * corner)
 
 
-def _width(leaves: Leaves) -> float:
-    return float(np.clip(30.0 / np.sqrt(max(leaves.level.size, 1)), 0.15, 0.6))
+def _width(cells: CellMap) -> float:
+    return float(np.clip(30.0 / np.sqrt(max(cells.level.size, 1)), 0.15, 0.6))
 
 
-def _quadtree_over_truth(leaves: Leaves, truth: Truth) -> Figure:
+def _quadtree_over_truth(cells: CellMap, truth: Truth) -> Figure:
     """Leaf boundaries over the true elevation (Fig. 18)."""
-    box = _domain(leaves)
-    figure, axes = _map(f"Quadtree over the true elevation: leaves, {_count(leaves)}", box)
+    box = _domain(cells)
+    figure, axes = _map(f"Quadtree over the true elevation: leaves, {_count(cells)}", box)
     x, y, z = _window(truth, box)
     _relief(figure, axes, x, y, z, z, "true elevation [m]")
-    edges = list(_edges(leaves))
-    axes.add_collection(LineCollection(edges, colors="black", linewidths=_width(leaves), alpha=0.4))
+    edges = list(_edges(cells))
+    axes.add_collection(LineCollection(edges, colors="black", linewidths=_width(cells), alpha=0.4))
     return figure
 
 
@@ -260,9 +266,9 @@ def _score(results: Results, truth: Truth, sites: Mapping[str, Array]) -> Figure
     """Score of the terrain where landing is allowed, lower is better (Figs. 23, 24)."""
     grid, box = results.grid, _around(truth)
     figure, axes = _map("Site score, lower is better; white: excluded", box)
-    allowed = grid.safe & np.isfinite(grid.score)
-    values = np.where(allowed, grid.score, np.nan)
-    low, high = np.percentile(grid.score[allowed], (0.5, 99.5)) if allowed.any() else (0.0, 1.0)
+    allowed = grid["safe"] & np.isfinite(grid["score"])
+    values = np.where(allowed, grid["score"], np.nan)
+    low, high = np.percentile(grid["score"][allowed], (0.5, 99.5)) if allowed.any() else (0.0, 1.0)
     style = {"cmap": drawing.MAPS["score"], "vmin": low, "vmax": high}
     shown = drawing.image(axes, grid.x, grid.y, values, **style)
     figure.colorbar(shown, ax=axes, label="score [-]", extend="both")

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt, label
 
-from quadtree_lss.lab.evaluation.results import Leaves, ScoredGrid, Truth
+from quadtree_lss.desk.replay.results import Grid
+from quadtree_lss.lab.evaluation.results import Truth
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
 from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.core.landing.hazards import UNMAPPED
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: Bounds of the bins of predicted risk.
 EDGES = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
@@ -111,7 +114,7 @@ class MissedPlace:
     peak_y: float
 
 
-def seen_at(grid: ScoredGrid, x: Array, y: Array) -> Mask:
+def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
     """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
     u, v = (x - grid.x[0]) / grid.spacing, (y - grid.y[0]) / grid.spacing
 
@@ -127,18 +130,23 @@ def seen_at(grid: ScoredGrid, x: Array, y: Array) -> Mask:
     return np.asarray(columns[j0] & columns[j1] & inside_y[:, None])
 
 
-def elevation_field(leaves: Leaves, grid: ScoredGrid, truth: Truth) -> ErrorField:
+def elevation_field(cells: CellMap, grid: Grid, truth: Truth) -> ErrorField:
     """Compare leaf planes with the truth at points spread evenly over the finest cells."""
-    domain = leaves.domain
+    domain = cells.domain
     parts = max(2, int(np.ceil(domain.finest_size / _SAMPLE_STEP)))
     step = domain.finest_size / parts
     offsets = (np.arange(domain.finest_count * parts, dtype=np.float64) + 0.5) * step
     x, y = domain.xmin + offsets, domain.ymin + offsets
-    estimate = leaves.elevation_at(x[None, :], y[:, None])
+    leaf = cells.leaf_raster()
+    with np.errstate(invalid="ignore"):
+        fine = leaf.repeat(parts, axis=0).repeat(parts, axis=1)
+        estimate = cells.heights(fine, x[None, :], y[:, None])
     true = truth.elevation_at(*np.meshgrid(x, y))
     seen = seen_at(grid, x, y) & np.isfinite(true)
     error = np.where(seen, estimate - true, np.nan)
-    return ErrorField(x, y, estimate, error, seen, leaves.without_estimate)
+    returns = cells.estimated[leaf[cells.observed]]
+    without = float((~returns).sum() / returns.size) if returns.size else float("nan")
+    return ErrorField(x, y, estimate, error, seen, without)
 
 
 def elevation_error(field: ErrorField) -> ElevationError:
@@ -172,7 +180,7 @@ def fill_holes(seen: Mask, spacing: float, width: float = 2.0) -> Mask:
     return np.asarray(binary_closing(padded, disc)[reach:-reach, reach:-reach]) | seen
 
 
-def safety_field(grid: ScoredGrid, truth: Truth) -> SafetyField:
+def safety_field(grid: Grid, truth: Truth) -> SafetyField:
     """Bring the map's verdict and the truth to the same grid points of the scanned box.
 
     Grid points that both have are compared. Where they share none, the contact simulation is run
@@ -191,14 +199,16 @@ def safety_field(grid: ScoredGrid, truth: Truth) -> SafetyField:
         truly_safe = contact_safe(truth.x, truth.y, truth.elevation, points, truth.lander)
         truly_safe = truly_safe.reshape(in_y.size, in_x.size)
     window = np.ix_(in_y, in_x)
+    looked_at = grid.seen | ((grid["hazard"] & UNMAPPED) > 0)
+    risk = grid.layers.get("risk")
     return SafetyField(
         x=grid.x[in_x],
         y=grid.y[in_y],
         truly_safe=truly_safe,
-        called_safe=grid.safe[window],
+        called_safe=grid["safe"][window],
         seen=grid.seen[window],
-        scored=fill_holes(grid.looked_at, grid.spacing)[window],
-        risk=None if grid.risk is None else grid.risk[window],
+        scored=fill_holes(looked_at, grid.spacing)[window],
+        risk=None if risk is None else risk[window],
     )
 
 
@@ -214,17 +224,19 @@ def _matches(
     return nearest[index], index
 
 
+def _depth(field: SafetyField) -> Array:
+    """(ny, nx) how far each grid point lies inside hazardous ground, m."""
+    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
+    inside = np.pad(~field.truly_safe, 1, mode="edge")
+    return np.asarray(spacing * distance_transform_edt(inside)[1:-1, 1:-1])
+
+
 def detection(field: SafetyField) -> Detection:
     """Detection rates of Table 3 (fractions); a rate over no grid points is NaN."""
     hazardous = field.scored & ~field.truly_safe
     safe = field.scored & field.truly_safe
     called = field.called_safe & field.seen
     missed = hazardous & called
-    depth = 0.0
-    if missed.any():
-        spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
-        inside = np.pad(~field.truly_safe, 1, mode="edge")
-        depth = spacing * float(distance_transform_edt(inside)[1:-1, 1:-1][missed].max())
 
     def share(part: Mask, whole: Mask) -> float:
         return float((part & whole).sum() / whole.sum()) if whole.any() else float("nan")
@@ -237,7 +249,7 @@ def detection(field: SafetyField) -> Detection:
         hazardous_grid_points=int(hazardous.sum()),
         safe_grid_points=int(safe.sum()),
         missed_grid_points=int(missed.sum()),
-        missed_depth=depth,
+        missed_depth=float(_depth(field)[missed].max(initial=0.0)),
         unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
         precision=share(field.truly_safe, called & field.scored),
     )
@@ -272,10 +284,7 @@ def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
     patch, count = label(missed, np.ones((3, 3), int))
     if not count:
         return ()
-    inside = np.pad(~field.truly_safe, 1, mode="edge")
-    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
-    depth = spacing * distance_transform_edt(inside)[1:-1, 1:-1]
-    places = []
+    depth, places = _depth(field), []
     for k in range(1, count + 1):
         j, i = np.nonzero(patch == k)
         x, y = float(field.x[i].mean()), float(field.y[j].mean())

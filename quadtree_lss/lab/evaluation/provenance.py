@@ -51,8 +51,7 @@ def check_truth(
     if of_truth.exists() and of_results is not None:
         same = _same_scans(of_results, of_truth, results_config(results_dir))
         if same is False:
-            msg = f"{contradiction}, which holds other scans"
-            raise EvaluationError(msg)
+            raise EvaluationError(f"{contradiction}, which holds other scans")
     if same or of_truth.name in (named.name, named.parent.name):
         return None
     if of_truth.exists() and of_results is None:
@@ -64,12 +63,11 @@ def _check_stamps(results: Results, results_dir: Path, truth: Truth, truth_path:
     mapped, flown = _stamps(results.stamps_ns), _stamps(truth.scan_stamp_ns)
     strange = mapped[~np.isin(mapped, flown)]
     if flown.size and strange.size:
-        msg = (
+        raise EvaluationError(
             f"{truth_path} is of another flight than {results_dir}: {strange.size} of"
             f" {mapped.size} mapped scans are not among its {flown.size}, the first at"
             f" {strange[0]} ns"
         )
-        raise EvaluationError(msg)
 
 
 def _stamps(stamps_ns: np.ndarray) -> np.ndarray:

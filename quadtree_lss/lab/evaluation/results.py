@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +15,16 @@ from quadtree_lss.desk.exchange.archives import read_arrays
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay import results as saved
 from quadtree_lss.desk.replay.result import ReplayResult
+from quadtree_lss.desk.replay.results import Grid
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
 from quadtree_lss.lab.simulation.terrain import bilinear
-from quadtree_lss.onboard.arrays import Array, Bytes, Mask
-from quadtree_lss.onboard.core.geometry.bounds import bounded
-from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
-from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-_CELLS = ("level", "ix", "iy", "x", "y", "size", "z", "nx", "ny", "nz", "measured", "domain")
-_CELLS_EXTRA = ("observed", "low", "high")
-_GRID = ("x", "y", "elevation", "slope_deg", "hazard", "safe", "score")
-_GRID_EXTRA = ("risk",)
+LAYERS = ("elevation", "hazard", "safe", "score")
+"""Of the landing grid that are scored."""
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
 _TRUTH_NAMES = ("bag_name", "seed", "lander")
@@ -49,107 +45,11 @@ class EvaluationError(QuadtreeLssError):
 
 
 @dataclass(frozen=True)
-class Leaves:
-    """The leaves of a map, one row per leaf (``cells.npz``), metres, map frame."""
-
-    level: NDArray[np.int64]
-    ix: NDArray[np.int64]
-    iy: NDArray[np.int64]
-    x: Array
-    y: Array
-    size: Array
-    z: Array
-    normal: Array
-    measured: Mask
-    domain: Domain
-    observed: NDArray[np.int64]
-    """Number of the finest cells of each leaf in which a point fell; 0 if the file tells none."""
-    low: Array
-    high: Array
-    """What the heights of each plane keep to (m); NaN for no bound."""
-
-    @property
-    def fixed(self) -> bool:
-        """Whether the map has one level only (Section VI.B)."""
-        return self.domain.min_level == self.domain.max_level
-
-    @property
-    def estimated(self) -> Mask:
-        """Leaves with a plane, measured or inherited (M,)."""
-        return np.isfinite(self.z)
-
-    @cached_property
-    def index(self) -> NDArray[np.int64]:
-        """Leaf of every finest cell, (n, n) as [iy, ix]; −1 where there is none."""
-        n = self.domain.finest_count
-        leaf = np.full((n, n), -1, np.int64)
-        for level in np.unique(self.level):
-            rows = np.flatnonzero(self.level == level)
-            side = 1 << int(level)
-            coarse = np.full((side, side), -1, np.int64)
-            coarse[self.iy[rows], self.ix[rows]] = rows
-            fine = np.repeat(np.repeat(coarse, n // side, axis=0), n // side, axis=1)
-            leaf = np.where(fine >= 0, fine, leaf)
-        return leaf
-
-    @property
-    def without_estimate(self) -> float:
-        """Fraction of the finest cells in which a point fell whose leaf has no plane."""
-        of_all = self.observed.sum()
-        return float(self.observed[~self.estimated].sum() / of_all) if of_all else float("nan")
-
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Elevation (m) of the map at map coordinates, the leaves' planes within their bounds; NaN
-        without an estimate."""
-        x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
-        n, size = self.domain.finest_count, self.domain.finest_size
-        i = np.floor((x_map - self.domain.xmin) / size).astype(np.int64)
-        j = np.floor((y_map - self.domain.ymin) / size).astype(np.int64)
-        inside = (i >= 0) & (i < n) & (j >= 0) & (j < n)
-        leaf = np.where(inside, self.index[np.clip(j, 0, n - 1), np.clip(i, 0, n - 1)], -1)
-        normal = self.normal[leaf]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            run = normal[..., 0] * (x_map - self.x[leaf]) + normal[..., 1] * (y_map - self.y[leaf])
-            z = self.z[leaf] - run / normal[..., 2]
-        return np.where(leaf >= 0, bounded(z, self.low[leaf], self.high[leaf]), np.nan)
-
-
-@dataclass(frozen=True)
-class ScoredGrid:
-    """Points of the landing grid (``grid.npz``): x (nx,), y (ny,), arrays (ny, nx)."""
-
-    x: Array
-    y: Array
-    elevation: Array
-    slope_deg: Array
-    hazard: Bytes
-    safe: Mask
-    score: Array
-    risk: Array | None = None
-    """That landing there fails; None where the file tells none, NaN where nobody asked."""
-
-    @property
-    def spacing(self) -> float:
-        """Distance of neighbouring grid points (m)."""
-        return float(self.x[-1] - self.x[0]) / (self.x.size - 1)
-
-    @property
-    def seen(self) -> Mask:
-        """Grid points on seen ground that is mapped (ny, nx)."""
-        return np.asarray((self.hazard & UNSEEN) == 0)
-
-    @property
-    def looked_at(self) -> Mask:
-        """Grid points on seen ground, mapped or not yet (ny, nx)."""
-        return np.asarray(self.seen | ((self.hazard & UNMAPPED) > 0))
-
-
-@dataclass(frozen=True)
 class Results:
     """One results directory of ``replay``."""
 
-    leaves: Leaves
-    grid: ScoredGrid
+    cells: CellMap
+    grid: Grid
     sites: Array
     """Positions (K, 3) of the ranked sites, best first."""
     map_ms: Array
@@ -214,16 +114,14 @@ def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) 
         hint = f"; did you mean {near[0]}?" if near and path.name != "truth.npz" else ""
         raise EvaluationError(f"{error}{hint}") from error
     if missing := [name for name in names if name not in found]:
-        msg = f"{path} lacks {', '.join(missing)}"
-        raise EvaluationError(msg)
+        raise EvaluationError(f"{path} lacks {', '.join(missing)}")
     return found
 
 
 def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: str) -> None:
     for name in (x, y):
         if arrays[name].ndim != 1 or arrays[name].size < 2:
-            msg = f"{path}: {name} must be a vector of at least two coordinates"
-            raise EvaluationError(msg)
+            raise EvaluationError(f"{path}: {name} must be a vector of at least two coordinates")
     expected = (arrays[y].size, arrays[x].size)
     for name in names:
         if arrays[name].shape != expected:
@@ -234,43 +132,7 @@ def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: 
 def _check_length(path: Path, name: str, array: NDArray[Any], length: int, of: str) -> None:
     if array.shape[:1] != (length,):
         found = array.shape[0] if array.ndim else "no"
-        msg = f"{path}: {name} has {found} rows, expected {of}: {length}"
-        raise EvaluationError(msg)
-
-
-def load_leaves(path: Path) -> Leaves:
-    """Read ``cells.npz``."""
-    return _leaves(path, _arrays(path, _CELLS, _CELLS_EXTRA))
-
-
-def _leaves(path: Path, a: dict[str, Any]) -> Leaves:
-    _check_length(path, "domain", a["domain"], 5, "xmin, ymin, size, min_level, max_level")
-    a.setdefault("observed", np.zeros_like(a["level"]))
-    for name in ("low", "high"):
-        a.setdefault(name, np.full(a["level"].size, np.nan))
-    for name in (*_CELLS[:-1], *_CELLS_EXTRA):
-        _check_length(path, name, a[name], a["level"].size, "one per leaf")
-    xmin, ymin, size, low, high = np.asarray(a["domain"], float).tolist()
-    kinds = dict.fromkeys(("level", "ix", "iy", "observed"), np.int64) | {"measured": np.bool_}
-    names = (*_CELLS[:7], "measured", *_CELLS_EXTRA)
-    return Leaves(
-        **{name: a[name].astype(kinds.get(name, np.float64)) for name in names},
-        normal=np.stack([a["nx"], a["ny"], a["nz"]], axis=-1).astype(float),
-        domain=Domain(xmin, ymin, size, int(low), int(high)),
-    )
-
-
-def load_grid(path: Path) -> ScoredGrid:
-    """Read ``grid.npz``."""
-    return _grid(path, _arrays(path, _GRID, _GRID_EXTRA))
-
-
-def _grid(path: Path, a: dict[str, Any]) -> ScoredGrid:
-    extra = [name for name in _GRID_EXTRA if name in a]
-    _check_shape(path, a, "x", "y", *_GRID[2:], *extra)
-    return ScoredGrid(
-        **{**a, "safe": a["safe"].astype(bool), "hazard": a["hazard"].astype(np.uint8)}
-    )
+        raise EvaluationError(f"{path}: {name} has {found} rows, expected {of}: {length}")
 
 
 def load_truth(path: str | Path) -> Truth:
@@ -303,12 +165,10 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
 
 def results_of(replayed: ReplayResult) -> Results:
     """The results of a replay that wrote none: the same as of a folder."""
-    where = Path(str(replayed.summary["bag"]))
-    cells, grid = saved.cells_arrays(replayed.cells), saved.grid_arrays(replayed.assessment)
     rows = [(row.points, row.points_used, row.leaves) for row in replayed.timings]
     return Results(
-        leaves=_leaves(where, {name: cells[name] for name in (*_CELLS, *_CELLS_EXTRA)}),
-        grid=_grid(where, {name: grid[name] for name in (*_GRID, *_GRID_EXTRA)}),
+        cells=replayed.cells,
+        grid=saved.grid_of(replayed.assessment),
         sites=replayed.assessment.sites.position.reshape(-1, 3),
         map_ms=np.array([row.map_ms for row in replayed.timings], float),
         stamps_ns=np.array([row.stamp_ns for row in replayed.timings], np.int64),
@@ -322,16 +182,18 @@ def load_results(directory: str | Path) -> Results:
     folder = Path(directory)
     try:
         read = saved.load_results(folder)
-        timing, summary, sites = read.timing, read.summary, read.positions
+        cells, grid, timing = read.map, read.grid, read.timing
+        if missing := [name for name in LAYERS if name not in grid.layers]:
+            raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
         counts = [timing[name] for name in ("points", "points_used", "leaves")]
         return Results(
-            leaves=load_leaves(folder / "cells.npz"),
-            grid=load_grid(folder / "grid.npz"),
-            sites=sites,
+            cells=cells,
+            grid=grid,
+            sites=read.positions,
             map_ms=timing["map_ms"].astype(float),
             stamps_ns=timing["stamp_ns"].astype(np.int64),
             counts=np.column_stack(counts).astype(np.int64),
-            summary=summary,
+            summary=read.summary,
         )
     except saved.ResultsError as error:
         raise EvaluationError(str(error)) from error

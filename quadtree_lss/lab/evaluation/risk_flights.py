@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -159,10 +159,9 @@ def ground(rng: np.random.Generator, kind: str) -> Terrain:
     elif kind not in FIELDS:
         craters = rng.choice([0.0, 6e-3]) if kind == "bare" else 0.0
         rocks = rng.choice([0.0, 0.005, 0.02], p=[0.6, 0.2, 0.2]) if kind == "bare" else 0.0
+        slope, texture = rng.uniform(0.3, 3.0), rng.uniform(3e-3, 0.015)
         field = replace(field, craters=craters, rock_abundance=rocks)
-        field = replace(
-            field, slope_rms_deg=rng.uniform(0.3, 3.0), texture=rng.uniform(3e-3, 0.015)
-        )
+        field = replace(field, slope_rms_deg=slope, texture=texture)
     made = hazard_field(rng, replace(field, size=80.0))
     if kind != "bare":
         return made
@@ -250,9 +249,8 @@ def _descent(rng: np.random.Generator) -> View:
     end = np.array([*rng.uniform(-12.0, 12.0, 2), high * rng.uniform(0.15, 0.8)])
     times, at = _passed(rng, begin, end)
     aims = np.tile([*rng.uniform(-10.0, 10.0, 2), 0.0], (len(times), 1))
-    return View(
-        times, at, look_at(at, aims, NORTH), pixel_beams(fov, fov, int(pixels), int(pixels))
-    )
+    beams = pixel_beams(fov, fov, int(pixels), int(pixels))
+    return View(times, at, look_at(at, aims, NORTH), beams)
 
 
 def _wide(rng: np.random.Generator) -> View:
@@ -281,9 +279,8 @@ def _few(rng: np.random.Generator) -> View:
     ahead = np.array([np.cos(heading), np.sin(heading)])
     height = high * np.linspace(1.0, rng.uniform(0.55, 1.0), count)[:, None]
     along = rng.uniform(-15.0, 15.0) * np.linspace(-0.5, 0.5, count)[:, None]
-    aims = (
-        rng.uniform(-8.0, 8.0, 2) + along * [-ahead[1], ahead[0]] + rng.normal(0.0, 1.5, (count, 2))
-    )
+    aims = rng.uniform(-8.0, 8.0, 2) + along * [-ahead[1], ahead[0]]
+    aims += rng.normal(0.0, 1.5, (count, 2))
     at = np.hstack([aims - np.tan(tilt) * height * ahead, height])
     aims = np.column_stack([aims, np.zeros(count)])
     return View(times, at, look_at(at, aims, NORTH), pixel_beams(fov, fov, columns, rows))
@@ -427,13 +424,8 @@ def _truth(cells: CellMap, surface: Terrain, config: Config) -> tuple[Single, Si
 
 def lander_of(config: Config) -> LandingGear:
     """The vehicle that the parameters describe: whose safety is judged, and is true."""
-    vehicle = config.vehicle
-    return LandingGear(
-        diameter=vehicle.diameter,
-        pad_radius=vehicle.pad_radius,
-        max_slope_deg=vehicle.max_slope_deg,
-        max_roughness=vehicle.clearance,
-    )
+    of = config.vehicle
+    return LandingGear(of.diameter, of.pad_radius, of.max_slope_deg, max_roughness=of.clearance)
 
 
 @dataclass(frozen=True)
@@ -487,8 +479,7 @@ def table_of(model: RiskModel, config: Config) -> RiskTable:
     return RiskTable(model, config.lss, config.lidar.range_noise)
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """Some landings of a map: what was asked (K, len(ASKED)), whether they failed (K,), and how
     many each stands for (K,)."""
 
@@ -535,11 +526,9 @@ def fit_risk(
     names = list(dict.fromkeys(families))
     for name in names:
         if name not in FAMILIES:
-            msg = f"there is no family {name!r}; there are {', '.join(FAMILIES)}"
-            raise EvaluationError(msg)
+            raise EvaluationError(f"there is no family {name!r}; there are {', '.join(FAMILIES)}")
     if len(seeds) < len(names) or not names:
-        msg = f"{len(seeds)} seeds are too few for {len(names)} families"
-        raise EvaluationError(msg)
+        raise EvaluationError(f"{len(seeds)} seeds are too few for {len(names)} families")
     flown: dict[str, list[Sample]] = {name: [] for name in names}
     flights: dict[str, list[int]] = {name: [] for name in names}
     for done, seed in enumerate(seeds):
@@ -557,21 +546,14 @@ def fitted(
     """The model of landings, by family, of flights by such seeds."""
     parts, weights = [], []
     for name, samples in flown.items():
-        one = Sample(
-            np.concatenate([of.asked for of in samples]),
-            np.concatenate([of.failed for of in samples]),
-            np.concatenate([of.weight for of in samples]),
-        )
+        one = Sample(*map(np.concatenate, zip(*samples, strict=True)))
         if one.failed.all() or not one.failed.any():
             msg = f"family {name}: {'every' if one.failed.any() else 'no'} landing fails"
             raise EvaluationError(f"{msg}: nothing to fit")
         parts.append(one)
         weights.append(FAMILIES[name].weight * one.weight / one.weight.sum())
-    model = fit(
-        np.concatenate([of.asked for of in parts]),
-        np.concatenate([of.failed for of in parts]),
-        np.concatenate(weights),
-    )
+    asked, failed, _ = map(np.concatenate, zip(*parts, strict=True))
+    model = fit(asked, failed, np.concatenate(weights))
     families = {}
     for name, one in zip(flown, parts, strict=True):
         risk = risks(model, one.asked)
@@ -583,14 +565,14 @@ def fitted(
             "brier": round(brier, 5),
             "log_score": round(log, 5),
         }
-    return replace(model, provenance=_provenance(families, parts, config))
+    overall = asked[:, -len(OVERALL) :].T
+    return replace(model, provenance=_provenance(families, overall, config))
 
 
 def _provenance(
-    families: dict[str, dict[str, Any]], parts: list[Sample], config: Config
+    families: dict[str, dict[str, Any]], overall: Array, config: Config
 ) -> dict[str, Any]:
-    columns = np.concatenate([of.asked for of in parts])[:, -len(OVERALL) :].T
-    noise, cell, clearance = columns
+    noise, cell, clearance = overall
     of = [FAMILIES[name] for name in families]
 
     def span(name: str, usual: float) -> list[float]:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from quadtree_lss.lab.flight.gimbal import Gimbal, quaternion
 from quadtree_lss.lab.flight.ground import Ground, start
 from quadtree_lss.lab.flight.pilot import Pilot, Target
-from quadtree_lss.lab.flight.settings import Fault, FlightSettings
+from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.flight.vehicle import VehicleState
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
@@ -111,7 +111,7 @@ class Flight:
             dropouts=settings.dropouts,
         )
         self._noise = lidar
-        self._due: list[tuple[Fault, float]] = [(fault, np.inf) for fault in settings.faults]
+        self._due = list(settings.faults)
         self.active: dict[str, float] = {}
         self.outcome = ""
         self.samples: list[Sample] = []
@@ -161,9 +161,8 @@ class Flight:
         across, sink = float(np.hypot(*velocity[:2])), float(-velocity[2])
         soft = across <= SETTLE and sink <= SINK and self.lander.tilt_deg <= TILT_DEG
         firm = down and self.ground.safe_at(float(place[0]), float(place[1]))
-        diverts = [d for d in self.pilot.decisions if d.what in ("divert", "target")]
-        diverts = [d for d in diverts if d.time > 0.0]
-        moved = [d for d in self.pilot.decisions if d.what == "divert"]
+        whats = [d.what for d in self.pilot.decisions]
+        diverts = [d for d in self.pilot.decisions if d.what in ("divert", "target") and d.time > 0]
         return {
             "outcome": self.outcome,
             "safe": bool(firm and soft),
@@ -178,10 +177,10 @@ class Flight:
             "tilt_deg": self.lander.tilt_deg,
             "time": self.time,
             "propellant": self.lander.burnt,
-            "diverts": len(moved),
+            "diverts": whats.count("divert"),
             "last_divert_time": diverts[-1].time if diverts else None,
             "last_divert_height": diverts[-1].height if diverts else None,
-            "hovered": any(d.what == "hover" for d in self.pilot.decisions),
+            "hovered": "hover" in whats,
             "from_planned": float(np.hypot(*(place - self.ground.planned)[:2])),
         }
 
@@ -192,37 +191,24 @@ class Flight:
         level = np.broadcast_to(np.eye(3), (longest, 3, 3))
         model = DriftingNavigation()
         found = model.estimate(generator, times, np.zeros((longest, 3)), level)
-        self._offset, self._tilt, self._covariance = (
-            found.positions,
-            found.rotations,
-            found.covariance,
-        )
+        self._offset, self._tilt = found.positions, found.rotations
+        self._covariance = found.covariance
         slow = DriftingNavigation(position_bias=0.02, position_drift=0.01)
         self._slip = slow.estimate(generator, times, np.zeros((longest, 3)), level).positions
 
     def _sample(self) -> None:
         lander = self.lander
-        self.samples.append(
-            Sample(
-                self.time,
-                *(float(v) for v in lander.position),
-                lander.mass,
-                lander.thrust,
-                lander.tilt_deg,
-                self.pilot.mode,
-            )
-        )
+        state = lander.mass, lander.thrust, lander.tilt_deg
+        self.samples.append(Sample(self.time, *lander.position.tolist(), *state, self.pilot.mode))
 
     def _fail(self, height: float) -> None:
         """Faults that begin and end now."""
         for kind, until in list(self.active.items()):
             if self.time >= until:
                 del self.active[kind]
-        for item in list(self._due):
-            fault = item[0]
-            if height <= fault.height:
-                self.active[fault.kind] = self.time + fault.seconds
-                self._due.remove(item)
+        for fault in [fault for fault in self._due if height <= fault.height]:
+            self.active[fault.kind] = self.time + fault.seconds
+            self._due.remove(fault)
 
     def _sense(self, position: Array, velocity: Array) -> Iterator[Sent]:
         """Poses, scans and wishes of this tick."""

@@ -76,7 +76,11 @@ def flown(
     while not flight.outcome:
         sent = flight.step()
         if nodes is not None:
-            _break(flight, nodes, down)
+            for kind, node in changed(flight, down):
+                if kind in down:
+                    nodes.kill(node)
+                else:
+                    nodes.respawn(node, checkpoint=kind != "forget_mapping")
             for message in sent:
                 nodes.take(message, flight.stamp_ns)
             said = nodes.work(flight.stamp_ns)
@@ -145,13 +149,8 @@ def least_propellant(flight: Flight) -> dict[str, Any]:
     return {"reference": least, "propellant_ratio": flight.lander.burnt / least}
 
 
-def _break(flight: Flight, nodes: LockstepNodes, down: set[str]) -> None:
-    """Nodes that are killed now, or come back."""
-    for kind, node in OUTSIDE.items():
-        active = kind in flight.active
-        if active and kind not in down:
-            down.add(kind)
-            nodes.kill(node)
-        elif not active and kind in down:
-            down.discard(kind)
-            nodes.respawn(node, checkpoint=kind != "forget_mapping")
+def changed(flight: Flight, down: set[str]) -> list[tuple[str, str]]:
+    """Faults that begin now, which ``down`` has then, or end, each with the node that it hits."""
+    found = [(k, node) for k, node in OUTSIDE.items() if (k in flight.active) != (k in down)]
+    down ^= {kind for kind, _ in found}
+    return found

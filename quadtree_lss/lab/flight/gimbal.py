@@ -79,10 +79,8 @@ class Gimbal:
         ``target`` (3,) more closely; without one over the area, or, too low for that, about ``aim``
         (3,), where it is going. Position and velocity (3,) are navigation's."""
         if now >= self._ends:
-            if self.passes:
-                self._begin(now, position, velocity, target, aim)
-            else:
-                self._begin(now, position, velocity, None, None)
+            known = (target, aim) if self.passes else (None, None)
+            self._begin(now, position, velocity, *known)
             self.passes += 1
         way = (now - self._began) / (self._ends - self._began) * self._arc[-1]
         leg = min(bisect_right(self._arc, way), len(self._arc) - 1)

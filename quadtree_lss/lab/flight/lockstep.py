@@ -8,7 +8,7 @@ killed loses what it held in memory; what is latched comes back to it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from quadtree_lss.desk.bags.message_types import typestore
@@ -34,18 +34,18 @@ class _Assessments:
     delay_ns: int
     last: LandingAssessment | None = None
     at_ns: int = 0
-    waiting: list[tuple[int, LandingAssessment]] | None = None
+    waiting: list[tuple[int, LandingAssessment]] = field(default_factory=list)
 
     def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
         """Nobody but lss_node hears it."""
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """An answer is on its way."""
-        self.waiting = [*(self.waiting or []), (now_ns + self.delay_ns, found)]
+        self.waiting.append((now_ns + self.delay_ns, found))
 
     def due(self, now_ns: int) -> LandingAssessment | None:
         """What is said now: a new answer, or the last one again; None if nothing is."""
-        while self.waiting and self.waiting[0][0] <= now_ns:
+        if self.waiting and self.waiting[0][0] <= now_ns:
             self.last, self.at_ns = self.waiting.pop(0)[1], now_ns
             return self.last
         if self.last is not None and now_ns - self.at_ns >= REPEAT_NS:

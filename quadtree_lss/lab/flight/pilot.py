@@ -193,9 +193,12 @@ class Pilot:
         typical = distance / max(0.5 * float(np.linalg.norm(velocity)), 3.0)
         return np.geomspace(max(0.5 * typical, 3.0), max(2.5 * typical, 20.0), number)
 
-    def _paths(self, ends: Array, times: Array, limits: Limits | None = None) -> Paths:
+    def _paths(
+        self, ends: Array, times: Array, limits: Limits | None = None, speed: float | None = None
+    ) -> Paths:
+        """To places (K, 3), with a speed downwards there, by default the gate's."""
         position, velocity, mass = self._state
-        down = np.array([0.0, 0.0, -self.rules.gate_speed])
+        down = np.array([0.0, 0.0, -(self.rules.gate_speed if speed is None else speed)])
         limits = limits or self.rules.limits
         return paths(self.vehicle, mass, position, velocity, ends, down, times, limits)
 
@@ -207,14 +210,10 @@ class Pilot:
         """Without a target it goes no lower than from where it can still stop at hover height."""
         if not self.avoid or self.target is not None or now < 1.0:
             return
-        position, velocity, mass = self._state
         over = self.aim + np.array([0.0, 0.0, self.rules.hover])
         careful = replace(self.rules.limits, thrust_share=0.85, floor=-1e3, glide_slope_deg=0.0)
-        times = self._times(25)
-        ends = paths(
-            self.vehicle, mass, position, velocity, over[None], np.zeros(3), times, careful
-        )
-        if position[2] < over[2] or ends.best() is None:
+        ends = self._paths(over[None], self._times(25), careful, speed=0.0)
+        if self._state[0][2] < over[2] or ends.best() is None:
             self.mode, self._waits_since = "hover", now
             self._planned_at, self.time_to_go = -np.inf, np.nan
             self._note("hover")
@@ -278,11 +277,7 @@ class Pilot:
         if self.mode == "hover" and np.linalg.norm(velocity) > 3.0:
             if not np.isfinite(self.time_to_go):
                 careful = replace(self.rules.limits, floor=-1e3, glide_slope_deg=0.0)
-                times = self._times(60)
-                still = np.zeros(3)
-                found = paths(
-                    self.vehicle, mass, position, velocity, over[None], still, times, careful
-                ).best()
+                found = self._paths(over[None], self._times(60), careful, speed=0.0).best()
                 self.time_to_go = np.nan if found is None else found[0]
             if self.time_to_go > 1.5:
                 self.time_to_go -= 0.1

@@ -126,8 +126,7 @@ def _cvxpy() -> Any:
     try:
         import cvxpy
     except ImportError:
-        msg = (
+        raise NoReference(
             "the convex reference needs the extra 'guidance': pip install 'quadtree_lss[guidance]'"
-        )
-        raise NoReference(msg) from None
+        ) from None
     return cvxpy

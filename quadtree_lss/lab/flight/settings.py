@@ -15,15 +15,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 AVOIDANCE = ("package", "paper", "none", "perfect")
 """By the nodes; by them with the paper's rules; straight to the planned point; by the truth."""
 
-FAULTS = (
-    "kill_lss",
-    "kill_mapping",
-    "forget_mapping",
-    "pose_gap",
-    "pose_jump",
-    "lidar_gap",
-    "keep_out",
-)
+FAULTS = tuple("kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out".split())
 MOST = 1e4
 """Of the height of a fault, m, and of its seconds."""
 
@@ -50,13 +42,11 @@ class Fault:
 
     def __post_init__(self) -> None:
         if self.kind not in FAULTS:
-            msg = f"unknown fault {self.kind!r}; there are {', '.join(FAULTS)}"
-            raise FlightError(msg)
+            raise FlightError(f"unknown fault {self.kind!r}; there are {', '.join(FAULTS)}")
         if not (0.0 <= self.height <= MOST and 0.0 < self.seconds <= MOST):
-            msg = (
+            raise FlightError(
                 f"fault {self.kind} at {self.height:g} m for {self.seconds:g} s: from 0 to {MOST:g}"
             )
-            raise FlightError(msg)
 
     @classmethod
     def read(cls, text: str) -> Fault:
@@ -134,8 +124,7 @@ def flight_settings(values: Mapping[str, Any]) -> FlightSettings:
             try:
                 given[name] = replace(getattr(base, name), **part)
             except TypeError as error:
-                msg = f"{name}: {error}"
-                raise FlightError(msg) from None
+                raise FlightError(f"{name}: {error}") from None
     faults = given.get("faults", ())
     given["faults"] = tuple(f if isinstance(f, Fault) else Fault.read(str(f)) for f in faults)
     return replace(base, **given)

@@ -8,7 +8,6 @@ comparison of the two; then a lander that flies by the nodes' answers.
 from __future__ import annotations
 
 import argparse
-import csv
 import shutil
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.desk.player.player import play
 from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.results import cells_arrays
+from quadtree_lss.desk.replay.results import Table, cells_arrays, load_results
 from quadtree_lss.lab.flight.flight_page import headline, write_flight
 from quadtree_lss.lab.flight.fly import Flown
 from quadtree_lss.lab.flight.settings import flight_settings
@@ -90,15 +89,9 @@ def run_live(
         ProcessError: a node ended by itself, or not cleanly when told to.
     """
     # No scan may be lost, however busy the computer is: this is compared with a replay.
-    args = ["--params-file", str(params), "-p", "qos.scan_reliability:=reliable"]
-    args += [
-        "-p",
-        "qos_overrides./lidar/points.subscription.depth:=500",
-        "-p",
-        "pose.max_wait:=10.0",
-        "-p",
-        "qos.overload:=all",
-    ]
+    depth = "qos_overrides./lidar/points.subscription.depth:=500"
+    lossless = ("qos.scan_reliability:=reliable", depth, "pose.max_wait:=10.0", "qos.overload:=all")
+    args = ["--params-file", str(params), *(word for one in lossless for word in ("-p", one))]
     with ExitStack() as stack:
         domain = stack.enter_context(local_domain(folder, given))
         listener = stack.enter_context(Listener(domain.number))
@@ -121,12 +114,10 @@ def run_live(
             msg = f"no landing sites for the scan at {last_stamp_ns} ns; newest stamps: {stamps}"
             raise DemoError(msg)
         if others := strangers(listener.node, dict.fromkeys(spoken, 1)):
-            msg = f"others published {'; '.join(others)}: set another ROS_DOMAIN_ID"
-            raise DemoError(msg)
+            raise DemoError(f"others published {'; '.join(others)}: set another ROS_DOMAIN_ID")
         codes = {node.name: node.stop() for node in nodes}
         if any(codes.values()):
-            msg = f"nodes did not end cleanly: exit codes {codes}"
-            raise DemoError(msg)
+            raise DemoError(f"nodes did not end cleanly: exit codes {codes}")
         newest = listener.newest
     poses = newest["landing/sites"].poses
     position = [(p.position.x, p.position.y, p.position.z) for p in poses]
@@ -154,28 +145,21 @@ def cell_differences(one: Path, other: Path) -> dict[str, float]:
     return result
 
 
-def site_difference(live: LiveResult, offline: Sequence[dict[str, str]]) -> float:
-    """Largest relative difference between live sites and rows of ``sites.csv``."""
-    if len(live.table) != len(offline):
+def site_difference(live: LiveResult, offline: Table) -> float:
+    """Largest relative difference between live sites and ``sites.csv``."""
+    if len(live.table) != len(offline["rank"]):
         return float("inf")
     names = ("score", "roughness", "hazard_distance", "subscale_height", "x", "y", "z", "slope_deg")
     own = [live.table[name] for name in names[:4]]
     one = np.array([*own, *live.position.T, np.degrees(live.table["slope"])], np.float64)
-    other = np.array([[float(row[name]) for row in offline] for name in names])
+    other = np.array([offline[name] for name in names], np.float64)
     return float(np.max(np.abs(one - other) / np.maximum(1.0, np.abs(other)), initial=0.0))
-
-
-def read_csv(path: Path) -> list[dict[str, str]]:
-    """Rows of a CSV file by column name."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def _program(name: str, *args: str) -> None:
     done = subprocess.run([str(program(name)), *args], check=False)
     if done.returncode != 0:
-        msg = f"{name} {' '.join(args)} ended with exit code {done.returncode}"
-        raise DemoError(msg)
+        raise DemoError(f"{name} {' '.join(args)} ended with exit code {done.returncode}")
 
 
 def demonstrate(out: Path, seed: int, duration: float) -> bool:
@@ -191,16 +175,16 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     _program("simulate", "morpheus", *size, "--out", str(bag))
     print("2. Replay the bag offline", flush=True)
     _program("replay_bag", str(bag), "--out", str(offline), "--config", str(params))
-    timing = read_csv(offline / "timing.csv")
+    results = load_results(offline)
+    stamps = results.timing["stamp_ns"]
     print("3. Play the bag over DDS to mapping_node and lss_node", flush=True)
     started = time.monotonic()
-    result = run_live(bag, params, int(timing[-1]["stamp_ns"]), live, given=given_domain())
+    result = run_live(bag, params, int(stamps[-1]), live, given=given_domain())
     write_npz(live / "cells.npz", cells_arrays(result.cells))
     print(
-        f"   {len(timing)} scans, {len(result.cells.level)} leaves,"
+        f"   {len(stamps)} scans, {len(result.cells.level)} leaves,"
         f" {time.monotonic() - started:.1f} s with start-up"
     )
-    rows = read_csv(offline / "sites.csv")
     best = (
         ", the best at x {:.2f}, y {:.2f} m".format(*result.position[0])
         if len(result.position)
@@ -208,7 +192,7 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     )
     print(f"4. lss_node ranks {len(result.table)} landing sites{best}", flush=True)
     cells = cell_differences(offline / "cells.npz", live / "cells.npz")
-    sites = site_difference(result, rows)
+    sites = site_difference(result, results.sites)
     name = max(cells, key=lambda key: cells[key])
     print(
         f"5. Nodes against offline replay: largest difference of a cell {cells[name]:g} ({name}),"
@@ -220,8 +204,7 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     flown = _fly(out / "lander", seed)
     print(f"   {headline(flown)}")
     if flown.figures["others"]:
-        msg = f"others published {'; '.join(flown.figures['others'])} while it flew"
-        raise DemoError(msg)
+        raise DemoError(f"others published {'; '.join(flown.figures['others'])} while it flew")
     print("7. The same for GIS, 3D programs and navigation", flush=True)
     exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
     print(f"\nOpen {offline / 'report.html'}: the answer, the map, the ground in 3D")

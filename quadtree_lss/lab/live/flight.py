@@ -13,17 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.player.player import wait_for_subscribers
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
-from quadtree_lss.lab.flight.fly import OUTSIDE, Flown, figures_of, flight_config
+from quadtree_lss.lab.flight.fly import Flown, changed, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.processes import (
@@ -32,23 +29,19 @@ from quadtree_lss.lab.live.processes import (
     refuse_company,
     strangers,
 )
-from quadtree_lss.lab.simulation.recording import Messages
+from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
 from quadtree_lss.onboard.config.loading import dump_config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.messages.outputs import map_from_messages
+from quadtree_lss.onboard.messages import landing_inputs
+from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES, map_from_messages
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.qos import latched, stream, subscribe
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
-KINDS = {
-    "nav/pose": PoseWithCovarianceStamped,
-    "lidar/points": PointCloud2,
-    "landing/dispersion": PoseWithCovarianceStamped,
-    "landing/area": PolygonStamped,
-    "landing/keep_out": PolygonStamped,
-    "landing/target": PointStamped,
-}
+WISHES = ("dispersion", "area", "keep_out", "target")
+KINDS = {"nav/pose": POSE, "lidar/points": CLOUD}
+KINDS |= {f"landing/{name}": landing_inputs.TYPES[name] for name in WISHES}
 SPOKEN = ("/clock", *KINDS)
 HEARD = {"map/cells": "mapping", "map/observed": "mapping", "landing/selected": "lss"}
 """Topics by the node that publishes them."""
@@ -132,16 +125,14 @@ def fly_live(
             for said in link.spin(flight.stamp_ns, began + flight.time / rate):
                 link.heard.append(Heard(round(flight.time / TICK), said))
                 flight.hear(said)
-            for kind, name in OUTSIDE.items():
-                if kind in flight.active and kind not in down:
-                    nodes[name].process.kill()
-                    nodes[name].process.wait()
-                    if kind == "forget_mapping":
-                        checkpoint.unlink(missing_ok=True)
-                    down.add(kind)
-                elif kind not in flight.active and kind in down:
-                    down.discard(kind)
+            for kind, name in changed(flight, down):
+                if kind not in down:
                     nodes[name] = start(name)
+                    continue
+                nodes[name].process.kill()
+                nodes[name].process.wait()
+                if kind == "forget_mapping":
+                    checkpoint.unlink(missing_ok=True)
             if not down and round(flight.time / TICK) % 100 == 0:
                 for name, node in nodes.items():
                     if node.process.poll() is not None:
@@ -171,7 +162,7 @@ class _Link:
         self._clock = self.node.create_publisher(Clock, "/clock", stream(10, reliable=True))
         self._publishers = {
             topic: self.node.create_publisher(
-                kind,
+                TYPES[kind],
                 topic,
                 latched() if topic.startswith("landing/") else stream(200, reliable=True),
             )
@@ -179,16 +170,15 @@ class _Link:
         }
         self._said: list[Target] = []
         self.heard: list[Heard] = []
-        kind, effect = PoseWithCovarianceStamped, "targets of either are flown to"
+        kind, effect = TYPES[TOPIC_TYPES["landing/selected"]], "targets of either are flown to"
         problems, name = Problems(self.node.get_logger()), "/landing/selected"
         publishers = Publishers(name, "target_publishers", effect, problems)
         subscribe(self.node, kind, name, self._hear, latched(), publishers.changed)
         self.map: tuple[Any, Any] | None = None
         self._halves: dict[str, Any] = {}
-        halves = {"map/cells": PointCloud2, "map/observed": OccupancyGrid}
-        for topic, half in halves.items():
+        for topic in ("map/cells", "map/observed"):
             keep = functools.partial(self._keep, topic)
-            self.node.create_subscription(half, topic, keep, latched())
+            self.node.create_subscription(TYPES[TOPIC_TYPES[topic]], topic, keep, latched())
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 

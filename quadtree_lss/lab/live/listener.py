@@ -10,28 +10,17 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.messages.clouds import stamp_ns
+from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
 from quadtree_lss.onboard.nodes.qos import latched
+from quadtree_lss.onboard.nodes.ros_messages import TYPES
 
-TOPICS: Mapping[str, Any] = {
-    "map/cells": PointCloud2,
-    "map/observed": OccupancyGrid,
-    "landing/sites": PoseArray,
-    "landing/site_table": PointCloud2,
-    "landing/hazards": OccupancyGrid,
-    "landing/score": OccupancyGrid,
-    "landing/probability": OccupancyGrid,
-    "landing/selected": PoseWithCovarianceStamped,
-    "landing/status": PointCloud2,
-}
+TOPICS: Mapping[str, Any] = {name: TYPES[kind] for name, kind in TOPIC_TYPES.items()}
 
 
 class Listener:

@@ -186,8 +186,7 @@ def _reserve_domain() -> tuple[int, socket.socket]:
         if all(probes):
             return domain, reservation
         reservation.close()
-    msg = f"no free ROS domain between {min(DOMAINS)} and {max(DOMAINS)}"
-    raise ProcessError(msg)
+    raise ProcessError(f"no free ROS domain between {min(DOMAINS)} and {max(DOMAINS)}")
 
 
 def _bound(domain: int, port: int) -> socket.socket | None:

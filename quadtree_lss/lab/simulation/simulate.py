@@ -118,8 +118,7 @@ def simulate(
         # Half a bag looks like a whole one.
         shutil.rmtree(path, ignore_errors=True)
         if isinstance(error, OSError):
-            msg = f"cannot write {path}: {error.strerror or error}"
-            raise SimulationError(msg) from error
+            raise SimulationError(f"cannot write {path}: {error.strerror or error}") from error
         raise
     flown = [leg for leg in simulation.legs if leg.poses or leg.scans]
     return SimulationResult(
@@ -172,11 +171,9 @@ def _make_room(path: Path, overwrite: bool) -> None:
             msg = f"{path} is a file, and bags are directories; it is not overwritten"
             raise SimulationError(msg)
         if not (path / "metadata.yaml").is_file() and any(path.iterdir()):
-            msg = f"{path} is a directory but no bag; it is not overwritten"
-            raise SimulationError(msg)
+            raise SimulationError(f"{path} is a directory but no bag; it is not overwritten")
         shutil.rmtree(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"cannot create {path.parent}: {error.strerror}"
-        raise SimulationError(msg) from error
+        raise SimulationError(f"cannot create {path.parent}: {error.strerror}") from error

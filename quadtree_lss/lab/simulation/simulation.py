@@ -70,11 +70,9 @@ class Simulation:
 
     def __init__(self, scenario: str, seed: int, *, flights: int = 1, **conditions: Any) -> None:
         if flights < 1:
-            msg = f"flights must be at least 1, not {flights}"
-            raise SimulationError(msg)
+            raise SimulationError(f"flights must be at least 1, not {flights}")
         if seed < 0:
-            msg = f"seed must not be negative, not {seed}"
-            raise SimulationError(msg)
+            raise SimulationError(f"seed must not be negative, not {seed}")
         self.scenario, self.seed, self.stopped = scenario, seed, False
         terrain, navigation, lidar = map(
             np.random.default_rng, np.random.SeedSequence(seed).spawn(3)

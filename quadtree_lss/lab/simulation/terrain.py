@@ -74,22 +74,18 @@ class Terrain:
         for name in ("x", "y", "elevation"):
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.float64))
         if self.x.ndim != 1 or self.y.ndim != 1 or min(self.x.size, self.y.size) < 2:
-            msg = "terrain: x and y must be vectors of at least two posts"
-            raise SimulationError(msg)
+            raise SimulationError("terrain: x and y must be vectors of at least two posts")
         if self.elevation.shape != (self.y.size, self.x.size):
-            msg = (
+            raise SimulationError(
                 f"terrain: elevation has shape {self.elevation.shape}, "
                 f"expected (ny, nx) = ({self.y.size}, {self.x.size})"
             )
-            raise SimulationError(msg)
         for name, axis in (("x", self.x), ("y", self.y)):
             steps = np.diff(axis)
             if not np.all(steps > 0.0) or np.ptp(steps) > 1e-3 * steps.mean():
-                msg = f"terrain: {name} must ascend in equal steps"
-                raise SimulationError(msg)
+                raise SimulationError(f"terrain: {name} must ascend in equal steps")
         if not np.all(np.isfinite(self.elevation)):
-            msg = "terrain: elevation holds values that are not finite"
-            raise SimulationError(msg)
+            raise SimulationError("terrain: elevation holds values that are not finite")
 
     @property
     def post(self) -> tuple[float, float]:
@@ -178,8 +174,7 @@ def load_terrain(path: str | Path) -> Terrain:
     """Read a DEM from ``.npz`` with arrays x (nx,), y (ny,), elevation (ny, nx)."""
     file = Path(path)
     if not file.is_file():
-        msg = f"terrain file {file} does not exist"
-        raise SimulationError(msg)
+        raise SimulationError(f"terrain file {file} does not exist")
     try:
         arrays = read_arrays(file, ("x", "y", "elevation"))
         return Terrain(arrays["x"], arrays["y"], arrays["elevation"])
