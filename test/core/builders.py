@@ -14,10 +14,11 @@ from collections.abc import Callable, Iterator
 from unittest import mock
 
 import numpy as np
+from core.kernels import minus
 
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
-from quadtree_lss.onboard.core.geometry import rotations, sphere
+from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -280,7 +281,7 @@ def differentiated(function: Callable[[Array], Array], size: int, step: float = 
 def plane_errors(cells: CellMap, normal: Array, surface: Surface) -> Array:
     """(M, 3) error of each cell's plane against planar ground, about (x, y, z) of the cell."""
     high = normal[2] * (cells.z - surface(cells.x, cells.y))
-    return np.column_stack([[sphere.minus(n, normal) for n in cells.normal], high])
+    return np.column_stack([[minus(n, normal) for n in cells.normal], high])
 
 
 def strip(columns: int) -> CellMap:

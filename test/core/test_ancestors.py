@@ -8,8 +8,8 @@ import dataclasses
 import numpy as np
 import pytest
 from core.builders import configured, make_pose, mapped, pose_covariance, scan, scattered, slope
+from core.kernels import minus
 
-from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -41,7 +41,7 @@ def test_fused_planes_are_those_of_a_direct_fit(level):
     np.testing.assert_allclose(fused.y, direct.y[order])
     sigma = np.sqrt(np.einsum("mii->mi", direct.covariance_range[order]))
     pairs = zip(fused.normal, direct.normal[order], strict=True)
-    tilt = np.abs([sphere.minus(one, other) for one, other in pairs])
+    tilt = np.abs([minus(one, other) for one, other in pairs])
     # Bins move by the noise across the ray, and small leaves' own tilt weights: second order.
     assert (tilt < 0.7 * sigma[:, :2]).all()
     assert (np.abs(fused.z - direct.z[order]) < 0.5 * sigma[:, 2]).all()

@@ -18,9 +18,9 @@ from core.builders import (
     scattered,
     slope,
 )
+from core.kernels import tangent_basis
 from scipy.stats import chi
 
-from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.mapping.consistency import (
     Counts,
     acceptance_interval,
@@ -122,7 +122,7 @@ def test_statistics_are_those_of_equations_17_46_and_61():
         ray = seen.points[i] / np.linalg.norm(seen.points[i])
         residual = n @ arm
         # The predicted point moves along its ray: d r / d(dphi, dd) = u / (n.u) a.
-        a = np.r_[sphere.tangent_basis(n).T @ arm, -1.0]
+        a = np.r_[tangent_basis(n).T @ arm, -1.0]
         jacobian = np.outer(ray, a) / (n @ ray)
         plane = cells.covariance[row]
         total = sigma[i] + jacobian @ plane @ jacobian.T

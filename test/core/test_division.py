@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from core.builders import (
     configured,
-    flat,
     four_leaves,
     look,
     make_pose,
@@ -15,12 +14,10 @@ from core.builders import (
     point_covariances,
     pose_covariance,
     scan,
-    scattered,
     slope,
 )
+from core.kernels import division, tangent_basis
 
-from quadtree_lss.onboard.core.geometry import sphere
-from quadtree_lss.onboard.core.mapping import division
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 
@@ -37,15 +34,12 @@ def test_a_scan_weighs_by_the_residuals_its_fit_left_free():
     """Its points less three; from eight of them on the leaf asks."""
     rules = Rules(configured())
     leaf = four_leaves().rows
-    division.asks_in(rules, leaf, 1, run_of(4.0, 9.0), 0)
-    division.asks_in(rules, leaf, 1, run_of(12.0, 0.5), 0)
+    division.asks(rules, leaf[1], run_of(4.0, 9.0)[0])
+    division.asks(rules, leaf[1], run_of(12.0, 0.5)[0])
     assert leaf[1].division_weight == 1.0 + 9.0
     assert leaf[1].division_sum == 9.0 + 4.5
     # Four free residuals, then eight.
-    assert [division.asks_in(rules, leaf, 2, run_of(7.0, 9.0), 0) for _ in range(2)] == [
-        False,
-        True,
-    ]
+    assert [division.asks(rules, leaf[2], run_of(7.0, 9.0)[0]) for _ in range(2)] == [False, True]
     assert not leaf[0].division_weight
 
 
@@ -63,15 +57,15 @@ def test_a_leaf_asks_above_its_threshold_and_the_doubt_of_few(criterion, mean, s
         bound = 1.2 * mean + 0.5 * spread / np.sqrt(free)
         for factor, asked in ((0.999, False), (1.001, True)):
             leaf = four_leaves().rows
-            assert division.asks_in(rules, leaf, 0, run_of(free + 3.0, factor * bound), 0) == asked
+            assert division.asks(rules, leaf[0], run_of(free + 3.0, factor * bound)[0]) == asked
 
 
 def test_a_view_of_less_than_half_of_a_leaf_does_not_judge_it():
     rules, leaf = Rules(configured()), four_leaves().rows
-    assert not division.asks_in(rules, leaf, 0, run_of(5000.0, 50.0, 0.5, 1.0), 0)
+    assert not division.asks(rules, leaf[0], run_of(5000.0, 50.0, 0.5, 1.0)[0])
     for name in ("division_sum", "division_weight", "square_sum"):
         assert leaf[0][name] == 0.0
-    assert division.asks_in(rules, leaf, 0, run_of(5000.0, 50.0, 0.49, 1.0), 0)
+    assert division.asks(rules, leaf[0], run_of(5000.0, 50.0, 0.49, 1.0)[0])
 
 
 @pytest.mark.parametrize("per_cell", [12, 40])
@@ -89,20 +83,6 @@ def test_three_points_say_nothing_of_a_fit():
     for _ in range(9):
         look(mapper, lambda x, y: np.sin(9.0 * x), x, y)
     assert not mapper.leaves.rows.division_sum.any()
-
-
-def test_the_papers_criterion_judges_known_cells_by_the_plane_they_had():
-    """Its residuals are prefit ones: level ground that rose does not fit its leaf."""
-    config = configured(
-        domain={"min_level": 2, "max_level": 3},
-        mapping={"division": "mahalanobis", "align": False},
-        lidar={"range_noise": 0.02},
-    )
-    mapper = mapped(config, flat(), density=20.0, scans=1)
-    assert mapper.leaves.count == 16
-    rng = np.random.default_rng(2)
-    look(mapper, flat(0.15), *scattered(rng, 0.0, 0.0, 16.0, 5000), rng, 0.02)
-    assert mapper.leaves.count > 16
 
 
 def test_a_known_cells_statistic_is_that_of_equations_46_and_47():
@@ -123,7 +103,7 @@ def test_a_known_cells_statistic_is_that_of_equations_46_and_47():
     mapper.update(points, later)
     leaf, seen = mapper.leaves.rows[0], points @ later.rotation_map_lidar.T
     n, middle = before.normal, np.array([before.x, before.y, before.z]) - later.position
-    a = np.append(sphere.tangent_basis(n).T @ (seen.mean(axis=0) - middle), -1.0)
+    a = np.append(tangent_basis(n).T @ (seen.mean(axis=0) - middle), -1.0)
     plane = a @ (before.range_part + before.pose_part).reshape(3, 3) @ a
     # Of a point where they are on average: Eq. 61's Sigma, both places on one ray.
     point, ray = seen.mean(axis=0), seen.mean(axis=0) / np.linalg.norm(seen.mean(axis=0))

@@ -6,10 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from core.builders import configured, flat, look, mapped
+from core.kernels import shifted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.onboard.core.geometry import morton, plane
+from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import to_bytes
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -156,7 +157,7 @@ def test_inherited_planes_are_the_parents():
         assert parent.normal @ off == pytest.approx(0.0, abs=1e-12)
         np.testing.assert_array_equal(child.normal, parent.normal)
         for name in ("range_part", "pose_part"):
-            expected = plane.shifted(parent[name].reshape(3, 3), parent.normal, off)
+            expected = shifted(parent[name].reshape(3, 3), parent.normal, off)
             np.testing.assert_allclose(child[name].reshape(3, 3), expected, atol=1e-15)
 
 

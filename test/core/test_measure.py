@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from core.builders import configured, flat, lattice, look, pose_covariance, unit_vectors
+from core.kernels import fit, plus, shifted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from quadtree_lss.onboard.core.geometry import plane, rotations, sphere
+from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.mapping.measure import Rules, fit, range_variance
+from quadtree_lss.onboard.core.mapping.measure import Rules, range_variance
 
 UP = np.array([0.0, 0.0, 1.0])
 LIDAR = np.array([30.0, -20.0, 80.0])
@@ -86,7 +87,7 @@ def test_the_ml_fit_minimises_the_weighted_cost():
     found = fitted(rules("ml"), points)
 
     def cost(state: np.ndarray) -> float:
-        return float(np.sum((points @ sphere.plus(found.normal, state[:2]) - state[2]) ** 2))
+        return float(np.sum((points @ plus(found.normal, state[:2]) - state[2]) ** 2))
 
     start = np.array([0.01, -0.01, 0.0])
     best = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-16})
@@ -176,7 +177,7 @@ def test_a_strip_tells_its_height_alone(middle, width):
     at = seen.mean(axis=0)
     over = found.z - (prior[0] * at[0] + prior[1] * at[1]) / prior[2]
     assert over == pytest.approx(at[2], abs=1e-9)
-    known = plane.shifted(found.range_part, prior, at - (0.0, 0.0, found.z))
+    known = shifted(found.range_part, prior, at - (0.0, 0.0, found.z))
     assert np.sqrt(known[2, 2]) < 0.2
 
 

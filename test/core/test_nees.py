@@ -21,9 +21,9 @@ from core.builders import (
     scattered,
     slope,
 )
+from core.kernels import minus
 from scipy.stats import chi2
 
-from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -62,7 +62,7 @@ def estimates(case: str, fit: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
             ("parent", parent, parent.range_part + parent.pose_part),
         ):
             high = of.z[0] - GROUND(of.x[0], of.y[0])
-            error = np.r_[sphere.minus(of.normal[0], NORMAL), NORMAL[2] * high]
+            error = np.r_[minus(of.normal[0], NORMAL), NORMAL[2] * high]
             found[name].append((error, covariance[0]))
     return {
         name: (np.array([e for e, _ in rows]), np.array([c for _, c in rows]))

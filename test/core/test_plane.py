@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from core import kernels
 from core.builders import (
     configured,
     differentiated,
@@ -12,9 +13,10 @@ from core.builders import (
     unit_vectors,
     upward_normals,
 )
+from core.kernels import filled, plane
 
-from quadtree_lss.onboard.core.geometry import plane, rotations, sphere
-from quadtree_lss.onboard.core.mapping.measure import Rules, fit
+from quadtree_lss.onboard.core.geometry import rotations
+from quadtree_lss.onboard.core.mapping.measure import Rules
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -27,7 +29,13 @@ def scatter_of(points: np.ndarray) -> np.ndarray:
 def fitted(points: np.ndarray, prior=UP, method: str = "height", noise: float = 1e-3):
     """What `measure` makes of points (N, 3) about the lidar that fill a cell of 2 m below it."""
     rules = Rules(configured(lidar={"range_noise": noise}, mapping={"fit": method}))
-    return fit(rules, points, 0.0, 0.0, 2.0, prior, np.zeros((6, 6)))[0]
+    return kernels.fit(rules, points, 0.0, 0.0, 2.0, prior, np.zeros((6, 6)))[0]
+
+
+def slope_part(points: np.ndarray, normal, variance: float, tilt: float = 0.0) -> np.ndarray:
+    """`plane.slope_covariance` of a fit to points (N, 3): (2, 2), rad^2."""
+    six = scatter_of(points)[np.triu_indices(3)]
+    return filled(plane.slope_covariance, (4,), six, normal, variance, tilt)[0].reshape(2, 2)
 
 
 @pytest.mark.parametrize("count", [1, 2, 30])
@@ -44,7 +52,8 @@ def test_inverse_is_the_inverse():
     for matrix in random_covariances(rng, 50, 3, 0.3):
         scale = np.diag(10.0 ** rng.uniform(-9.0, 0.0, 3))
         matrix = scale @ matrix @ scale
-        np.testing.assert_allclose(plane.inverse(matrix) @ matrix, np.eye(3), atol=1e-6)
+        (found,) = filled(plane.inverse_symmetric, (9,), matrix.ravel())
+        np.testing.assert_allclose(found.reshape(3, 3) @ matrix, np.eye(3), atol=1e-6)
 
 
 @pytest.mark.parametrize("noise", [1e-4, 0.8])
@@ -77,7 +86,8 @@ def test_orthogonal_fit_minimises_the_orthogonal_residuals():
 def test_upward_keeps_the_plane_and_stays_off_the_horizon():
     steepest = 0.25
     for n in np.vstack([np.eye(3), -np.eye(3), unit_vectors(np.random.default_rng(6), 100)]):
-        up = plane.upward(n)
+        up = n.copy()
+        plane.keep_up(up)
         assert up[2] >= steepest - 1e-15
         assert np.linalg.norm(up) == pytest.approx(1.0, abs=1e-12)
         if abs(n[2]) >= steepest:
@@ -91,28 +101,28 @@ def test_slope_covariance_is_the_inverse_hessian():
     rng = np.random.default_rng(7)
     sigma, h = 0.05, 1e-3
     for normal in upward_normals(rng, 10, 1.0):
-        off = rng.uniform(-1.0, 1.0, (80, 2)) @ sphere.tangent_basis(normal).T
+        off = rng.uniform(-1.0, 1.0, (80, 2)) @ kernels.tangent_basis(normal).T
         off -= off.mean(axis=0)
 
         def cost(phi: np.ndarray, off=off, normal=normal) -> float:
-            return 0.5 * float(np.sum((off @ sphere.plus(normal, phi)) ** 2)) / sigma**2
+            return 0.5 * float(np.sum((off @ kernels.plus(normal, phi)) ** 2)) / sigma**2
 
         hessian = [
             [(cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b)) / (4.0 * h * h) for b in axes]
             for axes in [h * np.eye(2)]
             for a in axes
         ]
-        found = plane.slope_part(off.T @ off, normal, sigma**2)
+        found = slope_part(off, normal, sigma**2)
         # h^2 relative.
         np.testing.assert_allclose(found @ hessian, np.eye(2), atol=1e-3)
 
 
 def test_a_direction_that_no_point_tells_is_not_known():
     line = np.outer(np.linspace(-1.0, 1.0, 50), (1.0, 0.0, 0.0))
-    found = plane.slope_part(scatter_of(line), UP, 0.01**2)
+    found = slope_part(line, UP, 0.01**2)
     assert found[0, 0] < 1e-5
     assert found[1, 1] > 90.0
-    tilted = plane.slope_part(scatter_of(line), UP, 0.01**2, 0.04)
+    tilted = slope_part(line, UP, 0.01**2, 0.04)
     np.testing.assert_allclose(tilted, found + 0.04 * np.eye(2))
 
 
@@ -122,11 +132,12 @@ def test_error_about_another_place_is_that_of_the_plane_through_the_centroid():
     for normal in upward_normals(rng, 10):
         slope = random_covariances(rng, 1, 2, 0.02)[0]
         arm = rng.standard_normal(3)  # centroid minus origin
-        change = differentiated(lambda e, n=normal, arm=arm: sphere.plus(n, e) @ arm, 2)
+        change = differentiated(lambda e, n=normal, arm=arm: kernels.plus(n, e) @ arm, 2)
         jacobian = np.block([[np.eye(2), np.zeros((2, 1))], [change, np.ones((1, 1))]])
         before = np.block([[slope, np.zeros((2, 1))], [np.zeros((1, 2)), np.array([[1e-4]])]])
-        found = plane.range_part_about(slope, 1e-4, sphere.tangent_basis(normal).T @ arm)
-        np.testing.assert_allclose(found, jacobian @ before @ jacobian.T, atol=1e-9)
+        lever = kernels.tangent_basis(normal).T @ arm
+        (found,) = filled(plane.covariance_about, (9,), slope.ravel(), 1e-4, *lever)
+        np.testing.assert_allclose(found.reshape(3, 3), jacobian @ before @ jacobian.T, atol=1e-9)
 
 
 def test_shift_of_origin_maps_errors_as_differentiation_does():
@@ -135,15 +146,16 @@ def test_shift_of_origin_maps_errors_as_differentiation_does():
         delta = 30.0 * unit_vectors(rng, 1)[0]
 
         def after(error, normal=normal, delta=delta):
-            n = sphere.plus(normal, error[:2])
-            return np.append(sphere.minus(n, normal), error[2] - (n - normal) @ delta)
+            n = kernels.plus(normal, error[:2])
+            return np.append(kernels.minus(n, normal), error[2] - (n - normal) @ delta)
 
         covariance = random_covariances(rng, 1, 3, 0.05)[0]
         change = differentiated(after, 3)
-        height = plane.height_variance(covariance, normal, delta)
+        lever = delta @ kernels.tangent_basis(normal)
+        height = plane.offset_variance(covariance.ravel(), *lever)
         assert height == pytest.approx((change @ covariance @ change.T)[2, 2], rel=1e-6)
         np.testing.assert_allclose(
-            plane.shifted(covariance, normal, delta),
+            kernels.shifted(covariance, normal, delta),
             change @ covariance @ change.T,
             rtol=1e-6,
             atol=1e-6,
@@ -159,10 +171,9 @@ def test_pose_part_is_the_covariance_of_a_rigid_motion():
         def moved(error, normal=normal, arm=arm):
             turn = rotations.exp(error[3:])
             n = turn @ normal
-            return np.append(sphere.minus(n, normal), n @ (turn @ arm + error[:3] - arm))
+            return np.append(kernels.minus(n, normal), n @ (turn @ arm + error[:3] - arm))
 
         jacobian = differentiated(moved, 6)
         expected = jacobian @ sigma @ jacobian.T
-        np.testing.assert_allclose(
-            plane.pose_part_of(normal, arm, sigma), expected, rtol=1e-5, atol=1e-8
-        )
+        (found,) = filled(plane.pose_part, (9,), normal, arm, sigma)
+        np.testing.assert_allclose(found.reshape(3, 3), expected, rtol=1e-5, atol=1e-8)

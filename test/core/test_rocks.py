@@ -8,9 +8,9 @@ import functools
 import numpy as np
 import pytest
 from core.builders import by, configured, four_leaves, mapped
+from core.kernels import division
 
 from quadtree_lss.onboard.core.geometry.feature import SHAPE, peak
-from quadtree_lss.onboard.core.mapping import division
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
@@ -31,7 +31,7 @@ def hides(
         rules = Rules(configured(lidar={"range_noise": noise}))
     runs = np.zeros(1, dtype=RUN).view(np.recarray)
     runs.points, runs.raised = view
-    return [division.hides_rock_in(rules, leaves.rows, row, runs, 0, 8.0) for row in range(4)]
+    return [division.hides_rock(rules, leaves.rows[row], runs[0], 8.0) for row in range(4)]
 
 
 def test_exceptions_beyond_their_noise_divide():

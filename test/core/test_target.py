@@ -8,11 +8,11 @@ import dataclasses
 import numpy as np
 import pytest
 from core.builders import configured, flat, mapped
+from core.kernels import plus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import LssConfig, config_from_values
-from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
@@ -404,7 +404,7 @@ def test_covariance_is_that_of_drawn_maps():
     drawn = []
     for _ in range(1500):
         error = np.einsum("kij,kj->ki", root, rng.standard_normal((len(cells.z), 3)))
-        normal = np.array([sphere.plus(n, e[:2]) for n, e in zip(cells.normal, error, strict=True)])
+        normal = np.array([plus(n, e[:2]) for n, e in zip(cells.normal, error, strict=True)])
         moved = dataclasses.replace(cells, normal=normal, z=cells.z + error[:, 2] / normal[:, 2])
         raster = rasterise(moved, LssConfig(max_gap=1.0))
         planes = ground_planes(raster.elevation, raster.seen, 0.5, radius)

@@ -86,11 +86,8 @@ def _check(values: Mapping[str, object], where: str) -> None:
 def find_config(path: str | os.PathLike[str]) -> Path:
     """The file itself, else the shipped configuration of that name.
 
-    ``morpheus``, ``morpheus.yaml`` and ``config/morpheus.yaml`` all name the shipped one.
-
-    Raises:
-        ConfigError: no such file; lists the shipped ones.
-    """
+    ``morpheus``, ``morpheus.yaml`` and ``config/morpheus.yaml`` all name the shipped one. Raises
+    `ConfigError`: no such file; lists the shipped ones."""
     given = Path(path)
     if given.is_file():
         return given

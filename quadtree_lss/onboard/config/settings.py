@@ -179,12 +179,8 @@ def checked_values(
 
 
 def config_from_values(values: Mapping[str, object], base: Config | None = None) -> Config:
-    """A configuration from dotted or nested values laid over ``base``.
-
-    Raises:
-        ConfigError: unknown key (names the nearest), wrong type or range, values that
-            contradict one another.
-    """
+    """A configuration from dotted or nested values laid over ``base``. Raises `ConfigError`:
+    unknown key (names the nearest), wrong type or range, values that contradict one another."""
     start = Config() if base is None else base
     changed = {
         section: dataclasses.replace(getattr(start, section), **entries)

@@ -41,11 +41,8 @@ class Extrinsics:
         return replace(lidar, rotation_map_lidar=lidar.rotation_map_lidar @ self._turn)
 
     def check_body(self, frame: str) -> None:
-        """Takes the child frame of an odometry, the first if ``frames.body`` names none.
-
-        Raises:
-            MessageError: ``child_frame`` if it is another one.
-        """
+        """Takes the child frame of an odometry, the first if ``frames.body`` names none. Raises
+        `MessageError`: ``child_frame`` if it is another one."""
         frame = _usable(frame, "child_frame")
         if not self._body and frame:
             self._body = frame
@@ -56,11 +53,8 @@ class Extrinsics:
             raise MessageError("child_frame", text)
 
     def check_lidar(self, frame: str) -> None:
-        """Takes the frame of a cloud, which matters with ``mount.tf`` alone.
-
-        Raises:
-            MessageError: ``frame`` if it is another one than before.
-        """
+        """Takes the frame of a cloud, which matters with ``mount.tf`` alone. Raises `MessageError`:
+        ``frame`` if it is another one than before."""
         if not self.tf:
             return
         frame = _usable(frame, "frame")
@@ -73,12 +67,8 @@ class Extrinsics:
         self._look()
 
     def on_transforms(self, msg: Any) -> None:
-        """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``.
-
-        Raises:
-            MessageError: ``stamp``, ``position``, ``quaternion`` or ``frame`` of a transform; the
-                others hold.
-        """
+        """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``. Raises `MessageError`: ``stamp``,
+        ``position``, ``quaternion`` or ``frame`` of a transform; the others hold."""
         wrong: MessageError | None = None
         new = False
         for item in msg.transforms:
@@ -113,11 +103,8 @@ class Extrinsics:
 
 
 def _usable(frame: object, reason: str) -> str:
-    """Name of a frame without its slash.
-
-    Raises:
-        MessageError: it is so long that it was hardly meant.
-    """
+    """Name of a frame without its slash. Raises `MessageError`: it is so long that it was hardly
+    meant."""
     name = str(frame).lstrip("/")
     if len(name) > LONGEST:
         text = f"frame '{_shown(name)}' has a name of more than {LONGEST} characters"

@@ -45,11 +45,8 @@ MAX_KEEP_OUTS = 200
 
 
 def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Vertices (V, 2) in the map frame, m; None if the message has none: no restriction.
-
-    Raises:
-        MessageError: with reason ``frame`` or ``polygon``.
-    """
+    """Vertices (V, 2) in the map frame, m; None if the message has none: no restriction. Raises
+    `MessageError`: with reason ``frame`` or ``polygon``."""
     check_frame(msg.header.frame_id, map_frame, "polygon")
     polygon = getattr(msg.polygon, "polygon", msg.polygon)  # of one of a set, which has an id
     corners = np.array([(p.x, p.y) for p in polygon.points], dtype=np.float64)
@@ -65,11 +62,8 @@ def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
 
 
 def target_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Place (2,) in the map frame, m; None if x and y are both NaN: no target.
-
-    Raises:
-        MessageError: with reason ``frame`` or ``point``.
-    """
+    """Place (2,) in the map frame, m; None if x and y are both NaN: no target. Raises
+    `MessageError`: with reason ``frame`` or ``point``."""
     check_frame(msg.header.frame_id, map_frame, "target")
     place = np.array([msg.point.x, msg.point.y], dtype=np.float64)
     if np.isnan(place).all():
@@ -84,11 +78,8 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
     """Deviations along x and y, m, and heading, rad, if it is known; None if there are none.
 
     Of the covariance the variances in x and y count, and that of the rotation about z: a heading
-    that is not known to 15 degrees is any. The position means nothing.
-
-    Raises:
-        MessageError: with reason ``frame`` or ``dispersion``.
-    """
+    that is not known to 15 degrees is any. The position means nothing. Raises `MessageError`: with
+    reason ``frame`` or ``dispersion``."""
     check_frame(msg.header.frame_id, map_frame, "dispersion")
     covariance = np.asarray(msg.pose.covariance, dtype=np.float64)
     variance = covariance[[0, 7]] if covariance.size == 36 else np.full(2, -1.0)
@@ -142,11 +133,8 @@ class LandingWishes:
         self.navigation = Navigation()
 
     def take(self, topic: str, msg: Any) -> None:
-        """A message of the topic ``landing/`` and this name.
-
-        Raises:
-            MessageError: it cannot be used.
-        """
+        """A message of the topic ``landing/`` and this name. Raises `MessageError`: it cannot be
+        used."""
         if topic in self.fixed:
             return
         name = name_of(topic, msg)

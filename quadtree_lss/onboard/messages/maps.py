@@ -32,32 +32,25 @@ POINT_FIELD_TYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4":
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _RANGE = tuple(f"covariance_range_{i}{j}" for i, j in _UPPER)
 _POSE = tuple(f"covariance_pose_{i}{j}" for i, j in _UPPER)
+_NORMAL = ("normal_x", "normal_y", "normal_z")
 _FEATURE = ("feature_a", "feature_k", "feature_x", "feature_y", "feature_sigma")
 
-#: Name and little-endian type of each field of a ``map/cells`` point, in order.
-CELL_FIELDS: tuple[tuple[str, str], ...] = (
-    ("x", "f4"),
-    ("y", "f4"),
-    ("z", "f4"),
-    ("size", "f8"),
-    ("elevation", "f8"),
-    ("normal_x", "f8"),
-    ("normal_y", "f8"),
-    ("normal_z", "f8"),
-    *((name, "f4") for name in (*_RANGE, *_POSE)),
-    ("roughness", "f4"),
-    ("exception_fraction", "f4"),
-    *((name, "f4") for name in _FEATURE),
-    ("count", "u4"),
-    ("ix", "u2"),
-    ("iy", "u2"),
-    ("level", "u1"),
-    ("min_level", "u1"),
-    ("measured", "u1"),
-    ("offset_z", "f4"),
-    ("offset_variance", "f4"),
-    ("low", "f8"),
-    ("high", "f8"),
+
+def _of(kind: str, names: str | tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """Fields of one little-endian type."""
+    return tuple((name, kind) for name in (names.split() if isinstance(names, str) else names))
+
+
+#: Name and type of each field of a ``map/cells`` point, in order.
+CELL_FIELDS = (
+    *_of("f4", "x y z"),
+    *_of("f8", ("size", "elevation", *_NORMAL)),
+    *_of("f4", (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)),
+    *_of("u4", "count"),
+    *_of("u2", "ix iy"),
+    *_of("u1", "level min_level measured"),
+    *_of("f4", "offset_z offset_variance"),
+    *_of("f8", "low high"),
 )
 #: Of recordings from before a map told bounds.
 CELL_FIELDS_BEFORE = CELL_FIELDS[:-2]
@@ -66,36 +59,19 @@ CELL_FIELDS_BEFORE = CELL_FIELDS[:-2]
 KNOWN, SEEN, NOT_SEEN = 100, 50, -1
 
 #: Fields of a ``landing/site_table`` point.
-SITE_FIELDS: tuple[tuple[str, str], ...] = (
-    ("x", "f4"),
-    ("y", "f4"),
-    ("z", "f4"),
-    ("score", "f4"),
-    ("slope", "f4"),
-    ("roughness", "f4"),
-    ("hazard_distance", "f4"),
-    ("subscale_height", "f4"),
-    ("id", "u4"),
-    ("answer", "u4"),
-    ("probability", "f4"),
+SITE_FIELDS = (
+    *_of("f4", "x y z score slope roughness hazard_distance subscale_height"),
+    *_of("u4", "id answer"),
+    *_of("f4", "probability"),
 )
 
 #: Fields of the one ``landing/status`` point.
-STATUS_FIELDS: tuple[tuple[str, str], ...] = (
-    ("x", "f4"),
-    ("y", "f4"),
-    ("z", "f4"),
-    ("hazard_distance", "f4"),
-    ("age", "f4"),
-    ("offset_z", "f4"),
-    ("offset_variance", "f4"),
-    ("id", "u4"),
-    ("answer", "u4"),
-    ("reason", "u1"),
-    ("state", "u1"),
-    ("seen", "f4"),
-    ("probability", "f4"),
-    ("doubts", "u1"),
+STATUS_FIELDS = (
+    *_of("f4", "x y z hazard_distance age offset_z offset_variance"),
+    *_of("u4", "id answer"),
+    *_of("u1", "reason state"),
+    *_of("f4", "seen probability"),
+    *_of("u1", "doubts"),
 )
 
 
@@ -110,7 +86,7 @@ def encode_cells(cells: CellMap) -> NDArray[np.void]:
     out["x"], out["y"], out["size"] = cells.x, cells.y, cells.size
     out["z"] = bounded(cells.z, cells.low, cells.high)
     out["elevation"] = cells.z
-    for axis, name in enumerate(("normal_x", "normal_y", "normal_z")):
+    for axis, name in enumerate(_NORMAL):
         out[name] = cells.normal[:, axis]
     for names, matrix in ((_RANGE, cells.covariance_range), (_POSE, cells.covariance_pose)):
         for name, (i, j) in zip(names, _UPPER, strict=True):
@@ -204,7 +180,7 @@ def decode_cells(
         ix=ix,
         iy=iy,
         z=elevation,
-        normal=_columns(records, ("normal_x", "normal_y", "normal_z")),
+        normal=_columns(records, _NORMAL),
         covariance_range=_matrices(records, _RANGE),
         covariance_pose=_matrices(records, _POSE),
         count=records["count"].astype(np.uint32),

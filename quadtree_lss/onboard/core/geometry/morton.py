@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Index, Keys
 
@@ -16,11 +15,6 @@ if not cython.compiled:
 def encode(ix: cython.longlong, iy: cython.longlong) -> cython.longlong:
     """Morton code of the cell (ix, iy), each below 2^16: x in the even bits, y in the odd."""
     return spread(ix) | (spread(iy) << 1)
-
-
-def decode(code: int) -> tuple[int, int]:
-    """ix and iy of a Morton code."""
-    return squeeze(code), squeeze(code >> 1)
 
 
 def spread(value: cython.longlong) -> cython.longlong:
@@ -53,14 +47,6 @@ def squeezed(codes: Keys) -> tuple[Index, Index]:
 
 #: `spread` of 0 … 4095, for loops over points.
 SPREAD = np.array([spread(value) for value in range(4096)], dtype=np.int64)
-
-
-def order(keys: ArrayLike) -> Index:
-    """Permutation (N,) that sorts keys (N,), 0 … 2^31 - 1; equal keys keep their order."""
-    values = np.asarray(keys, dtype=np.int64)
-    packed = (values << PLACE_BITS) | np.arange(len(values))
-    spare = np.empty_like(packed)
-    return (spare if sort_packed(packed, spare) else packed) & 0xFFFFFFFF
 
 
 @cython.boundscheck(False)

@@ -11,11 +11,9 @@ xx, xy, xz, yy, yz, zz.
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.core.geometry.sphere import Vector, tangent_basis
+from quadtree_lss.onboard.core.geometry.sphere import Vector
 
 if not cython.compiled:
     from math import sqrt
@@ -439,93 +437,3 @@ def fuse(
                 prior_range[3 * i + k] = prior_range[3 * k + i] = 0.0
             prior_range[4 * i] = SURE
     out_rise[0] = rise
-
-
-def upward(normal: ArrayLike) -> Array:
-    """`keep_up` of a normal (3,)."""
-    n: cython.double[3] = normal  # type: ignore[valid-type]
-    keep_up(n)
-    return np.array(n)
-
-
-def slope_part(scatter: Array, normal: ArrayLike, variance: float, tilt: float = 0.0) -> Array:
-    """`slope_covariance` of a fit to a scatter (3, 3): (2, 2), rad^2."""
-    six: cython.double[6] = scatter[UPPER]  # type: ignore[valid-type]
-    n: cython.double[3] = normal  # type: ignore[valid-type]
-    out = cython.declare(cython.double[4])
-    slope_covariance(six, n, variance, tilt, out)
-    return np.array(out).reshape(2, 2)
-
-
-def range_part_about(slope: Array, offset_variance: float, lever: ArrayLike) -> Array:
-    """`covariance_about` of a slope's covariance (2, 2) with the lever (2,), m: (3, 3)."""
-    four: cython.double[4] = slope.ravel()  # type: ignore[valid-type]
-    arm: cython.double[2] = lever  # type: ignore[valid-type]
-    out = cython.declare(cython.double[9])
-    covariance_about(four, offset_variance, arm[0], arm[1], out)
-    return np.array(out).reshape(3, 3)
-
-
-def pose_part_of(normal: ArrayLike, arm: ArrayLike, sigma: Array) -> Array:
-    """`pose_part` of a plane (3,), its origin ``arm`` (3,) from the lidar: (3, 3)."""
-    n: cython.double[3] = normal  # type: ignore[valid-type]
-    r: cython.double[3] = arm  # type: ignore[valid-type]
-    out = cython.declare(cython.double[9])
-    pose_part(n, r, sigma, out)
-    return np.array(out).reshape(3, 3)
-
-
-def inverse(matrix: Array) -> Array:
-    """`inverse_symmetric` of a matrix (3, 3)."""
-    c: cython.double[9] = matrix.ravel()  # type: ignore[valid-type]
-    out = cython.declare(cython.double[9])
-    inverse_symmetric(c, out)
-    return np.array(out).reshape(3, 3)
-
-
-def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
-    """`shift_origin` of a plane's covariance (3, 3) after its origin moved by delta (3,), m."""
-    c: cython.double[9] = covariance.ravel()  # type: ignore[valid-type]
-    first, second = np.asarray(delta) @ tangent_basis(normal)
-    shift_origin(c, first, second)
-    return np.array(c).reshape(3, 3)
-
-
-def height_variance(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> cython.double:
-    """`offset_variance` of a plane's covariance (3, 3) at a place delta (3,), m, away: m^2."""
-    c: cython.double[9] = covariance.ravel()  # type: ignore[valid-type]
-    first, second = np.asarray(delta) @ tangent_basis(normal)
-    return offset_variance(c, first, second)
-
-
-def fused(
-    prior: tuple[Array, float, Array, Array],
-    other: tuple[Array, float, Array, Array],
-    common: float,
-) -> tuple[Array, float, Array, Array]:
-    """`fuse` of two planes over one place: normal (3,), height, m, range and pose part (3, 3)."""
-    prior_normal: cython.double[3] = prior[0]  # type: ignore[valid-type]
-    range_0: cython.double[9] = prior[2].ravel()  # type: ignore[valid-type]
-    pose_0: cython.double[9] = prior[3].ravel()  # type: ignore[valid-type]
-    normal: cython.double[3] = other[0]  # type: ignore[valid-type]
-    range_1: cython.double[9] = other[2].ravel()  # type: ignore[valid-type]
-    pose_1: cython.double[9] = other[3].ravel()  # type: ignore[valid-type]
-    rise = cython.declare(cython.double[1])
-    fuse(
-        prior_normal,
-        prior[1] - other[1],
-        range_0,
-        pose_0,
-        normal,
-        range_1,
-        pose_1,
-        common,
-        True,
-        rise,
-    )
-    parts = (np.array(range_0).reshape(3, 3), np.array(pose_0).reshape(3, 3))
-    return np.array(normal), other[1] + rise[0], *parts
-
-
-#: The six numbers of a scatter in the matrix.
-UPPER = np.triu_indices(3)

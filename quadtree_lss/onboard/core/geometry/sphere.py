@@ -2,8 +2,8 @@
 """Unit vectors without redundant parameters: the sphere S^2 (paper III.B, after Hertzberg).
 
 A unit vector is n = (kappa, lambda) with kappa in the x-y plane (Eq. 1); its tangent space has two
-dimensions. Kernels work on flat numbers: a basis of the tangent is six, the first axis, then the
-second; matrices lie row by row. The functions on arrays are their doors, one vector each.
+dimensions. A basis of the tangent is six numbers, the first axis, then the second; matrices lie row
+by row.
 """
 
 from __future__ import annotations
@@ -12,10 +12,6 @@ from collections.abc import MutableSequence
 from typing import TypeAlias
 
 import cython
-import numpy as np
-from numpy.typing import ArrayLike
-
-from quadtree_lss.onboard.arrays import Array
 
 if not cython.compiled:
     from math import atan2, cos, sin, sqrt
@@ -124,73 +120,3 @@ def minus_at(normal: Vector, reference: Vector, out: Vector, change: Vector) -> 
             change[2 * k + i] = (
                 slope[3 * k] * seen[0] + slope[3 * k + 1] * seen[1] + slope[3 * k + 2] * seen[2]
             )
-
-
-def tangent_basis(normal: ArrayLike) -> Array:
-    """First two columns of Eq. 2: (3,) to (3, 2)."""
-    n: cython.double[3] = normal  # type: ignore[valid-type]
-    out = cython.declare(cython.double[6])
-    basis_at(n, out)
-    return np.array(out).reshape(2, 3).T
-
-
-def exp(tangent: ArrayLike) -> Array:
-    """Eq. 3: (2,) to (3,)."""
-    phi: cython.double[2] = tangent  # type: ignore[valid-type]
-    out = cython.declare(cython.double[3])
-    exp_at(phi, out)
-    return np.array(out)
-
-
-def log(normal: ArrayLike) -> Array:
-    """Eq. 4: (3,) to (2,)."""
-    n: cython.double[3] = normal  # type: ignore[valid-type]
-    out = cython.declare(cython.double[2])
-    jacobian = cython.declare(cython.double[6])
-    log_at(n, out, jacobian)
-    return np.array(out)
-
-
-def log_jacobian(normal: ArrayLike) -> Array:
-    """d log / d n: (3,) to (2, 3)."""
-    n: cython.double[3] = normal  # type: ignore[valid-type]
-    tangent = cython.declare(cython.double[2])
-    out = cython.declare(cython.double[6])
-    log_at(n, tangent, out)
-    return np.array(out).reshape(2, 3)
-
-
-def plus(normal: ArrayLike, tangent: ArrayLike) -> Array:
-    """Eq. 8: (3,), (2,) to (3,)."""
-    n: cython.double[3] = normal  # type: ignore[valid-type]
-    phi: cython.double[2] = tangent  # type: ignore[valid-type]
-    out = cython.declare(cython.double[3])
-    plus_at(n, phi, out)
-    return np.array(out)
-
-
-def minus(normal: ArrayLike, reference: ArrayLike) -> Array:
-    """Eq. 9 (cases corrected) and Eq. 12: n [-] m, the tangent at m to n, or to -n if nearer.
-
-    (n, d) and (-n, -d) are one plane, so both vectors (3,) are first turned to the upper half
-    space and then towards one another; R_m is never formed near lambda = -1.
-    """
-    one, other = np.asarray(normal, dtype=np.float64), np.asarray(reference, dtype=np.float64)
-    other = -other if other[2] < 0.0 else other
-    one = -one if one @ other < 0.0 else one
-    n: cython.double[3] = one  # type: ignore[valid-type]
-    m: cython.double[3] = other  # type: ignore[valid-type]
-    out = cython.declare(cython.double[2])
-    change = cython.declare(cython.double[4])
-    minus_at(n, m, out, change)
-    return np.array(out)
-
-
-def tangent_change(of: ArrayLike, to: ArrayLike) -> Array:
-    """Linear map of errors in the tangent at n to the tangent at m: (3,), (3,) to (2, 2)."""
-    n: cython.double[3] = of  # type: ignore[valid-type]
-    m: cython.double[3] = to  # type: ignore[valid-type]
-    apart = cython.declare(cython.double[2])
-    out = cython.declare(cython.double[4])
-    minus_at(n, m, apart, out)
-    return np.array(out).reshape(2, 2)

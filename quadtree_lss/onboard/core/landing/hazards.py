@@ -154,12 +154,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
 @cython.locals(range_part=cython.double[:, :, ::1], pose_part=cython.double[:, :, ::1])
 @cython.locals(planes=cython.double[:, ::1], parts=cython.double[:, :, :, ::1])
 def fuse_leaves(
-    ancestor: Index,
-    leaves: Array,
-    range_part: Array,
-    pose_part: Array,
-    planes: Array,
-    parts: Array,
+    ancestor: Index, leaves: Array, range_part: Array, pose_part: Array, planes: Array, parts: Array
 ) -> None:
     """Fuse leaves (K) into their ancestors (A).
 

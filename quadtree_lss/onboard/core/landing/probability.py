@@ -64,11 +64,8 @@ class Dispersion:
     def of(values: ArrayLike | None, lss: LssConfig) -> Dispersion:
         """From standard deviations along x and y, m, and a heading, rad, NaN for any.
 
-        None stands for that of the configuration.
-
-        Raises:
-            ValueError: not two or three numbers, or no deviations.
-        """
+        None stands for that of the configuration. Raises `ValueError`: not two or three numbers, or
+        no deviations."""
         if values is None:
             return Dispersion(lss.dispersion, lss.dispersion)
         given = np.asarray(values, dtype=np.float64)

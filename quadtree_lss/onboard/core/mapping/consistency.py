@@ -144,14 +144,7 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     out = np.empty((3, len(point)))
     noise = (lidar.range_noise, lidar.range_noise_per_metre, lidar.beam_divergence)
     residuals(
-        scan.points[point],
-        leaf,
-        centre,
-        cells.normal,
-        total,
-        scan.pose.covariance,
-        *noise,
-        out,
+        scan.points[point], leaf, centre, cells.normal, total, scan.pose.covariance, *noise, out
     )
     return PrefitStatistics(point, leaf, *out)
 

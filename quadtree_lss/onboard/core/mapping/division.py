@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import cython
-import numpy as np
-from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.sphere import Vector
@@ -18,8 +16,7 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.features import feature_height
-    from quadtree_lss.onboard.core.mapping.measure import partial, pose_variance, record
-    from quadtree_lss.onboard.core.tree.leaves import leaf_at
+    from quadtree_lss.onboard.core.mapping.measure import partial, pose_variance
 
     MEASURED = 3
 
@@ -36,11 +33,7 @@ STRAY = cython.declare(cython.double, 2e-4)
 
 @cython.boundscheck(False)
 def mean_distance(
-    points: Array,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
-    normal: Vector,
-    through: Vector,
+    points: Array, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, normal: Vector, through: Vector
 ) -> cython.double:
     """Mean |n.(r - p)| (Eq. 19) of a run of points (N, 3) to the plane n (3) through p (3), m."""
     i: cython.Py_ssize_t
@@ -203,26 +196,3 @@ def hides_rock(rules: Rules, leaf: Record, run: Record, side: float) -> cython.b
     if run.raised >= noise + max(max(2.0, share * run.points), 3.0 * sqrt(noise)):
         return True
     return leaf.feature[4] <= rules.rock_sigma and feature_height(leaf.feature) >= rules.rock_height
-
-
-def asks_in(
-    rules: Rules,
-    rows: NDArray[np.void],
-    row: cython.Py_ssize_t,
-    runs: NDArray[np.void],
-    at: cython.Py_ssize_t,
-) -> cython.bint:
-    """`asks` of records (M,) of type `LEAF` and (R,) of type `RUN`."""
-    return asks(rules, leaf_at(rows, row), record(runs, at))
-
-
-def hides_rock_in(
-    rules: Rules,
-    rows: NDArray[np.void],
-    row: cython.Py_ssize_t,
-    runs: NDArray[np.void],
-    at: cython.Py_ssize_t,
-    side: float,
-) -> cython.bint:
-    """`hides_rock` of records (M,) of type `LEAF` and (R,) of type `RUN`."""
-    return hides_rock(rules, leaf_at(rows, row), record(runs, at), side)

@@ -251,11 +251,7 @@ def insert_high(
 
 
 def first_state(
-    raised: cython.Py_ssize_t,
-    high: Vector,
-    count: float,
-    area: float,
-    out: Vector,
+    raised: cython.Py_ssize_t, high: Vector, count: float, area: float, out: Vector
 ) -> None:
     """First state (5) from the data instead of Eq. 52's constants.
 

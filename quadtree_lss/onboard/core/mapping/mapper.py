@@ -37,7 +37,7 @@ from quadtree_lss.onboard.core.sensing.sweep import Sweep
 from quadtree_lss.onboard.core.tree import checkpoint
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.checkpoint import State
-from quadtree_lss.onboard.core.tree.columns import fill_columns
+from quadtree_lss.onboard.core.tree.columns import leaf_columns
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, unfold
 
@@ -247,49 +247,18 @@ class Mapper:
 
     def snapshot(self) -> CellMap:
         """The map as it stands; copies, so that later scans do not change it."""
-        rows = self.leaves.in_order()
-        m, n = len(rows), self.domain.finest_count
-        observed = np.empty((n, n), dtype=np.uint8)
+        rows, n = self.leaves.in_order(), self.domain.finest_count
+        observed, range_part = np.empty((n, n), dtype=np.uint8), np.empty((len(rows), 9))
         unfold(self.leaves.observed, observed)
-        ix, iy, count = np.empty((3, m), dtype=np.uint32)
-        level, measured = np.empty((2, m), dtype=np.uint8)
-        elevation, roughness, exceptions, low, high = single = np.empty((5, m))
-        normal, range_part, pose_part = np.empty((m, 3)), np.empty((m, 9)), np.empty((m, 9))
-        feature = np.empty((m, 5))
         unseen_parts(self.leaves, rows, range_part)
-        fill_columns(
-            self.leaves,
-            rows,
-            (ix, iy, count),
-            level,
-            measured,
-            single,
-            normal,
-            range_part,
-            pose_part,
-            feature,
-        )
         return CellMap(
             stamp_ns=self.stamp_ns,
             domain=self.domain,
-            level=level,
-            ix=ix,
-            iy=iy,
-            z=elevation,
-            normal=normal,
-            covariance_range=range_part.reshape(-1, 3, 3),
-            covariance_pose=pose_part.reshape(-1, 3, 3),
-            count=count,
-            measured=measured.view(np.bool_),
-            roughness=roughness,
-            exception_fraction=exceptions,
-            feature=feature,
-            low=low,
-            high=high,
             observed=observed > 0,
             known=observed > 1,
             offset_z=self._offset[0],
             offset_variance=self._offset[1],
+            **leaf_columns(self.leaves, rows, range_part),
         )
 
     def export_state(self) -> State:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config
@@ -17,7 +17,7 @@ from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
-    from math import fabs, nan, sqrt
+    from math import fabs, sqrt
 
     from quadtree_lss.onboard.core.geometry.morton import encode, squeeze
     from quadtree_lss.onboard.core.geometry.plane import (
@@ -258,8 +258,7 @@ def measure(
     off_y = run.centroid[1] - y
     correlation = xy * xy / max(xx * yy, 1e-300)
     wide = max(
-        _unseen(xx / count, correlation, side, count),
-        _unseen(yy / count, correlation, side, count),
+        _unseen(xx / count, correlation, side, count), _unseen(yy / count, correlation, side, count)
     )
     run.unseen = min(max(wide / side, 0.0), 1.0)
     seen = max(1.0 - run.unseen, 0.1)
@@ -350,23 +349,6 @@ def measure(
     run.statistic = run.raised = run.greatest = run.raised_by = run.doubt = 0.0
 
 
-def fit(
-    rules: Rules,
-    points: Array,
-    x: float,
-    y: float,
-    side: float,
-    prior: ArrayLike,
-    sigma: Array,
-    z: float = nan,
-) -> np.recarray[tuple[int], np.dtype[np.void]]:
-    """`measure` of all points (N, 3) and one cell: a record of type `RUN`."""
-    normal: cython.double[3] = prior  # type: ignore[valid-type]
-    runs = np.zeros(1, dtype=RUN).view(np.recarray)
-    measure(rules, points, 0, len(points), x, y, z, side, normal, sigma, record(runs, 0))
-    return runs
-
-
 @cython.boundscheck(False)
 def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     """What the parts of leaves (M,) that were never seen add to their covariance (M, 9) of (dphi,
@@ -417,8 +399,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             across = sqrt(number)
             correlation = sxy * sxy / (sxx * syy)
             wide = max(
-                _unseen(sxx, correlation, across, seen),
-                _unseen(syy, correlation, across, seen),
+                _unseen(sxx, correlation, across, seen), _unseen(syy, correlation, across, seen)
             )
             tilt = UNSEEN_TILT * min(max(wide / across, 0.0), 1.0)
             slope[0] = slope[3] = tilt * tilt

@@ -187,11 +187,7 @@ class ScanUpdate:
         self.ratio = self.ratio[:, : self.rested]
 
     def _measure(
-        self,
-        leaf: Record,
-        begin: cython.Py_ssize_t,
-        end: cython.Py_ssize_t,
-        run: Record,
+        self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
         """Fit a run of points in a leaf."""
         if leaf.known == NOTHING:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +101,10 @@ class MountedPoses:
         if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
             return self.mount.explain(stamp_ns, self.gimbal_topic)
         return self.body.explain(stamp_ns, topic)
+
+
+#: What a scan asks for its pose.
+PoseSource: TypeAlias = PoseBuffer | MountedPoses
 
 
 def mounted(body: Pose, mount: Pose) -> Pose:

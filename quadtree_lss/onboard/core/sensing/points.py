@@ -134,12 +134,7 @@ def find_runs(codes: Ints, runs: Keys, begins: Ints) -> cython.Py_ssize_t:
 
 @cython.boundscheck(False)
 def arrange(
-    points: Array,
-    runs: Keys,
-    begins: Ints,
-    arranged: Array,
-    keys: Keys,
-    count: cython.Py_ssize_t,
+    points: Array, runs: Keys, begins: Ints, arranged: Array, keys: Keys, count: cython.Py_ssize_t
 ) -> cython.void:
     """Copy points run by run to ``arranged`` (M + 3, 3), the key of each to ``keys``; ``count`` is
     M.

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.mount import PoseSource
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS, seconds
-from quadtree_lss.onboard.core.sensing.sweep import Poses, uncovered
+from quadtree_lss.onboard.core.sensing.sweep import uncovered
 
 
 class Drop(NamedTuple):
@@ -23,30 +24,6 @@ class Drop(NamedTuple):
     stamp_ns: int
     reason: str
     text: str
-
-
-class PoseSource(Poses, Protocol):
-    """What a scan asks for its pose: `PoseBuffer`, or `mount.MountedPoses` on top of it."""
-
-    @property
-    def jumps(self) -> int:
-        """How often stamps jumped back."""
-
-    def clear(self) -> None:
-        """Forgets every pose."""
-
-    def hopeless(self, stamp_ns: int) -> str | None:
-        """Short key of the reason why no later pose can help, or None while one can."""
-
-    def lacking(self, stamp_ns: int) -> str:
-        """Short key of what there is not yet at the stamp."""
-
-    def explain(self, stamp_ns: int, topic: str) -> str:
-        """Why there is no pose at the stamp: what is held, and the likely cause."""
-
-    @property
-    def range_ns(self) -> tuple[int, int] | None:
-        """Oldest and newest stamp held."""
 
 
 class _Waiting(NamedTuple):

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
@@ -19,22 +18,10 @@ from quadtree_lss.onboard.arrays import Array, Ints
 from quadtree_lss.onboard.core.geometry.portable import product
 from quadtree_lss.onboard.core.geometry.rotations import exp, log
 from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.mount import PoseSource
 
 #: Angle between two rotations of the table, rad: a blend errs by its square over eight.
 STEP = 2e-3
-
-
-class Poses(Protocol):
-    """A source of poses, as in `scan_queue`."""
-
-    def at(self, stamp_ns: int) -> Pose | None:
-        """Pose at the stamp, or None while there is none."""
-
-    def covers(self, stamp_ns: int) -> bool:
-        """True if ``at`` has an answer."""
-
-    def between(self, first_ns: int, last_ns: int) -> list[int]:
-        """Stamps of the poses that lie between, both ends excluded."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +67,13 @@ def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
     return Sweep(offsets, np.append(between, times[-1]), motion)
 
 
-def poses_during(source: Poses, first_ns: int, last_ns: int) -> list[Pose]:
+def poses_during(source: PoseSource, first_ns: int, last_ns: int) -> list[Pose]:
     """Poses at both ends and those that are known between; all must be covered."""
     stamps = [first_ns, *source.between(first_ns, last_ns), last_ns]
     return [pose for pose in map(source.at, stamps) if pose is not None]
 
 
-def uncovered(source: Poses, first_ns: int, last_ns: int) -> int | None:
+def uncovered(source: PoseSource, first_ns: int, last_ns: int) -> int | None:
     """A stamp in first_ns … last_ns for which there is no pose, None if there is none such."""
     if first_ns == last_ns:
         return None if source.covers(first_ns) else first_ns

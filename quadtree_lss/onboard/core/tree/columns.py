@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
-import cython
+from typing import Any
 
-from quadtree_lss.onboard.arrays import Array, Bytes, Index, Numbers
+import cython
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.core.geometry import feature
 
 if cython.compiled:
@@ -22,32 +25,20 @@ WIDER = cython.declare(cython.double, feature.SHAPE**0.5)
 
 
 @cython.boundscheck(False)
-@cython.locals(table=LeafTable, rows=cython.Py_ssize_t[::1], level=cython.uchar[::1])
-@cython.locals(measured=cython.uchar[::1], single=cython.double[:, ::1])
-@cython.locals(normal=cython.double[:, ::1], range_part=cython.double[:, ::1])
-@cython.locals(pose_part=cython.double[:, ::1], bell=cython.double[:, ::1])
-def fill_columns(
-    table: LeafTable,
-    rows: Index,
-    whole: tuple[Numbers, Numbers, Numbers],
-    level: Bytes,
-    measured: Bytes,
-    single: Array,
-    normal: Array,
-    range_part: Array,
-    pose_part: Array,
-    bell: Array,
-) -> None:
-    """Fill the columns of ``cell_map.CellMap`` for leaves (M,), NaN where a leaf has none of it.
-
-    ``whole`` are ix, iy and the number of measurements; ``single`` (5, M) the plane's elevation,
-    roughness, exception fraction, lowest and highest return; normals (M, 3), covariances (M, 9), of
-    which the range part is added to what is there; bells (M, 5).
-    """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    ix = cython.declare(cython.uint[::1], whole[0])
-    iy = cython.declare(cython.uint[::1], whole[1])
-    count = cython.declare(cython.uint[::1], whole[2])
+@cython.locals(table=LeafTable, rows=cython.Py_ssize_t[::1], range_part=cython.double[:, ::1])
+def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, Any]:
+    """Columns of ``cell_map.CellMap``, by name, of leaves (M,), NaN where a leaf has none of it.
+    ``range_part`` (M, 9) becomes one: what the leaves know is added to what it holds."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, m=cython.Py_ssize_t)
+    m = rows.shape[0]
+    whole, bits, single = np.empty((3, m), np.uint32), np.empty((2, m), np.uint8), np.empty((5, m))
+    vectors, covariance, features = np.empty((m, 3)), np.empty((m, 9)), np.empty((m, 5))
+    number = cython.declare(cython.uint[:, ::1], whole)
+    mark = cython.declare(cython.uchar[:, ::1], bits)
+    column = cython.declare(cython.double[:, ::1], single)
+    normal = cython.declare(cython.double[:, ::1], vectors)
+    pose_part = cython.declare(cython.double[:, ::1], covariance)
+    bell = cython.declare(cython.double[:, ::1], features)
     own: cython.bint
     with cython.nogil:
         for i in range(rows.shape[0]):
@@ -56,18 +47,18 @@ def fill_columns(
             # Adding a number that is none makes none of what is not known.
             unknown = 0.0 if leaf.known >= INHERITED else NAN
             unmeasured = 0.0 if own else NAN
-            level[i], ix[i], iy[i], measured[i] = leaf.level, leaf.ix, leaf.iy, own
-            count[i] = cython.cast(cython.uint, leaf.points) if own else 0
+            mark[0, i], mark[1, i], number[0, i], number[1, i] = leaf.level, own, leaf.ix, leaf.iy
+            number[2, i] = cython.cast(cython.uint, leaf.points) if own else 0
             counted = max(leaf.residuals, 1.0)
             # On flat ground noise is all there is, and times a large cell's area it would look
             # rough.
             mean = max(leaf.distance_sum - leaf.noise_sum, 0.0) / counted
             side = table.side(leaf.level)
-            single[0, i] = leaf.z + unknown
-            single[1, i] = side * side * mean + unmeasured
-            single[2, i] = leaf.exception_sum / counted + unmeasured
-            single[3, i] = leaf.low if leaf.low <= leaf.high else NAN
-            single[4, i] = leaf.high if leaf.low <= leaf.high else NAN
+            column[0, i] = leaf.z + unknown
+            column[1, i] = side * side * mean + unmeasured
+            column[2, i] = leaf.exception_sum / counted + unmeasured
+            column[3, i] = leaf.low if leaf.low <= leaf.high else NAN
+            column[4, i] = leaf.high if leaf.low <= leaf.high else NAN
             for j in range(3):
                 normal[i, j] = leaf.normal[j] + unknown
             for j in range(9):
@@ -76,3 +67,14 @@ def fill_columns(
             for j in range(5):
                 bell[i, j] = leaf.feature[j]
             bell[i, 4] *= WIDER
+    names = ("z", "roughness", "exception_fraction", "low", "high")
+    return {
+        "level": bits[0],
+        "measured": bits[1].view(np.bool_),
+        **dict(zip(("ix", "iy", "count"), whole, strict=True)),
+        **dict(zip(names, single, strict=True)),
+        "normal": vectors,
+        "covariance_range": np.asarray(range_part).reshape(-1, 3, 3),
+        "covariance_pose": covariance.reshape(-1, 3, 3),
+        "feature": features,
+    }

@@ -201,11 +201,7 @@ class LeafTable:
 
     @cython.boundscheck(False)
     def divide(
-        self,
-        row: cython.Py_ssize_t,
-        square: float,
-        tilt: float,
-        spread: float,
+        self, row: cython.Py_ssize_t, square: float, tilt: float, spread: float
     ) -> cython.bint:
         """Divide a leaf above the maximum level; its children inherit what it knows.
 
@@ -298,12 +294,7 @@ def unfold(values: Bytes, out: Bytes) -> None:
 
 
 @cython.boundscheck(False)
-def leaf_raster(
-    level: Bytes,
-    ix: Numbers,
-    iy: Numbers,
-    out: Ints,
-) -> None:
+def leaf_raster(level: Bytes, ix: Numbers, iy: Numbers, out: Ints) -> None:
     """Which of the cells (level, ix, iy), each (M,), covers each finest cell (n, n) [iy, ix]."""
     cython.declare(i=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
     cython.declare(side=cython.Py_ssize_t)
