@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Both nodes: ``ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml``."""
+"""The nodes: ``ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml``."""
 
 import os
 import sys
@@ -56,16 +56,26 @@ TOPICS = {
         "landing/score",
         "landing/probability",
         "landing/grid_map",
-        "landing/probability",
         "landing/markers",
     ),
+    "autopilot_node": (
+        "nav/odometry",
+        "landing/area",
+        "landing/dispersion",
+        "landing/selected",
+        "landing/status",
+        "landing/autopilot",
+    ),
 }
+# What `autopilot:=true` adds.
+LANDS = "autopilot_node"
 
 
 def generate_launch_description() -> LaunchDescription:
-    """``mapping_node`` and ``lss_node`` with one parameter file, in one namespace."""
+    """``mapping_node``, ``lss_node`` and, if it is asked for, ``autopilot_node`` with one parameter
+    file, in one namespace."""
     arguments = {
-        "params_file": ("", "ROS parameter file for both nodes; empty takes config"),
+        "params_file": ("", "ROS parameter file for all nodes; empty takes config"),
         "config": ("default", "shipped configuration, as in config:=drone"),
         "namespace": ("", "namespace of nodes and topics"),
         "use_sim_time": ("", "true or false: time from /clock; empty leaves it as it is set"),
@@ -74,6 +84,7 @@ def generate_launch_description() -> LaunchDescription:
             "",
             "folder of the nodes' SROS 2 enclaves, as /quadtree_lss; empty = not given",
         ),
+        "autopilot": ("false", "true: autopilot_node, which lands with a MAVLink autopilot, too"),
         "respawn": ("true", "start a node that has ended again, unless its configuration is wrong"),
     }
     for topic in sorted({topic for topics in TOPICS.values() for topic in topics}):
@@ -111,7 +122,9 @@ def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     log_level = ["--log-level", given("log_level")] if given("log_level") else []
     enclave = given("enclave").rstrip("/")
     entities: list[LaunchDescriptionEntity] = []
-    for name, topics in TOPICS.items():
+    lands = _truth("autopilot", given("autopilot"))
+    started = {name: topics for name, topics in TOPICS.items() if lands or name != LANDS}
+    for name, topics in started.items():
         node = Node(
             package=PACKAGE,
             executable=name,
@@ -128,19 +141,23 @@ def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             respawn=_truth("respawn", given("respawn")),
             respawn_delay=1.0,
         )
-        handler = OnProcessExit(target_action=node, on_exit=_stay_ended)
+        handler = OnProcessExit(
+            target_action=node, on_exit=lambda *exited: _stay_ended(*exited, len(started))
+        )
         entities += [RegisterEventHandler(handler), node]
     return entities
 
 
-def _stay_ended(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    """No respawn of a node that another start cannot help."""
+def _stay_ended(
+    event: ProcessExited, context: LaunchContext, started: int
+) -> list[LaunchDescriptionEntity]:
+    """No respawn of a node that another start cannot help; the launch ends with the last one."""
     if event.returncode not in FINAL:
         return []
     text = f"{event.process_name} ended with exit code {event.returncode}: its arguments or its"
     text += " configuration are wrong, see its line above; it is not started again"
     ENDED.add(event.action.name)
-    if ALONE and len(ENDED) == len(TOPICS):
+    if ALONE and len(ENDED) == started:
         raise RuntimeError(text)  # the launch's exit code is then not 0
     end = ShutdownProcess(process_matcher=matches_action(event.action))
     return [LogInfo(msg=text), EmitEvent(event=end)]

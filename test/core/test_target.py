@@ -376,6 +376,19 @@ def test_it_waits_for_a_share_of_the_area_or_some_time(level_ground):
     assert found.seen == 1.0 and found.selected.id == 1
 
 
+def test_no_site_lies_above_the_vehicle(level_ground):
+    """The ground is at 3 m. Poses in NED put the vehicle as far below it as it is above."""
+    selector = LandingSiteSelector(small())
+    target_of(selector, level_ground)
+    assert selector.assess(level_ground, vehicle=(1.0, 0.0)).selected.id, "as navigation errs"
+    found = selector.assess(level_ground, vehicle=(-12.0, 0.0))
+    assert not len(found.sites) and found.selected.reason.key == "withheld"
+    assert "above the vehicle: poses in NED" in found.explanation
+    lower = dataclasses.replace(level_ground, offset_z=16.0)
+    assert not len(selector.assess(lower, vehicle=(6.0, 0.0)).sites), "by navigation's height"
+    assert len(selector.assess(lower, vehicle=(18.0, 0.0)).sites)
+
+
 def test_the_vehicle_is_committed_by_its_height_over_the_target(level_ground):
     """The ground is at 3 m."""
     selector = LandingSiteSelector(small())

@@ -46,6 +46,13 @@ def test_both_nodes_start_with_the_shipped_defaults(make):
         assert node.respawn is True and node.respawn_delay > 0.0
 
 
+def test_the_node_that_lands_starts_where_it_is_asked_for(make):
+    nodes, _ = make(autopilot="true", config="drone", landing_selected="/a/selected")
+    assert set(nodes) == {"mapping_node", "lss_node", "autopilot_node"}
+    assert nodes["autopilot_node"].parameters == [str(SHARE / "config" / "drone.yaml")]
+    assert nodes["autopilot_node"].remappings == [("landing/selected", "/a/selected")]
+
+
 def test_a_shipped_configuration_is_taken_by_its_name(make):
     for node in make(config="drone")[0].values():
         assert node.parameters == [str(SHARE / "config" / "drone.yaml")]
@@ -96,9 +103,9 @@ def test_a_file_that_may_not_be_read_stops_the_launch(make, tmp_path):
 
 
 def test_every_topic_may_be_named(make):
-    topics = {*TOPIC_TYPES, *INPUTS, "landing/target"}
+    topics = {*TOPIC_TYPES, *INPUTS, "landing/target", "landing/autopilot"}
     given = {topic.replace("/", "_"): f"/vehicle/{topic}" for topic in topics}
-    nodes, _ = make(**given)
+    nodes, _ = make(autopilot="true", **given)
     renamed = {name: dict(node.remappings) for name, node in nodes.items()}
     for topic in topics:
         of = [name for name in renamed if topic in renamed[name]]
@@ -151,18 +158,19 @@ def test_a_misspelt_argument_stops_the_launch(make, monkeypatch, file, said):
         make()
 
 
-def test_a_launch_whose_nodes_all_ended_so_fails(make, monkeypatch):
+@pytest.mark.parametrize("autopilot", ["false", "true"])
+def test_a_launch_whose_nodes_all_ended_so_fails(make, monkeypatch, autopilot):
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", str(LAUNCH)])
-    nodes, others = make()
+    nodes, others = make(autopilot=autopilot)
     events = [
         SimpleNamespace(returncode=78, process_name=node.name, action=node)
         for node in nodes.values()
     ]
     stay_ended = next(e.args[0].on_exit for e in others if isinstance(e, RegisterEventHandler))
-    for event in (events[0], events[0]):
+    for event in (events[0], *events[:-1]):
         assert stay_ended(event, None)
     with pytest.raises(RuntimeError, match="exit code 78"):
-        stay_ended(events[1], None)
+        stay_ended(events[-1], None)
 
 
 def test_log_level_namespace_and_respawn(make):

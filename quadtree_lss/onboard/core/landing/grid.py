@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeVar
 
@@ -163,6 +163,14 @@ class Aims:
     hazard: Bytes
     candidates: Candidates
     withheld: str
+
+    def without(self, places: Mask) -> Aims:
+        """None of these, (ny, nx), is permitted."""
+        if not places.any():
+            return self
+        cost = np.where(places, np.nan, self.candidates.cost)
+        score = np.where(places, np.nan, self.score)
+        return replace(self, score=score, candidates=replace(self.candidates, cost=cost))
 
 
 def aim(

@@ -57,6 +57,9 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: Why there is no target, where the same map would not give one either.
 WAITING = (Reason.SETTLING, Reason.UNLIKELY)
+#: m and a vehicle's diameter: no site lies higher above the vehicle, nor does navigation's height
+#: slip by so much on the way down.
+ABOVE = 1.0
 #: Any heading is as good as another: variance of an angle of which nothing is known, rad^2.
 ANY_HEADING = np.pi**2 / 3.0
 
@@ -175,6 +178,12 @@ class LandingSiteSelector:
     ) -> LandingAssessment:
         """The best aims, and the target; ``now`` is ``vehicle`` and ``waited`` of `assess`."""
         lss, cells, at = self.config.lss, points.raster.cells, aims.at
+        (vehicle, waited), over = now, np.zeros_like(aims.candidates.safe)
+        if vehicle is not None:
+            offset = cells.offset_z if np.isfinite(cells.offset_z) else 0.0
+            ground = at.linear(points.around.planes.elevation) + offset
+            over = ground > vehicle[0] + ABOVE + lss.vehicle.diameter
+            aims = aims.without(over)
         doubts: tuple[str, ...] = ()
         if self._doubts is not None:
             doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
@@ -185,11 +194,14 @@ class LandingSiteSelector:
             explanation = _why_none(points, lss)
         elif not landable:
             explanation = "no safe ground within the landing area and outside the keep-outs"
+            if over.any():
+                explanation += " that does not lie above the vehicle: poses in NED, or the lidar's"
+                explanation += " mount is another; quadtree-lss doctor says which"
         if aims.withheld:
             explanation = f"no site is given out: {aims.withheld}"
 
         def why_not(row: int, column: int) -> Reason:
-            if aims.withheld:
+            if aims.withheld or over[row, column]:
                 return Reason.WITHHELD
             if unwanted := wanted.fault(at.x[column], at.y[row], lss):
                 return unwanted
@@ -200,7 +212,7 @@ class LandingSiteSelector:
             return Reason.UNMAPPED if away < reach else Reason.UNSEEN
 
         none = Reason.WITHHELD if aims.withheld else Reason.NO_SITE
-        (vehicle, waited), seen = now, wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
+        seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
         settled = seen >= lss.settle_share or waited >= lss.settle_time
         choice = self._choose(
             aims.candidates,
