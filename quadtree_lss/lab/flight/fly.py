@@ -20,6 +20,8 @@ from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 
 OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 """Faults that hit a node."""
+LAND_NOW = "land_now"
+"""The one that calls a service."""
 
 PAPER = {
     "lss.assessment": "paper",
@@ -146,7 +148,10 @@ def least_propellant(flight: Flight) -> dict[str, Any]:
 
 
 def _break(flight: Flight, nodes: LockstepNodes, down: set[str]) -> None:
-    """Nodes that are killed now, or come back."""
+    """Nodes that are killed now, or come back; a call of ``land_now``."""
+    if LAND_NOW in flight.active and LAND_NOW not in down:
+        down.add(LAND_NOW)
+        nodes.land_now()
     for kind, node in OUTSIDE.items():
         active = kind in flight.active
         if active and kind not in down:

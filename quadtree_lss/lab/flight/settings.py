@@ -23,6 +23,7 @@ FAULTS = (
     "pose_jump",
     "lidar_gap",
     "keep_out",
+    "land_now",
 )
 MOST = 1e4
 """Of the height of a fault, m, and of its seconds."""
@@ -39,9 +40,10 @@ class Fault:
     Attributes:
         kind: ``kill_lss``, ``kill_mapping`` (it comes back with its checkpoint), ``forget_mapping``
             (it comes back with an empty map), ``pose_gap``, ``pose_jump`` (2 m east, 1 m up, and
-            back), ``lidar_gap``, ``keep_out`` (4 m about where the lander is going).
+            back), ``lidar_gap``, ``keep_out`` (4 m about where the lander is going),
+            ``land_now`` (somebody calls that service).
         height: Over the aim at which it begins, m.
-        seconds: How long it lasts; a keep-out stays.
+        seconds: How long it lasts; a keep-out stays, and so does ``land_now``.
     """
 
     kind: str

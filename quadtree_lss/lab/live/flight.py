@@ -20,10 +20,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
 
 from quadtree_lss.desk.player.player import wait_for_subscribers
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
-from quadtree_lss.lab.flight.fly import OUTSIDE, Flown, figures_of, flight_config
+from quadtree_lss.lab.flight.fly import LAND_NOW, OUTSIDE, Flown, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.processes import (
@@ -132,6 +133,9 @@ def fly_live(
             for said in link.spin(flight.stamp_ns, began + flight.time / rate):
                 link.heard.append(Heard(round(flight.time / TICK), said))
                 flight.hear(said)
+            if LAND_NOW in flight.active and LAND_NOW not in down:
+                link.land_now.call_async(Trigger.Request())
+                down.add(LAND_NOW)
             for kind, name in OUTSIDE.items():
                 if kind in flight.active and kind not in down:
                     nodes[name].process.kill()
@@ -142,7 +146,7 @@ def fly_live(
                 elif kind not in flight.active and kind in down:
                     down.discard(kind)
                     nodes[name] = start(name)
-            if not down and round(flight.time / TICK) % 100 == 0:
+            if not down - {LAND_NOW} and round(flight.time / TICK) % 100 == 0:
                 for name, node in nodes.items():
                     if node.process.poll() is not None:
                         nodes[name] = start(name)
@@ -177,6 +181,7 @@ class _Link:
             )
             for topic, kind in KINDS.items()
         }
+        self.land_now = self.node.create_client(Trigger, "lss_node/land_now")
         self._said: list[Target] = []
         self.heard: list[Heard] = []
         kind, effect = PoseWithCovarianceStamped, "targets of either are flown to"
