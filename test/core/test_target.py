@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import LssConfig, config_from_values
+from quadtree_lss.onboard.core.geometry import sphere
+from quadtree_lss.onboard.core.landing import now
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
@@ -397,6 +399,68 @@ def test_the_vehicle_is_committed_by_its_height_over_the_target(level_ground):
         selector.assess(level_ground, vehicle=(z, 2.0)).selected.state for z in (23.1, 22.9, 40.0)
     ]
     assert states == [State.HOLDS, State.COMMITTED, State.HOLDS]
+
+
+def by_risk(**lss):
+    return small(assessment="probability", ranking="probability", **lss)
+
+
+def test_land_now_takes_the_best_within_reach_at_once(with_block):
+    """Before anything is settled, and low: only what lies near enough, until it is released."""
+    selector = LandingSiteSelector(by_risk(settle_share=1.0, target_risk=0.0, dispersion=0.3))
+    low = (3.0, 0.5, 4.0, 4.0)
+    assert not selector.assess(with_block, waited=0.0, vehicle=low).selected.id
+    selector.land_now()
+    for _ in range(2):
+        found = selector.assess(with_block, waited=0.0, vehicle=low)
+        assert found.selected.state is State.NOW and found.selected.reason in (4, Reason.HOLDS)
+    x, y, _ = found.selected.position
+    assert np.hypot(x - 4.0, y - 4.0) <= 3.0 + 1e-9
+    assert found.now[3] >= found.selected.probability > 0.99
+    away = np.hypot(found.x - 4.0, found.y[:, None] - 4.0)
+    within = np.where((away <= 3.0) & np.isfinite(found.score), found.probability, 0.0)
+    assert found.now[3] == within.max()
+    selector.release()
+    assert selector.assess(with_block, vehicle=low).selected.reason is Reason.RELEASED
+
+
+def test_land_now_goes_where_the_vehicle_comes_to_rest(level_ground):
+    """At 4 m/s it needs 8 m, and 40 m up all of the map is near enough."""
+    selector = LandingSiteSelector(by_risk())
+    for speed, x in ((0.0, 2.0), (4.0, 10.0)):
+        found = selector.assess(level_ground, vehicle=(5.5, 0.5, 2.0, 8.0, speed, 0.0))
+        assert np.hypot(found.now[0] - x, found.now[1] - 8.0) <= 2.5 + 1e-9
+    assert np.isnan(selector.assess(level_ground, vehicle=(5.5, 0.5, -90.0, 8.0)).now).all()
+    assert np.isfinite(selector.assess(level_ground, vehicle=(43.0, 0.5)).now).all()
+
+
+def test_land_now_heeds_keep_outs_and_takes_what_is_least_unsafe(with_block):
+    """With a limit that no ground keeps there is no site, but a place to land if need be."""
+    selector, here = LandingSiteSelector(by_risk(max_risk=0.0)), (12.0, 1.0, 8.0, 8.0)
+    assert not selector.assess(with_block, vehicle=here).selected.id
+    selector.land_now()
+    first = selector.assess(with_block, vehicle=here).selected
+    assert first.state is State.NOW and first.reason is Reason.LAND_NOW
+    assert max(abs(first.position[:2] - 8.0)) > 1.5, "the block is no place to land"
+    kept = around(first.position, 2.0)
+    second = selector.assess(with_block, vehicle=here, keep_out=kept).selected
+    assert second.reason is Reason.LAND_NOW and second.id != first.id
+    assert np.abs(second.position[:2] - first.position[:2]).max() > 2.0
+    none = selector.assess(with_block, vehicle=here, withheld="unreadable").selected
+    assert none.reason is Reason.WITHHELD and not none.id
+
+
+def test_waiting_gains_by_the_choice_and_loses_by_the_reach(level_ground):
+    """Against drawn risks; and down at 2 m/s in 5 s there is nothing left to choose from."""
+    risks = np.array([0.02, 0.03, 0.05])
+    normal = np.random.default_rng(1).normal(size=(200_000, 3))
+    drawn = risks * np.exp(now.SPREAD * normal - 0.5 * now.SPREAD**2)
+    assert drawn.std(axis=0) / risks == pytest.approx(0.5, rel=0.02)
+    assert now.least_later(risks) == pytest.approx(drawn.min(axis=1).mean(), rel=0.01)
+    assert now.least_later(risks[:1]) == pytest.approx(0.02, rel=1e-3)
+    selector = LandingSiteSelector(by_risk())
+    gains = [selector.assess(level_ground, vehicle=(z, 2.0, 8.1, 8.1)).gain for z in (40.0, 9.0)]
+    assert 0.0 < gains[0] < 0.01 and gains[1] < -0.9
 
 
 def test_other_limits_do_not_release_the_target(level_ground):

@@ -10,6 +10,7 @@ from quadtree_lss.cli import main
 from quadtree_lss.lab.flight.fly import flown, fly
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import Fault, FlightError, flight_settings
+from quadtree_lss.onboard.core.landing.target import State
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
 SEED = 40049
@@ -55,6 +56,13 @@ def test_a_target_outlives_the_node_that_chose_it():
     flight = flown(SEED, flight_settings({**SHORT, "faults": ("kill_lss@60+2",)})).flight
     done = [decision.what for decision in flight.pilot.decisions]
     assert "target" in done and "lost" not in done, done
+
+
+def test_land_now_is_flown_to_the_ground():
+    done = flown(SEED, flight_settings({**SHORT, "faults": ("land_now@60",)}))
+    assert done.last.selected.state is State.NOW and done.figures["outcome"] == "touchdown"
+    away = np.hypot(*(done.last.selected.position - done.flight.lander.position)[:2])
+    assert away < 1.0 and done.figures["map_said"] == "safe"
 
 
 @pytest.mark.slow

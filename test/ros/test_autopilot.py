@@ -18,6 +18,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4
+from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS, record_dtype
 from quadtree_lss.onboard.messages.outputs import MessageMaker
 from quadtree_lss.onboard.nodes.qos import latched, target
@@ -40,6 +41,7 @@ class Scene:
     def __init__(self, ros, listener, model, **parameters):
         self.model, self.listener = model, listener
         self.place, self.map_age, self.silent = (0.0, 0.0, 0.0), 0.2, False
+        self.says = State.HOLDS
         self.states, self.odometry = [], []
         node = listener.node
         self._selected = node.create_publisher(
@@ -70,6 +72,7 @@ class Scene:
         at.x, at.y, at.z = map(float, self.place)
         record = np.zeros(1, dtype=record_dtype(STATUS_FIELDS))
         record["age"], record["offset_z"] = self.map_age, math.nan
+        record["state"] = self.says
         self._selected.publish(message)
         self._status.publish(self._maker.cloud(record, STATUS_FIELDS, stamp))
 
@@ -198,6 +201,13 @@ def test_what_happens_to_poses_map_and_link_on_the_way_down(scene, fault):
     model.frozen, model.cut, model.delay, flight.map_age = False, False, 0.0, 0.2
     flight.until("touchdown")
     assert np.hypot(*model.landed_at[:2]) < 0.1
+
+
+def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
+    flight = scene().handed_over().below(3.0)
+    flight.says, flight.map_age = State.NOW, 9.0
+    flight.until("touchdown")
+    assert "wave_off" not in flight.states and np.hypot(*flight.model.landed_at[:2]) < 0.1
 
 
 def test_the_pilots_switch_and_a_jump_of_navigation(scene):

@@ -19,7 +19,7 @@ from ros.conftest import process
 from ros_vehicle import Vehicle, flat_map
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.core.landing.target import Reason, State
+from quadtree_lss.onboard.core.landing.target import WAIT_S, Reason, State
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS, STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import cloud_records
@@ -149,6 +149,39 @@ def test_a_released_target_is_chosen_anew(ros, pilot):
     assert answer.success and "released" in answer.message
     assert wait(functools.partial(pilot.has_target, before)), lss.output()
     assert pilot.reasons()[before + 1] is Reason.RELEASED
+
+
+def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
+    wait = pilot.listener.wait_for
+    lss = ros.start("lss_node", "-p", "lss.settle_share:=1.0", "-p", "lss.settle_time:=900.0")
+    land_now = functools.partial(ros.call, pilot.listener, "/lss_node/land_now")
+    observed = pilot.cells.observed.copy()
+    observed[:, : observed.shape[1] // 4] = False
+    pilot.cells = dataclasses.replace(pilot.cells, observed=observed)
+    pilot.send_map(0)
+    assert wait(lambda: pilot.status() is not None), lss.output()
+    assert pilot.status()["state"] == State.SETTLING
+    answer = land_now()
+    assert answer.success and "probability" in answer.message, answer.message
+    assert wait(lambda: pilot.status()["state"] == State.NOW), lss.output()
+    status = pilot.status()
+    assert status["reason"] == Reason.LAND_NOW and status["wait"] == WAIT_S
+    assert status["now_probability"] == status["probability"] > 0.9
+    assert wait(lambda: pilot.targets), lss.output()
+    assert np.hypot(status["now_x"] - pilot.place()[0], status["now_y"] - pilot.place()[1]) < 1e-3
+    assert ros.call(pilot.listener, "/lss_node/release").success
+    assert wait(lambda: pilot.status()["state"] == State.HOLDS), lss.output()
+
+
+def test_land_now_waits_for_the_first_map(ros, pilot):
+    wait = pilot.listener.wait_for
+    lss = ros.start("lss_node", "-p", "lss.settle_share:=1.0", "-p", "lss.settle_time:=900.0")
+    call = functools.partial(ros.call, pilot.listener)
+    answer = call("/lss_node/land_now")
+    assert not answer.success and "nothing is mapped" in answer.message
+    pilot.send_map(0)
+    assert wait(pilot.has_target), lss.output()
+    assert pilot.reasons()[1] is Reason.LAND_NOW and pilot.status()["state"] == State.NOW
 
 
 def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):

@@ -75,6 +75,11 @@ class Passes:
         """Something else is asked of landing: ``restrictions`` tells what."""
         self._landing.changed = True
 
+    def land_now(self) -> None:
+        """As the service of lss_node."""
+        self._selector.land_now()
+        self._landing.changed, self._landing.due_ns = True, 0
+
     def tick(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
         """Makes what is due at a time of the bag."""
         if self._map.due(now_ns):

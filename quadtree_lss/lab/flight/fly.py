@@ -20,6 +20,8 @@ from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 
 OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 """Faults that hit a node."""
+LAND_NOW = "land_now"
+"""The one that calls a service."""
 
 PAPER = {
     "lss.assessment": "paper",
@@ -73,9 +75,13 @@ def flown(
         config = flight_config(settings, flight.ground)
         nodes = LockstepNodes(config, settings.answer_delay)
     down: set[str] = set()
+    asked = False
     while not flight.outcome:
         sent = flight.step()
         if nodes is not None:
+            if LAND_NOW in flight.active and not asked:
+                asked = True
+                nodes.land_now()
             for kind, node in changed(flight, down):
                 if kind in down:
                     nodes.kill(node)

@@ -108,6 +108,10 @@ class LockstepNodes:
             return None
         return Target(said.selected.position.copy() if said.selected.id else None)
 
+    def land_now(self) -> None:
+        """As the service of lss_node."""
+        self._passes.land_now()
+
     def kill(self, node: str) -> None:
         """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""
         self._down.add(node)

@@ -15,7 +15,9 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 AVOIDANCE = ("package", "paper", "none", "perfect")
 """By the nodes; by them with the paper's rules; straight to the planned point; by the truth."""
 
-FAULTS = tuple("kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out".split())
+FAULTS = tuple(
+    "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
+)
 MOST = 1e4
 """Of the height of a fault, m, and of its seconds."""
 
@@ -31,9 +33,10 @@ class Fault:
     Attributes:
         kind: ``kill_lss``, ``kill_mapping`` (it comes back with its checkpoint), ``forget_mapping``
             (it comes back with an empty map), ``pose_gap``, ``pose_jump`` (2 m east, 1 m up, and
-            back), ``lidar_gap``, ``keep_out`` (4 m about where the lander is going).
+            back), ``lidar_gap``, ``keep_out`` (4 m about where the lander is going),
+            ``land_now`` (somebody calls that service).
         height: Over the aim at which it begins, m.
-        seconds: How long it lasts; a keep-out stays.
+        seconds: How long it lasts; a keep-out stays, and so does ``land_now``.
     """
 
     kind: str

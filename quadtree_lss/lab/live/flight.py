@@ -17,10 +17,11 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
 from quadtree_lss.desk.player.player import wait_for_subscribers
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
-from quadtree_lss.lab.flight.fly import Flown, changed, figures_of, flight_config
+from quadtree_lss.lab.flight.fly import LAND_NOW, Flown, changed, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.processes import (
@@ -118,6 +119,7 @@ def fly_live(
         link.wait(PATIENCE_S)
         began = time.monotonic()
         down: set[str] = set()
+        asked = False
         others: set[str] = set()
         while not flight.outcome:
             for sent in flight.step():
@@ -125,6 +127,9 @@ def fly_live(
             for said in link.spin(flight.stamp_ns, began + flight.time / rate):
                 link.heard.append(Heard(round(flight.time / TICK), said))
                 flight.hear(said)
+            if LAND_NOW in flight.active and not asked:
+                asked = True
+                link.land_now.call_async(Trigger.Request())
             for kind, name in changed(flight, down):
                 if kind not in down:
                     nodes[name] = start(name)
@@ -168,6 +173,7 @@ class _Link:
             )
             for topic, kind in KINDS.items()
         }
+        self.land_now = self.node.create_client(Trigger, "lss_node/land_now")
         self._said: list[Target] = []
         self.heard: list[Heard] = []
         kind, effect = TYPES[TOPIC_TYPES["landing/selected"]], "targets of either are flown to"

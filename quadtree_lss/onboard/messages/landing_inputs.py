@@ -10,6 +10,7 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.polygons import FARTHEST
+from quadtree_lss.onboard.core.landing.target import Motion
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.poses import check_frame
 
@@ -194,31 +195,34 @@ class LandingWishes:
 
 
 class Navigation:
-    """Height and speed of the vehicle by its poses: its descent, on which its reach depends."""
+    """Place and speed of the vehicle by its poses, on which its reach depends."""
 
     def __init__(self) -> None:
         self._frame = ""
-        self._vehicle: tuple[float, float] | None = None
-        self._from = (0, float("nan"))
+        self._vehicle: Motion | None = None
+        self._from = (0, np.full(3, np.nan))
 
     def take(self, msg: Any) -> None:
         """A ``PoseWithCovarianceStamped`` or ``Odometry``; what is no height is passed over."""
-        z = float(msg.pose.pose.position.z)
+        at = msg.pose.pose.position
+        place = np.array([at.x, at.y, at.z], dtype=np.float64)
         now = 10**9 * msg.header.stamp.sec + msg.header.stamp.nanosec
-        if not abs(z) <= FARTHEST:
+        if not (np.abs(place) <= FARTHEST).all():
             return
+        x, y, z = place.tolist()
         self._frame = str(msg.header.frame_id).lstrip("/")
         seconds = 1e-9 * (now - self._from[0])
         if not 0.0 <= seconds < 5.0 * SPEED_S:  # the first one, or a time jump
-            self._from, self._vehicle = (now, z), (z, 0.0)
+            self._from, self._vehicle = (now, place), Motion(z, 0.0, x, y)
         elif seconds >= SPEED_S:
-            self._vehicle = z, (self._from[1] - z) / seconds
-            self._from = now, z
+            along_x, along_y, up = ((place - self._from[1]) / seconds).tolist()
+            self._vehicle = Motion(z, -up, x, y, along_x, along_y)
+            self._from = now, place
         elif self._vehicle is not None:
-            self._vehicle = z, self._vehicle[1]
+            self._vehicle = self._vehicle._replace(z=z, x=x, y=y)
 
-    def vehicle(self, frame: str) -> tuple[float, float] | None:
-        """Height, m, and speed downwards, m/s, in a frame; None if nobody knows."""
+    def vehicle(self, frame: str) -> Motion | None:
+        """In a frame; None if nobody knows."""
         return self._vehicle if self._frame == frame.lstrip("/") else None
 
 

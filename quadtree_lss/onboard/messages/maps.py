@@ -17,6 +17,7 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
+from quadtree_lss.onboard.core.landing.target import WAIT_S
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
@@ -72,6 +73,7 @@ STATUS_FIELDS = (
     *_of("u1", "reason state"),
     *_of("f4", "seen probability"),
     *_of("u1", "doubts"),
+    *_of("f4", "now_x now_y now_z now_probability gain wait"),
 )
 
 
@@ -275,6 +277,10 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     out["id"], out["answer"], out["reason"] = selected.id, assessment.number, selected.reason
     out["state"], out["seen"] = selected.state, assessment.seen
     out["probability"], out["doubts"] = selected.probability, len(assessment.doubts)
+    names = ("now_x", "now_y", "now_z", "now_probability")
+    for name, value in zip(names, assessment.now, strict=True):
+        out[name] = value
+    out["gain"], out["wait"] = assessment.gain, WAIT_S
     return out
 
 

@@ -36,6 +36,7 @@ from quadtree_lss.onboard.autopilot.landing import (
 from quadtree_lss.onboard.autopilot.link import PX4, Link
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, cloud_records
@@ -121,9 +122,11 @@ class AutopilotNode(Node):
         age = now - min(at, told_at)
         if not np.isfinite(place).all():
             return None, f"there is no target (reason {status['reason']} of landing/status)"
+        # Who has to land now, lands by the map that there is.
+        map_age = 0.0 if status["state"] == State.NOW else float(status["age"]) + now - told_at
         offset = float(status["offset_z"])
         place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
-        return Target(place, age, float(status["age"]) + now - told_at), ""
+        return Target(place, age, map_age), ""
 
     def _poll(self) -> None:
         for nav in self._link.poll():

@@ -99,7 +99,7 @@ class LssNode(Node):
                 ("landing/probability", OccupancyGrid),
             )
         }
-        self._target = TargetOutput(self, self._age, self._release)
+        self._target = TargetOutput(self, self._age, self._release, self._land_now)
         self._markers = MarkerPublisher(
             self,
             advertise(self, MarkerArray, "landing/markers", latched()),
@@ -131,6 +131,12 @@ class LssNode(Node):
     def _release(self) -> None:
         """Somebody asked for another target."""
         self._selector.release()
+        self._asked = True
+        self._output.now()
+
+    def _land_now(self) -> None:
+        """Somebody has to land: the best within reach, at once."""
+        self._selector.land_now()
         self._asked = True
         self._output.now()
 

@@ -15,6 +15,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from quadtree_lss.onboard.config.limits import LONGEST
+from quadtree_lss.onboard.core.landing.target import WAIT_S
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
 from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
@@ -26,12 +27,18 @@ if TYPE_CHECKING:
 class TargetOutput:
     """Publishes the target with every assessment, and between them while there is no new one.
     ``node``: owner; a change of the target goes to its log. ``age``: age of a map by its stamp, s;
-    NaN if unknown. ``release``: called when somebody asks for another target."""
+    NaN if unknown. ``release``, ``land_now``: called when somebody asks for another target, or for
+    the best within reach, which is then assessed and sent before the call returns."""
 
     def __init__(
-        self, node: Node, age: Callable[[int], float], release: Callable[[], None]
+        self,
+        node: Node,
+        age: Callable[[int], float],
+        release: Callable[[], None],
+        land_now: Callable[[], None],
     ) -> None:
         self._logger, self._age, self._release = node.get_logger(), age, release
+        self._land_now, self._urgent = land_now, False
         self._publishers = {
             SELECTED: advertise(node, PoseWithCovarianceStamped, SELECTED, target()),
             STATUS: advertise(node, PointCloud2, STATUS, latched()),
@@ -42,6 +49,7 @@ class TargetOutput:
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._again = node.create_timer(0.4 * TARGET_S, self._say, clock=clock)
         node.create_service(Trigger, "~/release", self._on_release)
+        node.create_service(Trigger, "~/land_now", self._on_land_now)
 
     def send(self, result: LandingAssessment, frame: str) -> None:
         """Publishes the target of an assessment.
@@ -105,9 +113,28 @@ class TargetOutput:
 
     def _on_release(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         held = 0 if self._result is None else self._result.selected.id
-        response.success = held > 0
+        response.success = held > 0 or self._urgent
         response.message = "there is no target"
-        if held:
+        if response.success:
             response.message = f"target {held} is released; the next assessment takes the best site"
+            self._urgent = False
             self._release()
+        return response
+
+    def _on_land_now(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._urgent = True
+        self._land_now()
+        result = self._result
+        response.success = result is not None and result.selected.id > 0
+        why = "nothing is mapped yet" if result is None else result.explanation
+        response.message = f"no place within reach ({why}); the first that there is will be it"
+        if result is not None and result.selected.id:
+            x, y, z = result.selected.position
+            response.message = (
+                f"target {result.selected.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m, safe with"
+                f" probability {result.selected.probability:.3f}; {WAIT_S:g} s of waiting would"
+                f" gain {result.gain:+.3f}"
+            )
         return response

@@ -104,6 +104,9 @@ class LandingAssessment:
         seen: Share of the area, or without one of the domain, of which the ground is known.
         pending: There is no target, but another assessment, be it of the same map, would give one.
         sites: Ranked sites, none if no ground is safe.
+        now: (4,) x, y, z, m, and probability of a safe touchdown, as of ``probability``: the best
+            place within reach at this moment (see module `now`), NaN if there is none.
+        gain: What waiting ``target.WAIT_S`` more is worth, as a probability; NaN if unknown.
         x, y: (nx,), (ny,) of the grid points, m.
         hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain (there
             the lander stands on the map, yet is too likely not to), 64 seen but not yet mapped (128
@@ -125,6 +128,8 @@ class LandingAssessment:
     seen: float
     pending: bool
     sites: Sites
+    now: Array
+    gain: float
     x: Array
     y: Array
     hazard: Bytes
@@ -195,6 +200,8 @@ def nothing_mapped(
         seen=0.0,
         pending=False,
         sites=no_sites(),
+        now=np.full(4, np.nan),
+        gain=float("nan"),
         x=x,
         y=y,
         hazard=hazard,

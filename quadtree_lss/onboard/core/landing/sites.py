@@ -26,6 +26,7 @@ from quadtree_lss.onboard.core.landing.assessment import (
 from quadtree_lss.onboard.core.landing.doubt import Doubts
 from quadtree_lss.onboard.core.landing.grid import Aims, GridSampler, aim, best_points, users_grid
 from quadtree_lss.onboard.core.landing.lattice import disc, touching
+from quadtree_lss.onboard.core.landing.now import within_reach
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     RiskTable,
@@ -47,6 +48,7 @@ from quadtree_lss.onboard.core.landing.target import (
     Candidates,
     Choice,
     Descent,
+    Motion,
     Reason,
     Restrictions,
     TargetKeeper,
@@ -101,6 +103,10 @@ class LandingSiteSelector:
         """Give the target up: the next assessment chooses as if none had been held."""
         self._target.release()
 
+    def land_now(self) -> None:
+        """From the next assessment to `release`, the target is the best place within reach."""
+        self._target.land_now()
+
     def assess(
         self,
         cells: CellMap,
@@ -111,7 +117,7 @@ class LandingSiteSelector:
         target: ArrayLike | None = None,
         dispersion: ArrayLike | None = None,
         withheld: str = "",
-        vehicle: tuple[float, float] | None = None,
+        vehicle: Sequence[float] | None = None,
         waited: float = inf,
     ) -> LandingAssessment:
         """Rank landing sites on a map.
@@ -123,7 +129,8 @@ class LandingSiteSelector:
             dispersion: Deviations of the touchdown from its aim along x and y, m, and the lander's
                 heading, rad, NaN for any; None for ``lss.dispersion``, and any. Limits alone are
                 looked at for one heading: a risk is that of the worst.
-            vehicle: Its height, map frame, m, and speed downwards, m/s; None if nobody knows.
+            vehicle: As of `Motion`: height and speed downwards, or its place and speed as well;
+                None if nobody knows.
             waited: Since the first map, s: for as long as ``lss.settle_time`` says there is no
                 target before enough is seen.
 
@@ -149,7 +156,8 @@ class LandingSiteSelector:
             worst = self._check.worst(raster, around.met, heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
         aims = aim(points, at, spread, wanted, lss)
-        return self._choose_sites(points, aims, spread, wanted, (vehicle, waited))
+        motion = None if vehicle is None else Motion(*vehicle)
+        return self._choose_sites(points, aims, spread, wanted, (motion, waited))
 
     def withhold(self, cells: CellMap, why: str) -> LandingAssessment:
         """Neither site nor target, because a map could not be assessed."""
@@ -174,16 +182,16 @@ class LandingSiteSelector:
         aims: Aims,
         spread: Dispersion,
         wanted: Restrictions,
-        now: tuple[tuple[float, float] | None, float],
+        now: tuple[Motion | None, float],
     ) -> LandingAssessment:
         """The best aims, and the target; ``now`` is ``vehicle`` and ``waited`` of `assess`."""
         lss, cells, at = self.config.lss, points.raster.cells, aims.at
-        (vehicle, waited), over = now, np.zeros_like(aims.candidates.safe)
-        if vehicle is not None:
+        (motion, waited), above = now, np.zeros_like(aims.candidates.safe)
+        if motion is not None:
             offset = cells.offset_z if np.isfinite(cells.offset_z) else 0.0
             ground = at.linear(points.around.planes.elevation) + offset
-            over = ground > vehicle[0] + ABOVE + lss.vehicle.diameter
-            aims = aims.without(over)
+            above = ground > motion.z + ABOVE + lss.vehicle.diameter
+            aims = aims.without(above)
         doubts: tuple[str, ...] = ()
         if self._doubts is not None:
             doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
@@ -194,14 +202,14 @@ class LandingSiteSelector:
             explanation = _why_none(points, lss)
         elif not landable:
             explanation = "no safe ground within the landing area and outside the keep-outs"
-            if over.any():
+            if above.any():
                 explanation += " that does not lie above the vehicle: poses in NED, or the lidar's"
                 explanation += " mount is another; quadtree-lss doctor says which"
         if aims.withheld:
             explanation = f"no site is given out: {aims.withheld}"
 
         def why_not(row: int, column: int) -> Reason:
-            if aims.withheld or over[row, column]:
+            if aims.withheld or above[row, column]:
                 return Reason.WITHHELD
             if unwanted := wanted.fault(at.x[column], at.y[row], lss):
                 return unwanted
@@ -214,16 +222,26 @@ class LandingSiteSelector:
         none = Reason.WITHHELD if aims.withheld else Reason.NO_SITE
         seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
         settled = seen >= lss.settle_share or waited >= lss.settle_time
+        below = None
+        if motion is not None:
+            below = self._descent(points, at, motion, (motion.x, motion.y))
+        here = within_reach(aims, wanted, lss, motion, below)
         choice = self._choose(
             aims.candidates,
             why_not=why_not,
             why_none=none,
-            descent=None if vehicle is None else self._descent(points, at, *vehicle),
+            descent=None if motion is None else self._descent(points, at, motion, self._over(at)),
             settled=settled,
+            now=here,
         )
         ranked = self._rank(cost, at.x, at.y)
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
+        best = np.full(4, np.nan)
+        if here.best is not None:
+            row, column = here.best
+            height = at.linear(points.around.planes.elevation)[here.best]
+            best[:] = at.x[column], at.y[row], height, aims.probability[here.best]
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             number=self._number,
@@ -231,6 +249,8 @@ class LandingSiteSelector:
             seen=seen,
             pending=landable and choice.place is None and choice.reason not in WAITING,
             sites=found.of(slice(len(ranked))),
+            now=best,
+            gain=here.gain,
             x=at.x,
             y=at.y,
             hazard=aims.hazard,
@@ -248,17 +268,29 @@ class LandingSiteSelector:
     def _choose(self, ground: Candidates, **situation: Any) -> Choice:
         return self._target.choose(ground, self.config.lss, reach=self._reach(), **situation)
 
+    def _over(self, at: GridSampler) -> tuple[float, float] | None:
+        """The target, if there is one and it is a grid point."""
+        held = self._target.held
+        return held if held is not None and grid_point(at.x, at.y, *held) else None
+
     def _descent(
-        self, points: PointAssessment, at: GridSampler, height: float, speed: float
+        self,
+        points: PointAssessment,
+        at: GridSampler,
+        motion: Motion,
+        over: tuple[float, float] | None,
     ) -> Descent:
-        """Over the target; without one, or where its ground is not seen, over all of the ground."""
-        held, ground = self._target.held, float("nan")
-        if held is not None and (place := grid_point(at.x, at.y, *held)):
-            row, column = (near[k] for near, k in zip(at.near, place, strict=True))
+        """Over a place; without one, or where its ground is not seen, over all of the ground."""
+        ground = float("nan")
+        if over is not None and at.x[0] <= over[0] <= at.x[-1] and at.y[0] <= over[1] <= at.y[-1]:
+            row, column = (
+                near[np.abs(axis - place).argmin()]
+                for near, axis, place in zip(at.near, (at.y, at.x), over[::-1], strict=True)
+            )
             ground = float(points.around.planes.elevation[row, column])
         if isnan(ground):
             ground = float(np.mean(points.raster.elevation[points.raster.seen]))
-        return Descent(height - ground, speed)
+        return Descent(motion.z - ground, motion.down)
 
     def _reach(self) -> float:
         """How far from each other sites are the same, m: no two of a ranking are."""

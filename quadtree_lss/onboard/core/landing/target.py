@@ -19,9 +19,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from math import dist, inf
+from math import dist, inf, nan
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +30,9 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Mask, Numbers
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
+
+if TYPE_CHECKING:
+    from quadtree_lss.onboard.core.landing.now import Now
 
 #: Places that are remembered; of more the oldest are forgotten.
 MAX_PLACES = 1000
@@ -44,6 +48,8 @@ TARGET_SCORE = 20.0
 #: How a vehicle gets aside on its way down: acceleration, m/s^2, and the least speed downwards that
 #: its time is reckoned with, m/s.
 ASIDE, SLOWEST = 1.0, 0.5
+#: Waiting is reckoned with so long, s.
+WAIT_S = 5.0
 
 
 class Reason(IntEnum):
@@ -53,6 +59,7 @@ class Reason(IntEnum):
     FIRST = 1
     BETTER = 2
     RELEASED = 3
+    LAND_NOW = 4
     NOTHING_MAPPED = 16
     NO_SITE = 17
     HAZARD = 18
@@ -74,12 +81,25 @@ class Reason(IntEnum):
 
 class State(IntEnum):
     """No target; none before enough is seen; one that may give way to a better one; one that only a
-    hazard, or who asks for it, takes away."""
+    hazard, or who asks for it, takes away; the best within reach, whatever its risk."""
 
     NONE = 0
     SETTLING = 1
     HOLDS = 2
     COMMITTED = 3
+    NOW = 4
+
+
+class Motion(NamedTuple):
+    """Of the vehicle: its height in the map frame, m, and speed downwards, m/s; its place there, m,
+    NaN if nobody knows, and speed along x and y, m/s."""
+
+    z: float
+    down: float
+    x: float = nan
+    y: float = nan
+    along_x: float = 0.0
+    along_y: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -95,11 +115,15 @@ class Descent:
     speed: float
 
     @property
+    def seconds(self) -> float:
+        """What is left of it, s."""
+        return self.height / max(self.speed, SLOWEST)
+
+    @property
     def reach(self) -> float:
         """How far aside it still comes down, m: speeding up for half of the time, slowing down for
         the other; and not farther than it is high."""
-        seconds = self.height / max(self.speed, SLOWEST)
-        return max(min(self.height, 0.25 * ASIDE * seconds**2), 0.0)
+        return max(min(self.height, 0.25 * ASIDE * self.seconds**2), 0.0)
 
 
 @dataclass(frozen=True)
@@ -302,13 +326,17 @@ class TargetKeeper:
         self.places = Places()
         self._held: tuple[float, float] | None = None
         self._id = 0
-        self._released = False
+        self._released = self._now = False
         self._before: Candidates | None = None
         self._wish: tuple[object, ...] | None = None
 
     def release(self) -> None:
         """Give the target up: the next one is chosen as if none had been held."""
-        self._released = True
+        self._released, self._now = True, False
+
+    def land_now(self) -> None:
+        """From the next assessment to `release`: the best within reach, without waiting."""
+        self._held, self._now = None, True
 
     def heed(self, wanted: Restrictions, reach: float, lss: LssConfig) -> None:
         """Give it up for another landing area without it, or another place to be near to.
@@ -318,7 +346,7 @@ class TargetKeeper:
         """
         wish, before = wanted.wish(), self._wish
         self._wish = wish
-        if before is None or wish == before:
+        if before is None or wish == before or self._now:
             return
         kept = self._held is not None
         if self._held is not None and wish[0] != before[0]:
@@ -343,10 +371,12 @@ class TargetKeeper:
         why_none: Reason,
         descent: Descent | None = None,
         settled: bool = True,
+        now: Now | None = None,
     ) -> Choice:
         """The target after one more assessment.
 
-        One that is lost is followed by none, and only in the next assessment by another: whoever
+        After `land_now` it is the best within reach, until another is better by the same rule. Else
+        one that is lost is followed by none, and only in the next assessment by another: whoever
         flies to it hears of it in any case.
 
         Args:
@@ -357,6 +387,7 @@ class TargetKeeper:
             why_none: Reason to be given if landing is permitted nowhere.
             descent: Of the vehicle, None if nobody knows.
             settled: Enough is seen to choose from, or the time for it is up.
+            now: What there is within reach.
         """
         self.places.forget(ground)
         permitted = likely = np.isfinite(ground.cost)
@@ -370,6 +401,9 @@ class TargetKeeper:
         held, released = self._held, self._released
         self._held, self._released = None, False
         committed = descent is not None and descent.height <= lss.commit_height
+        if self._now:
+            place, reason = self._at_once(ground, held, lss, why_not, descent, committed, now)
+            return self._keep(ground, place, reason, reach, State.NOW, why_none)
         reason = Reason.FIRST if held is None else Reason.RELEASED
         if held is not None and not released:
             place, reason = ground.at(*held), Reason.HOLDS
@@ -396,11 +430,51 @@ class TargetKeeper:
             return Choice(None, 0, Reason.UNCONFIRMED, best=best)
         else:
             place = _least(np.where(seen_again, ground.cost, inf))
+        state = State.COMMITTED if committed else State.HOLDS
+        return self._keep(ground, place, reason, reach, state, why_none)
+
+    def _keep(
+        self,
+        ground: Candidates,
+        place: tuple[int, int] | None,
+        reason: Reason,
+        reach: float,
+        state: State,
+        why_none: Reason,
+    ) -> Choice:
+        """The choice of a grid point, which is held from now on."""
+        if place is None:
+            return Choice(None, 0, why_none)
         self._held = float(ground.x[place[1]]), float(ground.y[place[0]])
         if reason != Reason.HOLDS:
             self._id = self.places.number(*self._held, reach)
         self.places.pin(self._id, *self._held)
-        return Choice(place, self._id, reason, State.COMMITTED if committed else State.HOLDS)
+        return Choice(place, self._id, reason, state)
+
+    def _at_once(
+        self,
+        ground: Candidates,
+        held: tuple[float, float] | None,
+        lss: LssConfig,
+        why_not: Callable[[int, int], Reason],
+        descent: Descent | None,
+        committed: bool,
+        now: Now | None,
+    ) -> tuple[tuple[int, int] | None, Reason]:
+        """After `land_now`: the grid point, and why. The one held stays while it is seen and
+        permitted, whatever its risk; low over it, nothing moves it that is not a hazard."""
+        best = None if now is None else now.best
+        place = None if held is None else ground.at(*held)
+        if place is None:
+            return best, Reason.LAND_NOW
+        if np.isnan(ground.cost[place]) and why_not(*place) != Reason.HAZARD:
+            return best, Reason.LAND_NOW
+        unsafe = 0.0 if ground.unsafe is None else float(ground.unsafe[place])
+        if now is not None and (not committed or unsafe > 1.0 - lss.min_probability):
+            within = replace(ground, cost=now.cost)
+            if better := self._better(within, np.isfinite(now.cost), place, descent, lss):
+                return better, Reason.BETTER
+        return place, Reason.HOLDS
 
     def _better(
         self,
