@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.desk.report import palette
 from quadtree_lss.desk.report.content import Content
-from quadtree_lss.desk.report.headline import areas, largest_circle, nearest_miss
+from quadtree_lss.desk.report.headline import GOOD, LEVELS, largest_circle, nearest_miss
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.core.geometry.feature import peak
 
@@ -57,7 +57,12 @@ def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "circle": circle and asdict(circle),
         "miss": miss and asdict(miss),
         "landing": content.summary.get("landing") or {},
-        "areas": asdict(areas(content)),
+        "trust": {
+            "words": LEVELS,
+            "good": GOOD,
+            "least": config.lss.min_probability,
+            "doubted": bool(content.summary.get("doubts")),
+        },
         "history": _history(content, columns, stride),
         "timing": _timing(content),
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
