@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page in a real browser: what is seen, told, reached by keys, fingers and address."""
 
+import dataclasses
 import html
+import json
 import re
 
 import numpy as np
@@ -10,7 +12,10 @@ from replay.recordings import GROUND, write_ros2
 from report.pages import in_a_browser, in_browser, run_browser
 
 from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.report.report import page
 from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
 pytestmark = in_a_browser
 CONFIG = config_from_values(GROUND)
@@ -516,3 +521,58 @@ def test_without_javascript_there_are_table_and_picture(text, tmp_path):
     dom = run_browser(tmp_path, "--dump-dom", (tmp_path / "host.html").as_uri())
     table, picture, frame, choice = map(int, re.search(r'data-wide="([^"]*)"', dom)[1].split(","))
     assert table > 300 and picture > 300 and frame == choice == 0
+
+
+def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path):
+    """Marked as no result of the run, which comes back."""
+    tries = [
+        {"dispersion": 0.7, "max_risk": CONFIG.lss.max_risk, "margin": 0.0},
+        {"dispersion": 2.0, "max_risk": 0.15, "margin": 1.1},
+    ]
+    told = in_browser(
+        text,
+        tmp_path,
+        f"""
+        const before = [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")];
+        const found = {json.dumps(tries)}.map(t => {{
+          const now = recompute({{ ...t, dispersion: [t.dispersion, t.dispersion] }});
+          return [[...now.allowed], [...now.probability], now.found.map(s => [s.x, s.y])]; }});
+        tellTest("found", found);
+        const move = (id, v) => {{ byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
+          byId(id).dispatchEvent(new Event("change")); }};
+        move("try-max_risk", Math.log10(0.15)); move("try-margin", 1.1);
+        tellTest("shown", [grid.safe.reduce((a, b) => a + b), sites.length,
+          byId("sites").tBodies[0].rows.length, byId("verdict").textContent,
+          root.classList.contains("what-if"), byId("what-if-run").textContent]);
+        setInstant(0); tellTest("past", byId("verdict").textContent);
+        setInstant(data.history.seconds.length - 1); move("try-margin", 2);
+        byId("what-if-reset").click();
+        tellTest("same", JSON.stringify(before) === JSON.stringify(
+          [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")]));
+        """,
+    )
+    for values, (allowed, probability, places) in zip(tries, told["found"], strict=True):
+        config = config_from_values({f"lss.{name}": v for name, v in values.items()}, CONFIG)
+        expected = LandingSiteSelector(config).assess(result.cells)
+        np.testing.assert_array_equal(np.array(allowed) > 0, expected.safe.ravel())
+        np.testing.assert_allclose(probability, expected.probability.ravel(), atol=1e-6)
+        np.testing.assert_allclose(places, expected.sites.position[:, :2])
+        assert 0 < sum(allowed) != np.count_nonzero(result.assessment.safe) or values is tries[0]
+    number, sites, rows, verdict, marked, command = told["shown"]
+    assert number == sum(told["found"][1][0]) and sites == rows == len(told["found"][1][2])
+    assert verdict.startswith("What if, not the run's own result. ") and marked
+    assert "--set lss.max_risk=0.15 --set lss.margin=1.1" in command
+    assert told["past"].startswith("At ") and told["same"]
+
+
+def test_sliders_say_where_they_do_not_go(result, tmp_path):
+    config = {**result.summary["config"], "lss.ranking": "score"}
+    content = read(result.out)
+    summary = {**content.summary, "config": config}
+    told = in_browser(
+        page(dataclasses.replace(content, summary=summary)),
+        tmp_path,
+        """tellTest("note", [byId("what-if-note").textContent,
+          document.querySelectorAll(".tries input").length]);""",
+    )
+    assert "ranked by probability" in told["note"][0] and told["note"][1] == 0
