@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import LssConfig, config_from_values
-from quadtree_lss.onboard.core.geometry import sphere
 from quadtree_lss.onboard.core.landing import now
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise

@@ -28,8 +28,8 @@ onboard.core.landing: onboard.core.tree
 onboard.messages: onboard.config onboard.core
 onboard.autopilot: onboard.config onboard.core.geometry
 onboard.nodes: build onboard.config onboard.core onboard.messages onboard.autopilot
-desk.report: onboard.config onboard.core
 desk.exchange: onboard.config onboard.core
+desk.report: onboard.config onboard.core onboard.messages desk.exchange
 plot: onboard.core desk.report
 desk.bags: onboard.config onboard.messages desk.exchange
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange

@@ -318,7 +318,7 @@ def test_a_map_without_a_safe_site_is_a_result(bag, tmp_path):
     result = replay(bag, tmp_path, config)
     assert not len(result.assessment.sites.score)
     assert columns(tmp_path / "sites.csv")[1] == []
-    assert "No safe site" in (tmp_path / "report.html").read_text()
+    assert "No landing site" in (tmp_path / "report.html").read_text()
 
 
 def test_no_bag_and_a_folder_that_cannot_be_made(bag, tmp_path):

@@ -114,14 +114,18 @@ def in_browser(text, folder, steps="", size=(1400, 900), address="", flags=()):
     if size[0] < 500:
         path = folder / "phone.html"
         path.write_text(PHONE % size)
-    command = [BROWSER, *FLAGS, *flags, f"--window-size={size[0]},{size[1]}"]
-    command += [f"--user-data-dir={folder / 'profile'}", "--dump-dom"]
-    done = subprocess.run(
-        [*command, path.as_uri() + address], capture_output=True, text=True, timeout=180
-    )
-    assert done.returncode == 0, done.stderr
-    (tag,) = re.findall(r"<html[^>]*>", done.stdout)
+    size_flag = f"--window-size={size[0]},{size[1]}"
+    dom = run_browser(folder, *flags, size_flag, "--dump-dom", path.as_uri() + address)
+    (tag,) = re.findall(r"<html[^>]*>", dom)
     assert "data-error" not in tag, tag
     found = re.search(r'data-told="([^"]*)"', tag)
     assert found, f"the page did not get ready: {tag}"
     return json.loads(html.unescape(found[1]))
+
+
+def run_browser(folder, *arguments):
+    """What it prints."""
+    command = [BROWSER, *FLAGS, f"--user-data-dir={folder / 'profile'}", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=180)
+    assert done.returncode == 0, done.stderr
+    return done.stdout

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page in a real browser: what is seen, told, reached by keys, fingers and address."""
 
+import dataclasses
+import html
+import json
+import re
+
 import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import in_a_browser, in_browser
+from report.pages import in_a_browser, in_browser, run_browser
 
 from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.report.report import page
 from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
 pytestmark = in_a_browser
 CONFIG = config_from_values(GROUND)
@@ -356,4 +364,215 @@ def test_a_map_without_sites(tmp_path):
     result = replay(write_ros2(tmp_path / "bag", scans=3), tmp_path / "out", config)
     text = (result.out / "report.html").read_text()
     told = in_browser(text, tmp_path, 'drawNow(); tellTest("answer", document.body.textContent);')
-    assert "No safe site" in told["answer"] and told["answer"].count("is both seen and safe") == 1
+    assert (
+        "No landing site" in told["answer"]
+        and told["answer"].count("is both seen and allowed") == 1
+    )
+
+
+def test_a_click_on_a_marker_selects_its_site(text, tmp_path):
+    """A drag does not; with a finger it is a tap."""
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const click = (x, y, way = 0) => { at("pointerdown", x, y);
+          if (way) at("pointermove", x + way, y); at("pointerup", x + way, y); };
+        const marker = k => [px(sites[k].x), py(sites[k].y)];
+        const chosen = () => [view.site, document.querySelector("tr.chosen th").textContent,
+                              byId("why").textContent];
+        click(...marker(1)); tellTest("clicked", chosen());
+        click(px(extent.x0), py(extent.y0)); tellTest("beside", chosen());
+        click(...marker(0), 40); tellTest("dragged", chosen());
+        const box = map.getBoundingClientRect(), [x, y] = marker(0);
+        const touch = (type, touches) => map.dispatchEvent(new TouchEvent(type, { touches }));
+        touch("touchstart", [new Touch({ identifier: 0, target: map, clientX: box.left + x,
+                                         clientY: box.top + y })]);
+        touch("touchend", []); tellTest("tapped", chosen());
+        """,
+    )
+    site, rank, why = told["clicked"]
+    assert (site, rank) == (1, "2") and why.startswith("Site 2")
+    assert told["beside"] == told["dragged"] == told["clicked"] and told["tapped"][:2] == [0, "1"]
+
+
+def test_allowed_ground_is_outlined_on_every_layer(text, tmp_path):
+    """Of the shown time too, and not on the layer that is nothing else."""
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const green = rgb(data.colours.safe), found = {};
+        view.relief = view.sites = false; zoom(3);
+        const count = () => { drawNow(); const d = map.getContext("2d").getImageData(0, 0,
+            map.width, map.height).data; let n = 0;
+          const is = i => green.every((v, c) => Math.abs(d[i + c] - v) < 4);
+          for (let i = 0; i < d.length; i += 4) n += is(i);
+          return n; };
+        for (const name of Object.keys(LAYERS)) { setLayer(name);
+          const on = count(); view.allowed = false;
+          found[name] = [on, count()]; view.allowed = true; }
+        tellTest("found", found);
+        const last = data.history.seconds.length - 1;
+        const is = (i, k) => allowedClass(i, k) === 0;
+        const of = k => { let n = 0;
+          for (let j = 0; j < grid.ny; j++) for (let i = 1; i < grid.nx; i++) {
+            const here = j * grid.nx + i; n += is(here, k) !== is(here - 1, k);
+          } return n; };
+        tellTest("sides", [0, last].map(k => [allowedEdges(k).filter(([x0, , x1]) => x0 === x1 &&
+          x0 > grid.xmin && x0 < grid.xmin + (grid.nx - 1) * grid.spacing).length, of(k)]));
+        """,
+    )
+    found = told["found"]
+    on, off = found.pop("allowed")
+    assert on == off
+    assert all(on > off + 50 for on, off in found.values()), found
+    assert all(drawn == counted > 0 for drawn, counted in told["sides"][1:])
+
+
+def test_bright_is_good_on_every_layer_that_knows_a_good(text, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const light = ([r, g, b]) => 0.2126 * r + 0.7152 * g + 0.0722 * b;
+        const good = { probability: 1, slope: 0, score: 0, deviation: 0, roughness: 0 };
+        tellTest("found", Object.entries(good).map(([name, end]) => {
+          const layer = LAYERS[name], { limits } = layer;
+          const [best, worst] = [limits[end], limits[1 - end]].map(v => light(colour(layer, v)));
+          return [name, best, worst]; }));
+        // The relief leaves a colour nearer to itself in the legend than a quarter of the scale.
+        setLayer("probability"); view.allowed = view.sites = false; zoom(2);
+        const scale = Array.from({ length: 101 }, (_, p) => colour(LAYERS.probability, p));
+        const read = () => { drawNow(); const c = map.getContext("2d"), out = [];
+          for (let x = 60; x < width() - 20; x += 31) for (let y = 50; y < height() - 60; y += 31) {
+            const got = c.getImageData(x * devicePixelRatio, y * devicePixelRatio, 1, 1).data;
+            const off = s => s.reduce((sum, v, k) => sum + (v - got[k]) ** 2, 0);
+            out.push(scale.map(off).reduce((b, v, k, all) => (v < all[b] ? k : b), 0)); }
+          return out; };
+        const lit = read(); view.relief = false; const flat = read();
+        tellTest("off", flat.map((v, k) => Math.abs(v - lit[k])).sort((a, b) => a - b));
+        """,
+    )
+    assert all(good > bad + 50 for _, good, bad in told["found"]), told["found"]
+    off = told["off"]
+    assert off[int(0.95 * len(off))] <= 12, off
+
+
+def test_past_moments_show_the_past(text, tmp_path):
+    """In headline, columns and tooltip; the run's own come back."""
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const words = () => [byId("verdict").className, byId("verdict").textContent];
+        const columns = () => [...byId("sites").rows[1].cells].filter(c => c.offsetWidth).length;
+        const there = () => { at("pointermove", px(sites[0].x) + 20, py(sites[0].y));
+          return shown(); };
+        tellTest("end", [words(), columns(), Object.keys(there())]);
+        setInstant(0); tellTest("past", [words(), columns(), Object.keys(there())]);
+        const h = data.history, first = h.sites[0];
+        tellTest("then", [h.seconds[0], first.length, first.length ? first[0][5] : null]);
+        setInstant(h.seconds.length - 1); tellTest("again", [words(), columns()]);
+        """,
+    )
+    (verdict, words), columns, rows = told["past"]
+    seconds, number, share = told["then"]
+    assert words.startswith(f"At {seconds:.1f} s. ") and "Landing is allowed on" in words
+    assert "No landing site" in words if not number else f"{100 * share:.1f} %" in words
+    assert columns == 6 < told["end"][1] and verdict.split()[0] == "verdict"
+    assert (
+        set(rows)
+        <= {"place", "probability", "landing", "ground"}
+        < set(told["end"][2]) | {"ground"}
+    )
+    assert told["again"] == told["end"][:2]
+
+
+def test_values_are_at_the_foot_of_a_phone(text, tmp_path):
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const s = sites[0]; tell(s.x, s.y); const box = tooltip.getBoundingClientRect();
+        tellTest("box", [box.left, root.clientWidth - box.right, box.bottom, box.height]);
+        tellTest("finger", map.getBoundingClientRect().top + py(s.y));
+        """,
+        size=(390, 844),
+    )
+    left, right, bottom, high = told["box"]
+    assert (left, right, bottom) == (0, 0, 844) and told["finger"] < 844 - high
+
+
+def test_print_fits_two_pages(text, tmp_path):
+    page, paper = tmp_path / "page.html", tmp_path / "page.pdf"
+    page.write_text(text)
+    run_browser(tmp_path, f"--print-to-pdf={paper}", page.as_uri())
+    assert len(re.findall(rb"/Type\s*/Page\b", paper.read_bytes())) <= 2
+
+
+def test_without_javascript_there_are_table_and_picture(text, tmp_path):
+    host = f"""<html><body><iframe id="off" sandbox="allow-same-origin" width="1200" height="900"
+    srcdoc="{html.escape(text)}"></iframe><script>const off = document.getElementById("off");
+    off.onload = () => {{ const wide = what => off.contentDocument.querySelector(what).offsetWidth;
+      document.body.dataset.wide = ["#sites", ".picture", "#frame", ".choice"].map(wide); }};
+    </script></body></html>"""
+    (tmp_path / "host.html").write_text(host)
+    dom = run_browser(tmp_path, "--dump-dom", (tmp_path / "host.html").as_uri())
+    table, picture, frame, choice = map(int, re.search(r'data-wide="([^"]*)"', dom)[1].split(","))
+    assert table > 300 and picture > 300 and frame == choice == 0
+
+
+def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path):
+    """Marked as no result of the run, which comes back."""
+    tries = [
+        {"dispersion": 0.7, "max_risk": CONFIG.lss.max_risk, "margin": 0.0},
+        {"dispersion": 2.0, "max_risk": 0.15, "margin": 1.1},
+    ]
+    told = in_browser(
+        text,
+        tmp_path,
+        f"""
+        const before = [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")];
+        const found = {json.dumps(tries)}.map(t => {{
+          const now = recompute({{ ...t, dispersion: [t.dispersion, t.dispersion] }});
+          return [[...now.allowed], [...now.probability], now.found.map(s => [s.x, s.y])]; }});
+        tellTest("found", found);
+        const move = (id, v) => {{ byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
+          byId(id).dispatchEvent(new Event("change")); }};
+        move("try-max_risk", Math.log10(0.15)); move("try-margin", 1.1);
+        tellTest("shown", [grid.safe.reduce((a, b) => a + b), sites.length,
+          byId("sites").tBodies[0].rows.length, byId("verdict").textContent,
+          root.classList.contains("what-if"), byId("what-if-run").textContent]);
+        setInstant(0); tellTest("past", byId("verdict").textContent);
+        setInstant(data.history.seconds.length - 1); move("try-margin", 2);
+        byId("what-if-reset").click();
+        tellTest("same", JSON.stringify(before) === JSON.stringify(
+          [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")]));
+        """,
+    )
+    for values, (allowed, probability, places) in zip(tries, told["found"], strict=True):
+        config = config_from_values({f"lss.{name}": v for name, v in values.items()}, CONFIG)
+        expected = LandingSiteSelector(config).assess(result.cells)
+        np.testing.assert_array_equal(np.array(allowed) > 0, expected.safe.ravel())
+        np.testing.assert_allclose(probability, expected.probability.ravel(), atol=1e-6)
+        np.testing.assert_allclose(places, expected.sites.position[:, :2])
+        assert 0 < sum(allowed) != np.count_nonzero(result.assessment.safe) or values is tries[0]
+    number, sites, rows, verdict, marked, command = told["shown"]
+    assert number == sum(told["found"][1][0]) and sites == rows == len(told["found"][1][2])
+    assert verdict.startswith("What if, not the run's own result. ") and marked
+    assert "--set lss.max_risk=0.15 --set lss.margin=1.1" in command
+    assert told["past"].startswith("At ") and told["same"]
+
+
+def test_sliders_say_where_they_do_not_go(result, tmp_path):
+    config = {**result.summary["config"], "lss.ranking": "score"}
+    content = read(result.out)
+    summary = {**content.summary, "config": config}
+    told = in_browser(
+        page(dataclasses.replace(content, summary=summary)),
+        tmp_path,
+        """tellTest("note", [byId("what-if-note").textContent,
+          document.querySelectorAll(".tries input").length]);""",
+    )
+    assert "ranked by probability" in told["note"][0] and told["note"][1] == 0

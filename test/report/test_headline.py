@@ -2,12 +2,14 @@
 """What was found in a sentence, with a site and without."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
 from quadtree_lss.desk.report import headline
 from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.report.report import page
 
 
 @pytest.fixture
@@ -26,14 +28,14 @@ def without_sites(content, hazard):
 def test_the_share_is_of_the_seen_ground(content):
     found = headline.areas(content)
     size = content.config.domain.size
-    assert 0.0 < found.safe < found.seen <= size**2
+    assert 0.0 < found.allowed < found.seen <= size**2
     everything = dataclasses.replace(
         content, grid={**content.grid, "hazard": np.zeros_like(content.grid["hazard"])}
     )
     assert headline.areas(everything).seen == pytest.approx(size**2)
     words, ground = headline.headline(content)
-    assert words == f"{len(content.sites['x'])} landing sites."
-    assert f"{100 * found.share:.0f} % of the {found.seen:,.0f} m² seen is safe" in ground
+    assert f"at the best of {len(content.sites['x'])} sites" in words
+    assert f"allowed on {100 * found.share:.0f} % of the {found.seen:,.0f} m² seen" in ground
     assert content.reasons[0] in ground
 
 
@@ -53,7 +55,7 @@ def test_no_site_names_the_largest_circle_and_what_ends_it(content):
     more = headline.areas(unmapped).unmapped
     assert f"; {more:,.0f} m² more are seen, not yet mapped" in headline.headline(unmapped)[1]
     words, text = headline.headline(found)
-    assert words == "No safe site." and text.count("Nothing fits") == 1
+    assert words == "No landing site." and text.count("Nothing fits") == 1
     assert "Largest circle of clear ground" in text and "are needed" in text
 
 
@@ -82,4 +84,56 @@ def test_no_probability_is_rounded_to_certainty(content):
     sure = {**content.sites, "probability": np.full_like(content.sites["x"], 1.0 - 1e-9)}
     reasons = {**content.summary, "reasons": ["level"] * len(sure["x"])}
     found = dataclasses.replace(content, sites=sure, summary=reasons)
-    assert ", probability 99.99 %: level." in headline.headline(found)[1]
+    assert "99.99 % at the best of" in headline.headline(found)[0]
+
+
+@pytest.mark.parametrize(
+    ("best", "doubts", "level", "words"),
+    [
+        (0.995, [], "good", "Good: 99.5 % at the best of 5 sites."),
+        (0.995, ["another lander"], "care", "With care: 99.5 % at the best of 5 sites."),
+        (0.93, [], "care", "With care: 93.0 % at the best of 5 sites."),
+        (0.2, [], "none", "None is good enough: 20.0 % at the best of 5 sites, and a target needs"),
+    ],
+)
+def test_sites_are_as_good_as_the_probability_of_the_best(content, best, doubts, level, words):
+    sites = {name: np.resize(values, 5) for name, values in content.sites.items()}
+    sites["probability"] = np.linspace(best, best - 0.1, 5)
+    summary = {**content.summary, "doubts": doubts, "reasons": ["level"] * 5}
+    found = dataclasses.replace(content, sites=sites, summary=summary)
+    assert headline.trust(found)[0] == level and headline.headline(found)[0].startswith(words)
+    facts = {fact.name: fact for fact in headline.trust(found)[1]}
+    assert facts["within the fit"].level == ("care" if doubts else "good")
+    assert facts["best aim"].level == ("good" if best > 0.99 else level)
+    shown = page(found)
+    assert f'class="verdict {level}"' in shown and f"<dd>{facts['best aim'].value}</dd>" in shown
+
+
+def test_ground_is_allowed_and_only_a_touchdown_is_safe(text):
+    """One word for the risk of a place, another one for the probability of an aim."""
+    words = re.sub(r"<(script|style|details)\b.*?</\1>|<[^>]*>", " ", text, flags=re.DOTALL)
+    assert {m[1] for m in re.finditer(r"\bsafe\W+(\w+)", words)} <= {"touchdown"}
+
+
+def test_without_a_site_the_limit_is_named_and_by_how_much(content):
+    """Too little seen, too great a risk, too steep; the first that is in the way."""
+    found = without_sites(content, np.full_like(content.grid["hazard"], 128))
+    assert headline.shortfall(found) == ""  # nothing at all is seen
+    hazard = found.grid["hazard"].copy()
+    hazard[20:25, 20:25] = 0
+    found = without_sites(content, hazard)
+    room = 3.0 * content.spacing
+    short = f"The widest seen ground is {content.zone - room:.2f} m short"
+    assert headline.shortfall(found).startswith(short)
+    config = {**content.summary["config"], "lss.max_risk": 0.01}
+    content = dataclasses.replace(content, summary={**content.summary, "config": config})
+    found = without_sites(content, np.full_like(hazard, 8))
+    risky = np.full(hazard.shape, 0.5)
+    risky[30, 30] = 0.03
+    found = dataclasses.replace(found, grid={**found.grid, "risk": risky})
+    assert headline.shortfall(found).endswith("3 times the allowed 1 % (lss.max_risk)")
+    level = {**found.grid, "risk": np.zeros(hazard.shape), "slope_deg": np.full(hazard.shape, 13.0)}
+    found = dataclasses.replace(found, grid=level)
+    over = 13.0 - content.config.vehicle.max_slope_deg
+    assert f"{over:.1f} deg over the limit" in headline.shortfall(found)
+    assert headline.shortfall(found) in headline.headline(found)[1]

@@ -7,8 +7,7 @@ import contextlib
 import csv
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.cells import ResultsError, cell_map, cells_arrays, unreadable
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.history import History
@@ -29,8 +29,6 @@ from quadtree_lss.onboard.config.settings import Config, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.maps import known_probability
 
 SITE_COLUMNS = ("rank", "x", "y", "z", "nx", "ny", "nz", "score", "slope_deg", "roughness")
@@ -41,15 +39,6 @@ FIGURES = ("elevation", "slope", "hazards", "probability", "score", "timing")
 
 Table = dict[str, NDArray[Any]]
 """Columns of a CSV file by name: whole numbers, numbers, or else texts."""
-SAME = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
-SAME += ("exception_fraction", "feature", "low", "high")
-"""Arrays of ``cells.npz`` that are the columns of a map of that name."""
-NEEDED = (*SAME[:-2], "nx", "ny", "nz", "covariance")
-NEEDED_ELSE = ("observed_cells", "domain", "stamp_ns", "offset")
-
-
-class ResultsError(QuadtreeLssError):
-    """A folder is none that a replay wrote, or one of its files cannot be read."""
 
 
 def write_results(
@@ -109,22 +98,6 @@ def _site_rows(assessment: LandingAssessment) -> list[list[Any]]:
     ]
 
 
-def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
-    """Content of ``cells.npz``: one array per field of the leaves, in Morton order."""
-    domain = cells.domain
-    of_domain = [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
-    return {
-        **{name: getattr(cells, name) for name in (*SAME, "x", "y", "size", "covariance")},
-        **{f"n{axis}": cells.normal[:, k] for k, axis in enumerate("xyz")},
-        "observed": np.bincount(cells.leaf_raster()[cells.observed], minlength=len(cells.z)),
-        "observed_cells": cells.observed,
-        "known_cells": cells.known,
-        "domain": np.array(of_domain),
-        "stamp_ns": np.array(cells.stamp_ns),
-        "offset": np.array([cells.offset_z, cells.offset_variance]),
-    }
-
-
 def grid_arrays(assessment: LandingAssessment) -> dict[str, NDArray[Any]]:
     """Content of ``grid.npz``: the landing grid's points, arrays (ny, nx)."""
     names = ("x", "y", "elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
@@ -182,9 +155,9 @@ class Results:
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise _unreadable(path, error) from None
+            raise unreadable(path, error) from None
         if not isinstance(content, dict):
-            raise _unreadable(path, "it is not a JSON object")
+            raise unreadable(path, "it is not a JSON object")
         return content
 
     @cached_property
@@ -221,17 +194,17 @@ class Results:
         arrays = _arrays(path)
         x, y = (arrays.pop(name, np.empty(0)) for name in "xy")
         if x.ndim != 1 or y.ndim != 1 or not x.size or not y.size:
-            raise _unreadable(path, "it has no grid points x and y")
+            raise unreadable(path, "it has no grid points x and y")
         wrong = [name for name, values in arrays.items() if values.shape != (y.size, x.size)]
         if wrong:
-            raise _unreadable(path, f"{wrong[0]} is not of shape {(y.size, x.size)}")
+            raise unreadable(path, f"{wrong[0]} is not of shape {(y.size, x.size)}")
         return Grid(x, y, arrays)
 
     @cached_property
     def map(self) -> CellMap:
         """``cells.npz``: the map that landing sites were ranked on, as it was."""
         path = self.folder / "cells.npz"
-        return _cell_map(path, _arrays(path))
+        return cell_map(path, _arrays(path))
 
     def __repr__(self) -> str:
         scans, sites = self.summary.get("scans"), len(self.positions)
@@ -253,41 +226,6 @@ def load_results(folder: str | os.PathLike[str]) -> Results:
     return Results(path)
 
 
-def _cell_map(path: Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
-    missing = [name for name in (*NEEDED, *NEEDED_ELSE) if name not in a]
-    if missing:
-        raise _unreadable(path, f"it lacks {', '.join(missing)}: replay the bag again")
-    if a["domain"].shape != (5,):
-        raise _unreadable(path, "domain has another size than 5")
-    xmin, ymin, size, low, high = a["domain"].tolist()
-    domain = Domain(xmin, ymin, size, int(low), int(high))
-    leaves, sides = len(a["level"]), (domain.finest_count,) * 2
-    columns = {name: a.get(name, np.full(leaves, np.nan)) for name in SAME}
-    masks = {name: a.get(name, a["observed_cells"]) for name in ("observed_cells", "known_cells")}
-    wrong = [name for name in NEEDED if len(a[name]) != leaves]
-    wrong += [name for name in ("low", "high") if columns[name].shape != (leaves,)]
-    wrong += [name for name, values in masks.items() if values.shape != sides]
-    if wrong:
-        raise _unreadable(path, f"{wrong[0]} has another size than the map")
-    kinds = {"level": np.uint8, "ix": np.uint32, "iy": np.uint32, "count": np.uint32}
-    kinds["measured"] = np.bool_
-    columns |= {name: columns[name].astype(kind) for name, kind in kinds.items()}
-    found = CellMap(
-        **columns,
-        stamp_ns=int(a["stamp_ns"]),
-        domain=domain,
-        normal=np.column_stack([a["nx"], a["ny"], a["nz"]]),
-        covariance_range=a["covariance"] - a["covariance_pose"],
-        observed=masks["observed_cells"].astype(np.bool_),
-        known=masks["known_cells"].astype(np.bool_),
-        offset_z=float(a["offset"][0]),
-        offset_variance=float(a["offset"][1]),
-    )
-    if "known_cells" in a:
-        return found
-    return replace(found, known=found.observed & found.measured[found.leaf_raster()])
-
-
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
         return read_arrays(path)
@@ -300,9 +238,9 @@ def _read_table(path: Path) -> Table:
         with path.open(newline="", encoding="utf-8") as file:
             header, *rows = list(csv.reader(file)) or [[]]
     except (OSError, ValueError, csv.Error) as error:
-        raise _unreadable(path, error) from None
+        raise unreadable(path, error) from None
     if any(len(row) != len(header) for row in rows):
-        raise _unreadable(path, "its rows differ in length")
+        raise unreadable(path, "its rows differ in length")
     return {name: _column([row[k] for row in rows]) for k, name in enumerate(header)}
 
 
@@ -313,9 +251,3 @@ def _column(texts: list[str]) -> NDArray[Any]:
         except (ValueError, OverflowError):
             continue
     return np.array(texts)
-
-
-def _unreadable(path: Path, error: object) -> ResultsError:
-    if isinstance(error, OSError) and error.strerror:
-        error = error.strerror
-    return ResultsError(f"{path}: cannot be read: {error}")

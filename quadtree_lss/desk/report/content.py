@@ -62,6 +62,13 @@ class Content:
         return 0.5 * self.config.lss.vehicle.diameter + self.config.lss.margin
 
     @property
+    def dispersion(self) -> tuple[float, float]:
+        """1 sigma of a touchdown about its aim along x and y, m: the last heard, or as set."""
+        heard = (self.summary.get("landing") or {}).get("dispersion")
+        x, y = heard[:2] if heard else (self.config.lss.dispersion,) * 2
+        return float(x), float(y)
+
+    @property
     def probability(self) -> Array | None:
         """(ny, nx) of a safe touchdown, NaN where it was not judged; None if nowhere."""
         found = self.grid.get("probability")

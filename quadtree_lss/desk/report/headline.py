@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was found in a sentence: where to land and how sure that is, or what stands in the way."""
+"""What was found in a sentence, how far to trust it, or what stands in the way.
+
+Two words are kept apart: ground is *allowed* by the risk of a place, an aim has a *probability*.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,15 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.desk.report.content import Content
-from quadtree_lss.desk.report.palette import excluding
+from quadtree_lss.desk.report.palette import excluding, slope_limit
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.probability import shown
+from quadtree_lss.onboard.messages.intake import noise_notice
+
+GOOD = 0.99
+"""Probability of the best aim from which on it is called good: one landing in a hundred fails."""
+LEVELS = {"good": "Good", "care": "With care", "none": "None is good enough"}
+"""How far the best aim can be trusted: good, with care, and not at all."""
 
 
 @dataclass(frozen=True)
@@ -20,13 +29,13 @@ class Areas:
     """Of the ground at the grid points, m²."""
 
     seen: float
-    safe: float
+    allowed: float
     unmapped: float
 
     @property
     def share(self) -> float:
-        """Of the seen ground that is safe."""
-        return self.safe / self.seen if self.seen else 0.0
+        """Of the seen ground on which landing is allowed."""
+        return self.allowed / self.seen if self.seen else 0.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,7 @@ class NearestMiss:
 
 
 def areas(content: Content) -> Areas:
-    """How much is seen, how much of it is safe, and how much more is seen but not yet mapped."""
+    """How much is seen, where landing is allowed, and what more is seen but not yet mapped."""
     x, y = (np.gradient(content.grid[name]) for name in "xy")
     x[[0, -1]] *= 0.5  # the outer points stand at the map's edge
     y[[0, -1]] *= 0.5
@@ -59,7 +68,7 @@ def areas(content: Content) -> Areas:
 
 
 def largest_circle(content: Content) -> Circle | None:
-    """None if there is safe ground, or none that is seen and clear."""
+    """None where landing is allowed somewhere, or no ground is seen and clear."""
     grid = content.grid
     hazardous = (grid["hazard"] & excluding(content.config.lss.assessment)) > 0
     clear = content.seen & ~hazardous
@@ -99,32 +108,121 @@ def _room(mask: Mask, spacing: float) -> Array:
     return room
 
 
+@dataclass(frozen=True)
+class Fact:
+    """Something that trust rests on: what, how it is, and a level of `LEVELS`, or none."""
+
+    name: str
+    value: str
+    level: str = ""
+
+
+def best_probability(content: Content) -> float:
+    """Of the best aim; NaN without a site, or where nobody asked for it."""
+    found = content.sites.get("probability", np.zeros(0))
+    return float(found[0]) if len(found) else float("nan")
+
+
+def trust(content: Content) -> tuple[str, list[Fact]]:
+    """A level of `LEVELS` for the best aim, and what it rests on."""
+    lss, summary, best = content.config.lss, content.summary, best_probability(content)
+    doubts = list(summary.get("doubts", ()))
+    if np.isnan(best):
+        level, aim = (
+            ("care", "not computed") if len(content.sites["x"]) else ("none", "there is none")
+        )
+    else:
+        level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
+        aim = f"{shown(best)}: {LEVELS[level].lower()}"
+    fits = not doubts and "probability" in (lss.assessment, lss.ranking)
+    within = (
+        "yes" if fits else f"no: {len(doubts)} in the warnings" if doubts else "no risk is computed"
+    )
+    noise, ratio = content.config.lidar.range_noise, summary.get("range_noise_ratio")
+    noisy = ratio is not None and noise_notice(ratio, content.config) is not None
+    seen, cells = float(np.mean(content.seen)), content.cells["domain"]
+    finest, coarsest = (cells[2] / 2.0 ** cells[k] for k in (4, 3))
+    facts = [
+        Fact("best aim", aim, level),
+        Fact("within the fit", within, "good" if fits else "care"),
+        Fact("cells", f"{finest:.3g} to {coarsest:.3g} m"),
+        Fact(
+            "range noise, seen / set",
+            f"{'–' if ratio is None else format(noise * ratio, '.3g')} / {noise:.3g} m",
+            "care" if noisy else "",
+        ),
+        Fact("area seen", f"{seen:.0%}", "care" if seen < lss.settle_share else ""),
+        Fact("dispersion, 1 σ", " × ".join(f"{s:.3g}" for s in content.dispersion) + " m"),
+    ]
+    if lss.assessment == "probability":
+        facts.append(Fact("risk allowed at a place", f"{100.0 * lss.max_risk:.3g} %"))
+    return "care" if level == "good" and not fits else level, facts
+
+
 def headline(content: Content) -> tuple[str, str]:
     """The answer in few words, and what it rests on."""
     found, sites = areas(content), content.sites
-    ground = f"{100.0 * found.share:.0f} % of the {found.seen:,.0f} m² seen is safe"
-    if found.safe:
-        ground += f": {found.safe:,.0f} m²"
+    ground = f"Landing is allowed on {100.0 * found.share:.0f} % of the {found.seen:,.0f} m² seen"
+    if found.allowed:
+        ground += f": {found.allowed:,.0f} m²"
     if found.unmapped >= 0.5:
         ground += f"; {found.unmapped:,.0f} m² more are seen, not yet mapped"
-    number = len(sites["x"])
+    number, best = len(sites["x"]), best_probability(content)
     if not number:
-        return "No safe site.", _without(content, ground)
+        return "No landing site.", _without(content, ground)
+    of = f"the best of {number} sites" if number > 1 else "the one site"
+    level, words = trust(content)[0], f"no probability is computed of {of}"
+    if np.isfinite(best):
+        words = f"{shown(best)} at {of}"
+        if level == "none":
+            least = shown(content.config.lss.min_probability)
+            words += f", and a target needs {least}"
     x, y, z = (f"{sites[name][0]:.2f}" for name in "xyz")
-    best = f"{number} landing sites" if number > 1 else "One landing site"
-    text = f"Best at x {x}, y {y}, z {z} m"
-    probability = sites.get("probability")
-    told = content.reasons[0].startswith("probability ")
-    if probability is not None and np.isfinite(probability[0]) and not told:
-        text += f", probability {shown(probability[0])}"
-    return f"{best}.", f"{text}: {content.reasons[0]}. {ground}."
+    return (
+        f"{LEVELS[level]}: {words}.",
+        f"At x {x}, y {y}, z {z} m: {content.reasons[0]}. {ground}.",
+    )
+
+
+def shortfall(content: Content) -> str:
+    """Without a site: the limit that is in the way, and by how much; or nothing."""
+    lss, need = content.config.lss, content.zone
+    if content.grid["safe"].any() or not content.seen.any():
+        return ""
+    room = _room(content.seen, content.spacing)
+    if room.max() < need:
+        short = need - float(room.max())
+        return f"The widest seen ground is {short:.2f} m short of the {need:.2f} m radius of a zone"
+    fits = room >= need
+    risk = content.grid.get("risk")
+    if lss.assessment == "probability" and risk is not None:
+        least = float(np.nanmin(risk[fits], initial=1.0))
+        if least > lss.max_risk:
+            times = (
+                f", {least / lss.max_risk:.3g} times the allowed" if lss.max_risk else ", not the"
+            )
+            limit = f"{100.0 * lss.max_risk:.3g} % (lss.max_risk)"
+            return f"The lowest risk of a place is {100.0 * least:.2g} %{times} {limit}"
+    slope = float(np.nanmin(content.grid["slope_deg"][fits], initial=90.0))
+    limit_deg = slope_limit(lss)
+    if slope > limit_deg:
+        over = f"{slope - limit_deg:.1f} deg over the limit of {limit_deg:.1f} deg"
+        return f"The most level place has {slope:.1f} deg, {over}"
+    circle = largest_circle(content)
+    if circle is None or circle.radius >= need:
+        return ""
+    return (
+        f"Clear ground is {need - circle.radius:.2f} m short of the {need:.2f} m radius of a zone"
+    )
 
 
 def _without(content: Content, ground: str) -> str:
-    """What limits, said once, then the nearest miss and the largest circle."""
+    """What limits and by how much, then the nearest miss and the largest circle."""
     text = f"{content.summary['explanation']}".removeprefix("no safe site: ").rstrip(".")
     lines = [f"{text[:1].upper()}{text[1:]}", *([ground] if content.seen.any() else ())]
     miss, circle = nearest_miss(content), largest_circle(content)
+    if short := shortfall(content):
+        lines.insert(0, short)
     if miss is not None:
         lines.append(f"Nearest miss at x {miss.x:.2f}, y {miss.y:.2f} m: {miss.why}")
     if circle is not None:

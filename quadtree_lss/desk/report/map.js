@@ -2,7 +2,7 @@
 // The map: one view of the ground, drawn on one or two panes that move together.
 "use strict";
 const view = { x: 0, y: 0, scale: 1, layer: "", beside: "", mode: "map", site: -1, answer: -1,
-               sites: true, relief: true, leaves: false, track: false, cursor: null, line: null };
+               sites: true, relief: true, allowed: true, leaves: false, track: false, cursor: null, line: null };
 const map = byId("map"), second = byId("map-2");
 const MARGIN = { left: 46, bottom: 30 };
 let extent, whole = 1;
@@ -74,7 +74,10 @@ function drawPane(canvas, name) {
     place(c, reliefPicture(view.answer));
     c.globalAlpha = 1; c.globalCompositeOperation = "source-over";
   }
-  for (const kind of layer.outlines || []) drawOutline(c, kind);
+  for (const kind of layer.outlines || []) drawOutline(c, kind.colour, edges(kind.name, hazardAt(kind)));
+  if (view.allowed && name !== "allowed") {
+    drawOutline(c, "#fff", allowedEdges(), 2.2); drawOutline(c, data.colours.safe, allowedEdges());
+  }
   if (view.leaves) drawLeaves(c);
   drawWishes(c);
   if (view.track || view.answer >= 0) drawScans(c);
@@ -86,32 +89,35 @@ function drawPane(canvas, name) {
   c.restore();
   drawAxes(c);
 }
-// How the relief is laid on a layer; colours that mean a value keep their hue.
-const reliefOf = layer => (layer.map === "elevation" ? ["hard-light", 0.85] : ["soft-light", 0.9]);
+// How the relief is laid on a layer: so thinly that a colour is still found in the legend.
+const reliefOf = layer => (layer.map === "elevation" ? ["hard-light", 0.45] : ["soft-light", 0.5]);
 function place(c, { canvas, box: [x, y, w, h] }) {
   c.drawImage(canvas, px(x), py(y + h), w * view.scale, h * view.scale);
 }
 const outlines = {};
-function edges(kind) { // x0, y0, x1, y1 of each side of a grid point with the bit to one without
-  if (outlines[kind.name]) return outlines[kind.name];
+const hazardAt = kind => i => (grid.hazard[i] & kind.bit) > 0 && !(grid.hazard[i] & UNSEEN.bit);
+const allowedEdges = (k = view.answer) =>
+  edges(`allowed ${k}`, i => (k < 0 ? grid.safe[i] : allowedClass(i, k) === 0));
+function edges(name, at) { // x0, y0, x1, y1 of each side of a grid point that has it to one without
+  if (outlines[name]) return outlines[name];
+  for (const old of Object.keys(outlines)) if (/^allowed \d/.test(old)) delete outlines[old];
   const found = [], { nx, ny, spacing: s } = grid;
-  const has = (i, j) => i >= 0 && j >= 0 && i < nx && j < ny &&
-    (grid.hazard[j * nx + i] & kind.bit) > 0 && !(grid.hazard[j * nx + i] & UNSEEN.bit);
+  const has = (i, j) => i >= 0 && j >= 0 && i < nx && j < ny && at(j * nx + i);
   for (let j = 0; j <= ny; j++) for (let i = 0; i <= nx; i++) {
     const here = has(i, j), x = grid.xmin + (i - 0.5) * s, y = grid.ymin + (j - 0.5) * s;
     if (here !== has(i - 1, j)) found.push([x, y, x, y + s]);
     if (here !== has(i, j - 1)) found.push([x, y, x + s, y]);
   }
-  return (outlines[kind.name] = found);
+  return (outlines[name] = found);
 }
-function drawOutline(c, kind) {
+function drawOutline(c, colour, sides, wider = 0) {
   const left = mx(0), right = mx(width()), low = my(height()), high = my(0);
   c.beginPath();
-  for (const [x0, y0, x1, y1] of edges(kind)) {
+  for (const [x0, y0, x1, y1] of sides) {
     if (x1 < left || x0 > right || y1 < low || y0 > high) continue;
     c.moveTo(px(x0), py(y0)); c.lineTo(px(x1), py(y1));
   }
-  c.strokeStyle = kind.colour; c.lineWidth = clamp(view.scale * grid.spacing / 5, 0.8, 2); c.stroke();
+  c.strokeStyle = colour; c.lineWidth = wider + clamp(view.scale * grid.spacing / 5, 0.8, 2); c.stroke();
 }
 function drawLeaves(c) {
   const left = mx(MARGIN.left), right = mx(width()), top = my(0);

@@ -28,13 +28,13 @@ SAFE_COLOUR, EXCLUDED_COLOUR = "#009e73", "#882255"
 SITE_COLOUR = "#1c1c1c"  # of no map and no kind of hazard; ringed in white
 MAPS = {
     "elevation": "cividis",
-    "slope": "viridis",
+    "slope": "viridis_r",
     "score": "viridis_r",
     "probability": "viridis",
-    "deviation": "magma",
+    "deviation": "magma_r",
     "error": "RdBu_r",
 }
-"""matplotlib's name of the colour map of each kind of layer."""
+"""matplotlib's name of the colour map of each kind of layer: bright is good, where one end is."""
 
 
 def excluding(assessment: str) -> int:

@@ -74,7 +74,7 @@ function rows() {
 }
 
 // ---- the address -------------------------------------------------------------------------------
-const SHOWN = ["sites", "relief", "leaves", "track"];
+const SHOWN = ["sites", "relief", "allowed", "leaves", "track"];
 let remembering = 0;
 function address() {
   const words = { layer: view.layer, x: view.x.toFixed(2), y: view.y.toFixed(2),

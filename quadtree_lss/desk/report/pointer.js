@@ -10,22 +10,22 @@ function values(x, y) {
     rows.push(["ground", hit ? UNMAPPED.name : UNSEEN.name]);
   }
   else {
+    const share = grid.probability && (k < 0 ? grid.probability[i] : probabilityAt(i, k));
+    if (grid.probability) rows.push(["probability", shareText(share) + " %"]);
+    rows.push(["landing", (k < 0 ? grid.safe[i] : allowedAt(i, k)) ? "allowed" : "not allowed"]);
+    if (k >= 0) return rows; // of the rest, what was known then is not kept
     const h = heightAt(x, y), s = r >= 0 && leaves.deviation ? leaves.deviation[r] : NaN;
     rows.push(["height", Number.isNaN(s) ? withUnit(h, 2, "m") :
       `${h.toFixed(3)} ± ${s.toFixed(3)} m`]);
     rows.push(["slope", `${withUnit(grid.slope[i], 1, "°")}, lander's scale`]);
-    const share = grid.probability && (k < 0 ? grid.probability[i] : probabilityAt(i, k));
-    if (grid.probability) rows.push(["probability", shareText(share) + " %"]);
-    rows.push(["landing", (k < 0 ? grid.safe[i] : allowedAt(i, k)) ? "allowed" : "not allowed"]);
-    if (k < 0) {
-      rows.push(["hazard", hazardNames(grid.hazard[i])]);
-      rows.push(["score", Number.isNaN(grid.score[i]) ? "excluded" : grid.score[i].toFixed(4)]);
-    }
+    rows.push(["hazard", hazardNames(grid.hazard[i])]);
+    rows.push(["score", Number.isNaN(grid.score[i]) ? "excluded" : grid.score[i].toFixed(4)]);
     for (const layer of data.layers) {
       rows.push([layer.title, layer.classes ? layer.classes[layer.values[i]].name :
         withUnit(layer.values[i], 3, layer.unit)]);
     }
   }
+  if (k >= 0) return rows;
   if (r >= 0) {
     const of = leaves.z ? (leaves.measured[r] ? ", measured" : Number.isNaN(leaves.z[r]) ?
       ", no plane" : ", inherited") : "";
@@ -50,7 +50,7 @@ function tell(x, y, canvas = map) { // at the place, and the crosshair on every 
   tellBeside(x, y, px(x) + own.left - frame.left, py(y) + own.top - frame.top);
   pointAt(x, y); draw();
 }
-function tellBeside(x, y, p, q) { // p, q within the frame
+function tellBeside(x, y, p, q) { // p, q within the frame; a narrow screen has it at its foot
   tooltip.innerHTML = "<table>" +
     values(x, y).map(([k, v]) => `<tr><th>${k}</th><td>${v}</td></tr>`).join("") + "</table>";
   tooltip.hidden = false;
@@ -67,16 +67,25 @@ function silent() {
   pointAt(NaN, NaN); draw();
 }
 
+function pick(p, q) { // the site whose marker is there
+  if (!view.sites || view.answer >= 0) return false;
+  const k = sites.findIndex(s => Math.hypot(px(s.x) - p, py(s.y) - q) <= 13);
+  if (k >= 0) { choose(k, false); silent(); }
+  return k >= 0;
+}
 let held = null; // what the mouse holds: a place of the map, or an end of the section's line
 function watch(canvas) {
   canvas.addEventListener("pointerdown", e => {
     if (e.pointerType === "touch") return;
-    held = { p: e.offsetX, q: e.offsetY, moved: false };
+    held = { p: e.offsetX, q: e.offsetY, moved: 0 };
     if (view.mode === "section") startLine(mx(e.offsetX), my(e.offsetY));
     try { canvas.setPointerCapture(e.pointerId); } catch (ignored) { /* made up by a test */ }
   });
   const drop = () => { held = null; };
-  canvas.addEventListener("pointerup", drop);
+  canvas.addEventListener("pointerup", e => {
+    if (held && held.moved < 4 && view.mode === "map") pick(e.offsetX, e.offsetY);
+    drop();
+  });
   canvas.addEventListener("pointercancel", drop);
   canvas.addEventListener("pointerleave", e => { if (e.pointerType !== "touch") silent(); });
   canvas.addEventListener("pointermove", e => {
@@ -84,7 +93,8 @@ function watch(canvas) {
     if (held && view.mode === "section") moveLine(mx(e.offsetX), my(e.offsetY));
     else if (held) {
       view.x -= (e.offsetX - held.p) / view.scale; view.y += (e.offsetY - held.q) / view.scale;
-      held = { p: e.offsetX, q: e.offsetY };
+      const way = Math.hypot(e.offsetX - held.p, e.offsetY - held.q);
+      held = { p: e.offsetX, q: e.offsetY, moved: held.moved + way };
     }
     tell(mx(e.offsetX), my(e.offsetY), canvas);
   });
@@ -124,7 +134,9 @@ function watch(canvas) {
     } else tapped = null;
   }, { passive: false });
   canvas.addEventListener("touchend", () => {
-    if (tapped && view.mode !== "section") tell(mx(tapped.p), my(tapped.q), canvas);
+    if (tapped && view.mode !== "section" && !pick(tapped.p, tapped.q)) {
+      tell(mx(tapped.p), my(tapped.q), canvas);
+    }
     last = tapped = null;
   });
 }

@@ -11,8 +11,14 @@ import numpy as np
 
 from quadtree_lss.desk.report.content import Content, read
 from quadtree_lss.desk.report.drawing import png
-from quadtree_lss.desk.report.figures import figures
-from quadtree_lss.desk.report.headline import headline, largest_circle, nearest_miss, when
+from quadtree_lss.desk.report.figures import figures, hazard_figure
+from quadtree_lss.desk.report.headline import (
+    headline,
+    largest_circle,
+    nearest_miss,
+    trust,
+    when,
+)
 from quadtree_lss.desk.report.page_data import Layer, page_data
 from quadtree_lss.desk.report.pages import render
 from quadtree_lss.onboard.config.settings import parameters, values_from_config
@@ -52,6 +58,7 @@ def page(
     data, columns = page_data(content, layers)
     summary, config, sites = content.summary, content.config, content.sites
     answer, ground = headline(content)
+    level, facts = trust(content)
     shown_columns = [
         row
         for row in SITES
@@ -67,6 +74,9 @@ def page(
         "title": f"Landing sites from {short_name(summary['bag'])}",
         "when": when(content),
         "answer": answer,
+        "level": level,
+        "facts": facts,
+        "picture_of_map": png(hazard_figure(content), dpi=75),
         "ground": ground,
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
         "head": [(word, unit, meaning) for word, unit, _, _, meaning in shown_columns],

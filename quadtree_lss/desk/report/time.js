@@ -16,7 +16,7 @@ const laterThan = (i, k) => { // whether the ground was not known by the k-th an
   const row = Math.ceil(grid.nx * grid.ny / 8);
   return i < 0 || !(data.history.seen[k * row + (i >> 3)] >> (7 - (i & 7)) & 1);
 };
-let playing = 0, lastRows = "";
+let playing = 0;
 function setInstant(k) { // of the answers; the last one is the map as it lies
   const h = data.history, last = h.seconds.length - 1;
   view.answer = k >= last ? -1 : k;
@@ -31,26 +31,61 @@ function setInstant(k) { // of the answers; the last one is the map as it lies
 }
 const tellThen = chart => setTimeout(() => // when the chart has forgotten the pointer
   chart.setLegend({ idx: view.answer < 0 ? data.history.seconds.length - 1 : view.answer }));
-function tableOfTheTime() { // what is kept of the sites of the shown answer; at the end, all
-  const table = byId("sites"), k = view.answer;
+const own = {}; // the run's own headline and rows of the table
+function headlineOf(level, words, ground, note = "") { // as `headline` of headline.py has it
+  const box = byId("verdict"), [answer, text] = box.children;
+  own.verdict = own.verdict || [box.className, answer.textContent, text.textContent];
+  [box.className, answer.textContent, text.textContent] = level ?
+    [`verdict ${level}`, `${note}${words}.`, ground] : own.verdict;
+}
+function answerOf(number, share) { // level and words for so many sites, the best of that probability
+  const { words, good, least, doubted } = data.trust;
+  if (!number) return ["none", "No landing site"];
+  if (share === null) return ["care", `${words.care}: no probability is computed`];
+  const level = share < least ? "none" : share >= good && !doubted ? "good" : "care";
+  return [level, `${words[level]}: ${shareText(100 * share)} % at ` +
+    (number > 1 ? `the best of ${number} sites` : "the one site")];
+}
+function allowedGround(is) { // of each grid point: allowed 0, excluded 1, else unknown
+  const found = [0, 0, 0, 0];
+  for (let i = 0; i < grid.nx * grid.ny; i++) found[is(i)]++;
+  const seen = found[0] + found[1], each = grid.spacing ** 2;
+  return `Landing is allowed on ${(100 * found[0] / (seen || 1)).toFixed(0)} % of the ` +
+    `${Math.round(seen * each)} m² seen: ${Math.round(found[0] * each)} m².`;
+}
+function tableOf(found, target, chosen = false) { // [id, x, y, z, score, probability] of each; null: the run's own
+  const table = byId("sites");
   if (!table) return;
-  const body = table.tBodies[0], h = data.history;
-  lastRows = lastRows || body.innerHTML;
-  if (k < 0) {
-    if (body.dataset.at) { body.innerHTML = lastRows; delete body.dataset.at; rows(); tellSite(view.site); }
-    return;
-  }
-  body.dataset.at = k;
-  const [target] = h.targets[k], place = h.sites[k].findIndex(([id]) => id === target) + 1;
+  const body = table.tBodies[0];
+  own.rows = own.rows || body.innerHTML;
+  table.classList.toggle("part", found !== null);
   const wide = table.tHead.rows[0].cells.length;
-  body.innerHTML = h.sites[k].map(([id, x, y, z, score, share], row) => {
-    const cells = [x, y, z].map(v => v.toFixed(2));
+  body.innerHTML = found === null ? own.rows : found.map(([id, x, y, z, score, share], row) => {
+    const cells = [x, y, z].map(v => (v === null ? "–" : v.toFixed(2)));
     if (grid.probability) cells.push(share === null ? "–" : shareText(100 * share));
     cells.push(score === null ? "–" : score.toFixed(3));
     while (cells.length < wide - 1) cells.push("");
-    return `<tr${id === target ? ' class="chosen"' : ""}><th>${row + 1}</th>` +
+    const site = chosen ? ` data-site="${row}" tabindex="0"` : "";
+    return `<tr${id === target ? ' class="chosen"' : ""}${site}><th>${row + 1}</th>` +
       cells.map(c => `<td>${c}</td>`).join("") + "</tr>";
   }).join("");
+}
+function tableOfTheTime() { // what is kept of the shown answer; at the end, all
+  const k = view.answer, h = data.history, table = byId("sites");
+  if (k < 0) {
+    if (!own.past) return;
+    own.past = false;
+    headlineOf(""); tableOf(null); rows(); tellSite(view.site);
+    return;
+  }
+  if (own.tried) tried(null);
+  own.past = true;
+  const [target] = h.targets[k], place = h.sites[k].findIndex(([id]) => id === target) + 1;
+  const best = h.sites[k][0];
+  headlineOf(...answerOf(h.sites[k].length, best ? best[5] : null),
+             allowedGround(i => allowedClass(i, k)), `At ${h.seconds[k].toFixed(1)} s. `);
+  if (!table) return;
+  tableOf(h.sites[k], target);
   byId("why").innerHTML = `<b>At ${h.seconds[k].toFixed(1)} s</b>: ` + (!target ? "no target" :
     `the target, dashed on the map, is ${place ? `site ${place}` : "none of the ranked sites"}`);
 }

@@ -380,7 +380,7 @@ def _why_none(points: PointAssessment, lss: LssConfig) -> str:
         f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
         + (f"{100.0 * unmapped:.0f} % seen but not yet mapped, " if unmapped > 0.0 else "")
         + f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
-        f"{zone_radius(lss):.2f} m radius is both seen and safe"
+        f"{zone_radius(lss):.2f} m radius is both seen and allowed"
     )
 
 

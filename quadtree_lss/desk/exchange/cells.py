@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A map as the arrays of ``cells.npz``, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+SAME = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
+SAME += ("exception_fraction", "feature", "low", "high")
+"""Arrays of ``cells.npz`` that are the columns of a map of that name."""
+NEEDED = (*SAME[:-2], "nx", "ny", "nz", "covariance")
+NEEDED_ELSE = ("observed_cells", "domain", "stamp_ns", "offset")
+
+
+class ResultsError(QuadtreeLssError):
+    """A folder is none that a replay wrote, or one of its files cannot be read."""
+
+
+def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
+    """Content of ``cells.npz``: one array per field of the leaves, in Morton order."""
+    domain = cells.domain
+    of_domain = [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
+    return {
+        **{name: getattr(cells, name) for name in (*SAME, "x", "y", "size", "covariance")},
+        **{f"n{axis}": cells.normal[:, k] for k, axis in enumerate("xyz")},
+        "observed": np.bincount(cells.leaf_raster()[cells.observed], minlength=len(cells.z)),
+        "observed_cells": cells.observed,
+        "known_cells": cells.known,
+        "domain": np.array(of_domain),
+        "stamp_ns": np.array(cells.stamp_ns),
+        "offset": np.array([cells.offset_z, cells.offset_variance]),
+    }
+
+
+def cell_map(path: str | Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
+    """The map in the arrays of ``cells.npz``. Raises `ResultsError`: they are none."""
+    missing = [name for name in (*NEEDED, *NEEDED_ELSE) if name not in a]
+    if missing:
+        raise unreadable(path, f"it lacks {', '.join(missing)}: replay the bag again")
+    if a["domain"].shape != (5,):
+        raise unreadable(path, "domain has another size than 5")
+    xmin, ymin, size, low, high = a["domain"].tolist()
+    domain = Domain(xmin, ymin, size, int(low), int(high))
+    leaves, sides = len(a["level"]), (domain.finest_count,) * 2
+    columns = {name: a.get(name, np.full(leaves, np.nan)) for name in SAME}
+    masks = {name: a.get(name, a["observed_cells"]) for name in ("observed_cells", "known_cells")}
+    wrong = [name for name in NEEDED if len(a[name]) != leaves]
+    wrong += [name for name in ("low", "high") if columns[name].shape != (leaves,)]
+    wrong += [name for name, values in masks.items() if values.shape != sides]
+    if wrong:
+        raise unreadable(path, f"{wrong[0]} has another size than the map")
+    kinds = {"level": np.uint8, "ix": np.uint32, "iy": np.uint32, "count": np.uint32}
+    kinds["measured"] = np.bool_
+    columns |= {name: columns[name].astype(kind) for name, kind in kinds.items()}
+    found = CellMap(
+        **columns,
+        stamp_ns=int(a["stamp_ns"]),
+        domain=domain,
+        normal=np.column_stack([a["nx"], a["ny"], a["nz"]]),
+        covariance_range=a["covariance"] - a["covariance_pose"],
+        observed=masks["observed_cells"].astype(np.bool_),
+        known=masks["known_cells"].astype(np.bool_),
+        offset_z=float(a["offset"][0]),
+        offset_variance=float(a["offset"][1]),
+    )
+    if "known_cells" in a:
+        return found
+    return replace(found, known=found.observed & found.measured[found.leaf_raster()])
+
+
+def unreadable(path: str | Path, error: object) -> ResultsError:
+    """The error of a file for a reason."""
+    if isinstance(error, OSError) and error.strerror:
+        error = error.strerror
+    return ResultsError(f"{path}: cannot be read: {error}")
