@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.player.player import wait_for_subscribers
+from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
 from quadtree_lss.lab.flight.fly import OUTSIDE, Flown, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target
@@ -100,7 +100,7 @@ def fly_live(
 
     Raises:
         PlayError: the nodes did not start in time.
-        ProcessError: a node is not installed, or others are in the domain.
+        ProcessError: a node is not installed or ended at its start, or others are in the domain.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
@@ -122,7 +122,12 @@ def fly_live(
         link = stack.enter_context(_Link(local.number, config.frames.map))
         refuse_company(link.node, dict.fromkeys(SPOKEN, 1) | dict.fromkeys(HEARD, 0))
         nodes = {name: start(name) for name in starts}
-        link.wait(PATIENCE_S)
+        try:
+            link.wait(PATIENCE_S)
+        except PlayError:
+            for node in nodes.values():
+                node.check()
+            raise
         began = time.monotonic()
         down: set[str] = set()
         others: set[str] = set()
