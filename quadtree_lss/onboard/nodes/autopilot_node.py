@@ -39,6 +39,7 @@ from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternio
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, cloud_records
+from quadtree_lss.onboard.messages.poses import MAX_POSITION
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Problems, Status
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
@@ -119,10 +120,10 @@ class AutopilotNode(Node):
             return None, f"{self._sources.number} nodes send landing/selected"
         (at, place), (told_at, status) = self._selected, self._status
         age = now - min(at, told_at)
-        if not np.isfinite(place).all():
-            return None, f"there is no target (reason {status['reason']} of landing/status)"
         offset = float(status["offset_z"])
         place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
+        if not (np.abs(place) <= MAX_POSITION).all():
+            return None, f"there is no target (reason {status['reason']} of landing/status)"
         return Target(place, age, float(status["age"]) + now - told_at), ""
 
     def _poll(self) -> None:
@@ -242,6 +243,7 @@ class AutopilotNode(Node):
         heard = time.monotonic() - self._link.heard
         status.add({"autopilot.kind": {None: "none", PX4: "px4"}.get(self._link.kind, "ardupilot")})
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
+        status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
         if heard > self._settings.config.autopilot.max_heartbeat_age:
             connection = self._settings.config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
