@@ -24,8 +24,9 @@ from launch_ros.substitutions import FindPackageShare
 PACKAGE = "quadtree_lss"
 # Exit codes after which another start would end the same way: wrong arguments, wrong configuration.
 FINAL = (2, 78)
-# Nodes that ended so; of a launch of this file alone, which no other's nodes depend on.
-ENDED: set[str] = set()
+# What is said of the nodes that ended so.
+ENDED: dict[str, str] = {}
+# A launch of this file alone, which no other's nodes depend on, may end as failed.
 ALONE = any(os.path.basename(word) == os.path.basename(__file__) for word in sys.argv[1:])
 # Each is an argument too, with "_" for "/": the name under which the topic is known here.
 TOPICS = {
@@ -151,14 +152,23 @@ def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 def _stay_ended(
     event: ProcessExited, context: LaunchContext, started: int
 ) -> list[LaunchDescriptionEntity]:
-    """No respawn of a node that another start cannot help; the launch ends with the last one."""
-    if event.returncode not in FINAL:
+    """No respawn of a node that another start cannot help; the others go on.
+
+    Raises:
+        RuntimeError: there was such a node, and the last one has ended; the launch's exit code is
+            then not 0.
+    """
+    final = event.returncode in FINAL
+    if final:
+        text = f"{event.process_name} ended with exit code {event.returncode}: its arguments or"
+        text += " its configuration are wrong, see its line above; it is not started again"
+        ENDED[event.action.name] = text
+    respawn = _truth("respawn", LaunchConfiguration("respawn").perform(context))
+    over = len(ENDED) == started or not (final or (respawn and not context.is_shutdown))
+    if ENDED and over and ALONE:
+        raise RuntimeError("; ".join(ENDED.values()))
+    if not final:
         return []
-    text = f"{event.process_name} ended with exit code {event.returncode}: its arguments or its"
-    text += " configuration are wrong, see its line above; it is not started again"
-    ENDED.add(event.action.name)
-    if ALONE and len(ENDED) == started:
-        raise RuntimeError(text)  # the launch's exit code is then not 0
     end = ShutdownProcess(process_matcher=matches_action(event.action))
     return [LogInfo(msg=text), EmitEvent(event=end)]
 

@@ -30,6 +30,7 @@ class Context:
 
     def __init__(self, values: Mapping[str, str]) -> None:
         self.launch_configurations = dict(values)
+        self.is_shutdown = False
 
 
 class LaunchDescription(Record): ...

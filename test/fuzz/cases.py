@@ -171,6 +171,15 @@ def random_polygon(rng: np.random.Generator) -> SimpleNamespace:
     )
 
 
+def random_keep_out(rng: np.random.Generator) -> SimpleNamespace:
+    """One of a set."""
+    polygon = random_polygon(rng)
+    number = int(one_of(rng, WHOLE) if rng.random() < 0.1 else rng.integers(0, 300))
+    return SimpleNamespace(
+        header=polygon.header, polygon=SimpleNamespace(polygon=polygon.polygon, id=number)
+    )
+
+
 def random_target(rng: np.random.Generator) -> SimpleNamespace:
     x, y = (extreme(rng) if rng.random() < 0.5 else rng.normal(8.0, 9.0) for _ in range(2))
     frame = one_of(rng, ["map"] * 9 + FRAMES)
@@ -187,6 +196,50 @@ def random_dispersion(rng: np.random.Generator) -> SimpleNamespace:
             if rng.random() < 0.4:
                 pose.pose.covariance[place] = abs(extreme(rng))
     return pose
+
+
+def random_of_autopilot(rng: np.random.Generator, mav: Any, now_ns: int) -> Any:
+    """A message of a vehicle, of MAVLink, with up to three of its fields spoilt."""
+    ms, place, speed = now_ns // 10**6, (1.0, 2.0, -9.0), (0.5, 0.0, 0.1)
+    upper, turn = [0.01] + 20 * [0.0], [1.0, 0.0, 0.0, 0.0]
+    for first in (6, 11, 15, 18, 20):
+        upper[first] = 1e-3
+    message = one_of(
+        rng,
+        [
+            mav.MAVLink_heartbeat_message(2, one_of(rng, [3, 12]), 129, 4, 4, 3),
+            mav.MAVLink_timesync_message(now_ns + 10**9, now_ns - 10**5),
+            mav.MAVLink_extended_sys_state_message(0, 2),
+            mav.MAVLink_statustext_message(6, b"text"),
+            mav.MAVLink_param_value_message(b"NAME", 1.0, 9, 1, 0),
+            *[mav.MAVLink_local_position_ned_message(ms % 2**32, *place, *speed)] * 2,
+            *[mav.MAVLink_attitude_quaternion_message(ms % 2**32, *turn, 0.0, 0.0, 0.0)] * 2,
+            *[
+                mav.MAVLink_odometry_message(
+                    now_ns // 1000, 1, 12, *place, turn, *speed, 0.0, 0.0, 0.0, upper, upper
+                )
+            ]
+            * 4,
+        ],
+    )
+    for _ in range(rng.integers(0, 4)):
+        name = one_of(rng, message.fieldnames)
+        value = getattr(message, name)
+        if isinstance(value, list):
+            value[rng.integers(len(value))] = as_single(extreme(rng))
+        elif isinstance(value, float):
+            setattr(message, name, as_single(extreme(rng)))
+        elif isinstance(value, int):
+            kind = message.fieldtypes[message.fieldnames.index(name)]
+            bits = 8 if "char" in kind or "int8" in kind else int(kind.strip("uint_"))
+            whole = int(one_of(rng, [*WHOLE, 2**63 - 1, 2**64 - 1])) % 2**bits
+            setattr(message, name, whole - 2**bits * (kind[0] != "u" and whole >= 2 ** (bits - 1)))
+    return message
+
+
+@np.errstate(over="ignore", under="ignore")
+def as_single(value: float) -> float:
+    return float(np.float32(value))
 
 
 def spoil_values(values: np.ndarray, rng: np.random.Generator) -> None:

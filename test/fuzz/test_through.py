@@ -16,7 +16,7 @@ from fuzz.through import INPUTS, attack
 
 import quadtree_lss.onboard
 
-QUICK, PIECE = 200, 20_000
+QUICK, PIECE = 80, 20_000
 
 
 @cache

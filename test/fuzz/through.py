@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import faulthandler
 import resource
+import socket
 import warnings
 from array import array
 from collections import Counter
@@ -19,12 +20,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from core.builders import assert_sound, configured, make_pose, scan, scattered
 from fuzz import cases
 from fuzz.cases import extreme, one_of
 from messages import samples
 
+from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
+from quadtree_lss.onboard.autopilot.landing import Landing, Seen, Target
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4, Link
 from quadtree_lss.onboard.config.limits import pass_seconds
+from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -38,7 +44,7 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake
-from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import LandingWishes, name_of
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, record_dtype
 from quadtree_lss.onboard.messages.outputs import MessageMaker, map_from_messages
 
@@ -261,6 +267,7 @@ class Wishes:
     MAKE: dict[str, Callable[[np.random.Generator], SimpleNamespace]] = {
         "area": cases.random_polygon,
         "keep_out": cases.random_polygon,
+        "keep_outs": cases.random_keep_out,
         "target": cases.random_target,
         "dispersion": cases.random_dispersion,
     }
@@ -273,18 +280,88 @@ class Wishes:
         self.wishes = LandingWishes("map")
 
     def send(self) -> str:
-        reason = TAKEN
+        reason, message = TAKEN, self.MAKE[self.kind](self.rng)
         try:
             with np.errstate(all="raise", under="ignore"):
-                self.wishes.take(self.kind, self.MAKE[self.kind](self.rng))
+                self.wishes.take(self.kind, message)
         except MessageError as error:
-            assert str(error).isprintable() and self.kind in self.wishes.unusable
+            assert str(error).isprintable() and name_of(self.kind, message) in self.wishes.unusable
             reason = error.reason
         judge(self.cells, self.selector, **self.wishes.arguments())
         return reason
 
     def close(self, told: Counter[str]) -> None:
         assert told[TAKEN] and told["frame"]
+
+
+class Vehicle:
+    """autopilot_node's part: an autopilot's bytes to odometry for the map, and to set-points."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng = rng
+        self.mavlink = mavlink = pytest.importorskip("pymavlink.dialects.v20.all")
+        self.now = 10**18
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.there = probe.getsockname()
+        self.link = Link(f"udpin:127.0.0.1:{self.there[1]}", 57600, lambda: self.now)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.autopilot = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
+        self.landing, self.jumps = Landing(AutopilotConfig()), Jumps()
+        self.intake = Intake(config_from_values({"pose.source": "odometry"}, CONFIGS[0]))
+        self.sent = self.poses = 0
+        kind_of = int(one_of(rng, [PX4, ARDUPILOT]))
+        beat = mavlink.MAVLink_heartbeat_message(2, kind_of, 129, 4, 4, 3)
+        for message in (beat, mavlink.MAVLink_timesync_message(self.now - 10**9, self.now - 10**5)):
+            self.socket.sendto(message.pack(self.autopilot), self.there)
+
+    def send(self) -> str:
+        self.sent += 1
+        self.now += 10**7
+        content = cases.random_of_autopilot(self.rng, self.mavlink, self.now - 10**9)
+        content = content.pack(self.autopilot)
+        if self.sent % 8 == 0:
+            content = cases.damaged(content, self.rng)
+        refused = self.link.refused.copy()
+        if content:
+            self.socket.sendto(content, self.there)
+        with np.errstate(all="raise", under="ignore"):
+            navs = self.link.poll()
+            for nav in navs:
+                self.fly(nav)
+        self.poses += len(navs)
+        self.intake.notices()
+        gone = self.link.refused - refused
+        return TAKEN if navs else next(iter(gone), "no pose")
+
+    def fly(self, nav: Nav) -> None:
+        link, place = self.link, nav.position
+        header = samples.pose(nav.stamp_ns, place.tolist(), nav.quaternion.tolist())
+        if nav.covariance is not None:
+            header.pose.covariance = nav.covariance.ravel()
+        header.child_frame_id = "body"
+        self.intake.on_pose(header)
+        target = Target(np.array([2.0, 1.0, 0.0]), 0.1, 0.1)
+        age, jump = 1e-9 * (self.now - nav.stamp_ns), self.jumps.size(nav)
+        now = 1e-9 * self.now
+        seen = Seen(
+            now, link.follows, link.armed, link.landed, 0.1, abs(age), place, nav.velocity, jump,
+            target, "",
+        )  # fmt: skip
+        order = self.landing.step(seen)
+        if order.point is not None:
+            assert np.isfinite(order.point).all()
+            link.fly_to(order.point)
+        link.show_target(target.place, nav)
+        link.tell(order.text, warn=False)
+
+    def close(self, told: Counter[str]) -> None:
+        """What was said of the vehicle's poses is what the mapping node has of them."""
+        self.link.close()
+        self.socket.close()
+        refused = sum(n for k, n in self.intake.rejected.items() if k.startswith("pose"))
+        assert 0 <= self.poses - self.intake.poses_taken - refused < PATIENCE
+        assert told[TAKEN] and told["damaged"] and len(told) > 3
 
 
 class Settings:
@@ -414,6 +491,7 @@ INPUTS: dict[str, Callable[[np.random.Generator, str], Any]] = {
     **dict.fromkeys(("cloud", "pose", "odometry", "gimbal", "transforms"), Flight),
     **dict.fromkeys(("map", "observed"), Maps),
     **dict.fromkeys(Wishes.MAKE, Wishes),
+    "autopilot": Vehicle,
     "parameters": Settings,
     "checkpoint": Checkpoints,
 }

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from installed import PREFIX, SHARE
-from launch_stand_in import EmitEvent, Node, RegisterEventHandler, ShutdownProcess, built
+from launch_stand_in import Context, EmitEvent, Node, RegisterEventHandler, ShutdownProcess, built
 
 from quadtree_lss.onboard.config.settings import parameters
 from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
@@ -158,19 +158,49 @@ def test_a_misspelt_argument_stops_the_launch(make, monkeypatch, file, said):
         make()
 
 
-@pytest.mark.parametrize("autopilot", ["false", "true"])
-def test_a_launch_whose_nodes_all_ended_so_fails(make, monkeypatch, autopilot):
+@pytest.fixture
+def exits(monkeypatch):
+    """Tells the launch file of exits, and gives what it does; in a launch of this file alone."""
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", str(LAUNCH)])
-    nodes, others = make(autopilot=autopilot)
-    events = [
-        SimpleNamespace(returncode=78, process_name=node.name, action=node)
-        for node in nodes.values()
-    ]
-    stay_ended = next(e.args[0].on_exit for e in others if isinstance(e, RegisterEventHandler))
-    for event in (events[0], *events[:-1]):
-        assert stay_ended(event, None)
-    with pytest.raises(RuntimeError, match="exit code 78"):
-        stay_ended(events[-1], None)
+
+    def telling(**given: str) -> Any:
+        entities, context = built(LAUNCH, monkeypatch, **given)
+        nodes = {entity.name: entity for entity in entities if isinstance(entity, Node)}
+        said = next(e.args[0].on_exit for e in entities if isinstance(e, RegisterEventHandler))
+
+        def tell(name: str, code: int, *, ending: bool = False) -> list[Any]:
+            context.is_shutdown = ending
+            event = SimpleNamespace(returncode=code, process_name=name, action=nodes[name])
+            return said(event, context)
+
+        return tell
+
+    return telling
+
+
+def test_a_launch_of_which_a_node_was_refused_fails(exits):
+    """When it ends; before that the other node goes on, and is started again."""
+    tell = exits()
+    assert tell("lss_node", 78) and tell("lss_node", 78)
+    assert not tell("mapping_node", 1)
+    with pytest.raises(RuntimeError, match="lss_node ended with exit code 78"):
+        tell("mapping_node", 0, ending=True)
+
+
+def test_it_fails_at_once_if_nothing_goes_on(exits):
+    for given, code in (({}, 78), ({"respawn": "false"}, 0), ({"autopilot": "true"}, 78)):
+        tell = exits(**given)
+        assert tell("lss_node", 78)
+        if given == {"autopilot": "true"}:
+            assert tell("autopilot_node", 78)
+        with pytest.raises(RuntimeError, match="exit code 78"):
+            tell("mapping_node", code)
+
+
+def test_a_launch_whose_nodes_ended_otherwise_does_not_fail(exits):
+    tell = exits()
+    for name in ("mapping_node", "lss_node"):
+        assert tell(name, 0, ending=True) == []
 
 
 def test_log_level_namespace_and_respawn(make):
@@ -189,12 +219,13 @@ def test_each_node_has_an_enclave_of_its_own_if_asked_for(make):
 @pytest.mark.parametrize(("code", "final"), [(0, False), (1, False), (-9, False), (2, True)])
 def test_a_wrong_configuration_is_not_tried_again(make, code, final):
     nodes, others = make()
+    context = Context({"respawn": "true"})
     handlers = [e.args[0] for e in others if isinstance(e, RegisterEventHandler)]
     assert {handler.target_action.name for handler in handlers} == set(nodes)
     for handler in handlers:
         node = handler.target_action
         event = SimpleNamespace(returncode=code, process_name=node.name, action=node)
-        events = [e.event for e in handler.on_exit(event, None) if isinstance(e, EmitEvent)]
+        events = [e.event for e in handler.on_exit(event, context) if isinstance(e, EmitEvent)]
         assert len(events) == final
         for end in events:
             assert isinstance(end, ShutdownProcess) and end.process_matcher(node)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same flight over DDS with the real nodes and in lock-step: only timing differs."""
 
+import json
 from contextlib import ExitStack
 
 import numpy as np
@@ -13,9 +14,11 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.context import Context
 from rclpy.node import Node
 
+from quadtree_lss.cli import main
 from quadtree_lss.lab.flight.flight import TICK, Flight
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.settings import flight_settings
+from quadtree_lss.lab.live import flight, processes
 from quadtree_lss.lab.live.flight import fly_live
 from quadtree_lss.lab.live.processes import ProcessError, given_domain
 
@@ -102,3 +105,15 @@ def test_the_domain_is_the_given_one(monkeypatch):
 def test_a_node_that_is_killed_in_flight_comes_back_in_time(fault, tmp_path):
     found = fly_live(SEED, flight_settings({**SHORT, "faults": (fault,)}), tmp_path)
     assert found.flown.figures["safe"], found.flown.figures
+
+
+def test_nodes_that_never_start_leave_an_outcome(tmp_path, capsys, monkeypatch):
+    """Over the one that a flight before it left there; the error says how the node ended."""
+    monkeypatch.setattr(processes, "program", lambda name: "/bin/false")
+    monkeypatch.setattr(flight, "PATIENCE_S", 1.0)
+    (path := tmp_path / "touchdown.json").write_text('{"outcome": "touchdown", "safe": true}')
+    assert main(["fly", "--seed", str(SEED), "--out", str(tmp_path)]) == 1
+    figures = json.loads(path.read_text())
+    assert figures["outcome"] == "none" and figures["safe"] is False and figures["seed"] == SEED
+    assert "mapping_node ended with exit code 1" in figures["reason"]
+    assert figures["reason"] in capsys.readouterr().err

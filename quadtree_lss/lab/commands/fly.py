@@ -57,7 +57,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quadtree_lss.lab.flight.flight_page import write_flight
+    from quadtree_lss.lab.flight.flight_page import write_flight, write_outcome
     from quadtree_lss.lab.flight.fly import flown, least_propellant
     from quadtree_lss.lab.flight.settings import flight_settings
 
@@ -65,15 +65,20 @@ def _run(options: argparse.Namespace) -> int:
     alone = options.lockstep or options.avoidance in ("none", "perfect")
     if alone and options.rate is not None:
         options.parser.error("--rate: only over ROS, not with --lockstep")
+    figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
     with ProgressBar("fly", "s", options.verbose) as bar:
 
         def progress(seconds: float) -> None:
             bar.update(seconds, LONGEST)
 
-        if alone:
-            done = flown(options.seed, settings, progress=progress)
-        else:
-            done = _live(options, settings, progress)
+        try:
+            if alone:
+                done = flown(options.seed, settings, progress=progress)
+            else:
+                done = _live(options, settings, progress)
+        except BaseException as error:
+            write_outcome(options.out, figures | {"safe": False, "reason": first_line(error)})
+            raise
     if options.reference:
         done.figures.update(least_propellant(done.flight))
     write_flight(options.out, done, page=not options.no_page)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,7 @@ PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "
 def write_flight(out: Path, flown: Flown, *, page: bool = True) -> None:
     """``touchdown.json``, ``flight.csv``, ``decisions.csv``; with ``page`` the picture and page.
     Raises `OSError`: ``out`` cannot be written."""
-    out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(flown.figures, indent=2, allow_nan=False)
-    (out / "touchdown.json").write_text(text + "\n", encoding="utf-8")
+    write_outcome(out, flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
@@ -37,6 +36,13 @@ def write_flight(out: Path, flown: Flown, *, page: bool = True) -> None:
         picture = drawing.png(figure(flown), dpi=110)
         (out / "flight.png").write_bytes(picture)
         (out / "flight.html").write_text(_page(flown, picture), encoding="utf-8")
+
+
+def write_outcome(out: Path, figures: Mapping[str, Any]) -> None:
+    """``touchdown.json``. Raises `OSError`: ``out`` cannot be written."""
+    out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(figures, indent=2, allow_nan=False)
+    (out / "touchdown.json").write_text(text + "\n", encoding="utf-8")
 
 
 def figure(flown: Flown) -> Figure:

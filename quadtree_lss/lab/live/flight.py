@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from quadtree_lss.desk.player.player import wait_for_subscribers
+from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
 from quadtree_lss.lab.flight.fly import LAND_NOW, Flown, changed, figures_of, flight_config
 from quadtree_lss.lab.flight.pilot import Target
@@ -94,7 +94,7 @@ def fly_live(
 
     Raises:
         PlayError: the nodes did not start in time.
-        ProcessError: a node is not installed, or others are in the domain.
+        ProcessError: a node is not installed or ended at its start, or others are in the domain.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
@@ -116,7 +116,12 @@ def fly_live(
         link = stack.enter_context(_Link(local.number, config.frames.map))
         refuse_company(link.node, dict.fromkeys(SPOKEN, 1) | dict.fromkeys(HEARD, 0))
         nodes = {name: start(name) for name in starts}
-        link.wait(PATIENCE_S)
+        try:
+            link.wait(PATIENCE_S)
+        except PlayError:
+            for node in nodes.values():
+                node.check()
+            raise
         began = time.monotonic()
         down: set[str] = set()
         asked = False

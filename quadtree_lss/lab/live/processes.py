@@ -246,7 +246,8 @@ class NodeProcess:
         """Raises ProcessError if it has ended."""
         code = self.process.poll()
         if code is not None:
-            msg = f"{self.name} ended with exit code {code}: {self.output().strip()[-500:]}"
+            said = " ".join(self.output().split())[-500:]
+            msg = f"{self.name} ended with exit code {code}: {said}"
             raise ProcessError(msg)
 
     def stop(self, signal_number: int = signal.SIGINT, timeout: float = 15.0) -> int:

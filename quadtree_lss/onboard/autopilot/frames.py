@@ -64,14 +64,15 @@ def covariance_enu(upper: Array, quaternion: Array) -> Array | None:
     forward, right, down: with T = diag(R_enu_ned, R_enu_frd) it becomes T C T^T.
 
     Args:
-        upper: Upper triangle, row by row; a first number that is NaN says unknown.
+        upper: Upper triangle, row by row; a first number that is NaN, and any infinite
+            one, says unknown.
         quaternion: FLU to ENU.
     """
     values = np.asarray(upper, dtype=np.float64)
-    if not np.isfinite(values[0]):
+    if not np.isfinite(values[0]) or np.isinf(values).any():
         return None
     full = np.zeros((6, 6))
-    full[UPPER] = np.nan_to_num(values, nan=0.0)
+    full[UPPER] = np.where(np.isnan(values), 0.0, values)
     full = full + np.triu(full, 1).T
     if not full.diagonal().all():
         return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,7 @@ from quadtree_lss.onboard.autopilot.frames import (
 )
 from quadtree_lss.onboard.config.settings import ConfigError
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.onboard.messages.poses import MAX_POSITION
 
 ARDUPILOT, PX4 = 3, 12
 """MAV_AUTOPILOT of a heartbeat."""
@@ -40,6 +42,10 @@ PLACE_ALONE = 0b0000_1101_1111_1000
 LOCAL_NED, BODY_FRD = 1, 12
 ONBOARD_COMPUTER, SEVERITY = 191, {True: 4, False: 6}
 SYNC_S, BEAT_S, ASK_S = 0.2, 1.0, 2.0
+DAMAGED = -1
+"""Number that pymavlink gives to bytes which are no message."""
+MOST_NS = 2**31 * 10**9
+"""Stamps of ROS's messages end there."""
 
 
 def dialect() -> Any:
@@ -69,6 +75,7 @@ class Link:
         mode, armed, landed: As last heard.
         heard: When the last heartbeat came, of ``time.monotonic``.
         remote: Its clock.
+        refused: How many messages could not be used, by reason.
 
     Raises:
         ConfigError: no pymavlink, or the connection cannot be opened.
@@ -88,6 +95,7 @@ class Link:
         self.mode, self.armed, self.landed = -1, False, False
         self.heard = -np.inf
         self.remote = RemoteClock()
+        self.refused: Counter[str] = Counter()
         self._system = 0
         self._due = dict.fromkeys(("sync", "beat", "ask"), 0.0)
         self._attitudes: list[tuple[int, Array]] = []
@@ -198,6 +206,9 @@ class Link:
         if number == HEARTBEAT:
             self._on_heartbeat(message)
             return None
+        if number == DAMAGED:
+            self.refused["damaged"] += 1
+            return None
         if message.get_srcSystem() != self._system or message.get_srcComponent() != 1:
             return None
         if message.get_type() == "TIMESYNC":
@@ -237,6 +248,7 @@ class Link:
         upper = np.array(message.pose_covariance)
         return self._nav(1000 * message.time_usec, place, q, along, upper, of_body=True)
 
+    @np.errstate(invalid="ignore")  # judged by `_nav`
     def _paired(self) -> Nav | None:
         """Place and velocity of one moment, with the attitude between the two about it."""
         for at, place, velocity in reversed(self._positions):
@@ -254,18 +266,28 @@ class Link:
         self, at_ns: int, place: Array, q: Array, velocity: Array, upper: Array | None,
         *, of_body: bool,
     ) -> Nav | None:  # fmt: skip
-        """By this computer's clock and in the map; None while either is not known."""
+        """By this computer's clock and in the map; None while either is not known, or if it is no
+        pose, which is counted."""
         offset, length = self.remote.offset_ns, float(np.linalg.norm(q))
-        if offset is None or not np.isfinite(place).all() or not abs(length - 1.0) < 0.05:
+        if offset is None:
             return None
+        stamp, wrong = at_ns + offset, ""
+        if not (np.abs(place) <= MAX_POSITION).all() or (np.abs(velocity) > MAX_POSITION).any():
+            wrong = "position"
+        elif not abs(length - 1.0) < 0.05:
+            wrong = "attitude"
+        elif not 0 <= stamp < MOST_NS:
+            wrong = "stamp"
+        elif 0 <= self._newest - stamp < 1_000_000_000:  # the offset has just become better known
+            wrong = "order"
+        if wrong:
+            self.refused[wrong] += 1
+            return None
+        self._newest = stamp
         turned = attitude(q / length)
         if of_body:
             velocity = rotation_from_quaternion(turned) @ (velocity * (1.0, -1.0, -1.0))
         else:
             velocity = enu(velocity)
         covariance = None if upper is None else covariance_enu(upper, turned)
-        stamp = at_ns + offset
-        if 0 <= self._newest - stamp < 1_000_000_000:  # the offset has just become better known
-            return None
-        self._newest = stamp
         return Nav(stamp, enu(place), turned, velocity, covariance)

@@ -40,6 +40,7 @@ from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, cloud_records
+from quadtree_lss.onboard.messages.poses import MAX_POSITION
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Problems, Status
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
@@ -120,12 +121,12 @@ class AutopilotNode(Node):
             return None, f"{self._sources.number} nodes send landing/selected"
         (at, place), (told_at, status) = self._selected, self._status
         age = now - min(at, told_at)
-        if not np.isfinite(place).all():
+        offset = float(status["offset_z"])
+        place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
+        if not (np.abs(place) <= MAX_POSITION).all():
             return None, f"there is no target (reason {status['reason']} of landing/status)"
         # Who has to land now, lands by the map that there is.
         map_age = 0.0 if status["state"] == State.NOW else float(status["age"]) + now - told_at
-        offset = float(status["offset_z"])
-        place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
         return Target(place, age, map_age), ""
 
     def _poll(self) -> None:
@@ -245,6 +246,7 @@ class AutopilotNode(Node):
         heard = time.monotonic() - self._link.heard
         status.add({"autopilot.kind": {None: "none", PX4: "px4"}.get(self._link.kind, "ardupilot")})
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
+        status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
         if heard > self._settings.config.autopilot.max_heartbeat_age:
             connection = self._settings.config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
