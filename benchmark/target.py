@@ -19,7 +19,7 @@ import numpy as np
 from common import configuration, machine, table
 
 from quadtree_lss.desk.replay.scans import steps
-from quadtree_lss.lab.evaluation.risk_flights import in_memory, lander_of
+from quadtree_lss.lab.campaign.mapped import in_memory, lander_of
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
 from quadtree_lss.lab.simulation.simulation import Simulation

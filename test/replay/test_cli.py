@@ -2,6 +2,7 @@
 """The command line: exit codes, one-line errors, what stands on stdout and stderr."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -232,18 +233,18 @@ def test_a_missing_package_for_bags_is_told_with_its_remedy(module, tmp_path):
     assert f"'{module}' is not installed" in done.stderr and "pip install" in done.stderr
 
 
-def interrupted(bag, out, *signals_after):
-    """Exit code, stdout, stderr of a replay that gets SIGINT when it maps."""
+def interrupted(bag, out):
+    """Exit code, stdout, stderr of a replay that gets SIGINT when it has mapped a second."""
     command = [str(PREFIX / "lib" / "quadtree_lss" / "quadtree-lss"), "replay", str(bag)]
-    command += ["--out", str(out), *FAST]
+    command += ["--out", str(out), "-v", *FAST]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not out.exists():  # until it maps
-        assert process.poll() is None
-        time.sleep(0.02)
-    for wait in signals_after:
-        time.sleep(wait)
-        process.send_signal(signal.SIGINT)
-    shown, err = process.communicate(timeout=60)
+    bar = ""
+    while not re.search(r"[1-9]\d* of \d\d+ s", bar):
+        part = process.stderr.read(1)
+        assert part, bar
+        bar += part
+    process.send_signal(signal.SIGINT)
+    shown, err = process.communicate(timeout=300)
     told, _, rest = err.partition("interrupted")
     assert "stopping: ranks sites" in told and f"into {out} (Ctrl-C again" in told
     assert rest and "Traceback" not in err
@@ -252,7 +253,7 @@ def interrupted(bag, out, *signals_after):
 
 def test_interrupting_keeps_what_was_computed(tmp_path):
     path = write_ros2(tmp_path / "bag", scans=6000)
-    code, shown, err = interrupted(path, tmp_path / "out", 0.5)
+    code, shown, err = interrupted(path, tmp_path / "out")
     assert code == 130
     assert "scans mapped" in shown and "results are of the first" in err
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())

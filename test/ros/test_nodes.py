@@ -10,6 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from ros.conftest import status_values
 from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, pose, write_bag
 from sensor_msgs.msg import PointCloud2
 
@@ -35,12 +36,6 @@ def grid_values(grid):
     x = info.origin.position.x + (np.arange(info.width) + 0.5) * info.resolution
     y = info.origin.position.y + (np.arange(info.height) + 0.5) * info.resolution
     return values, x, y
-
-
-def status_values(listener, name):
-    """Values by key of the last diagnostic status of a node."""
-    status = listener.diagnostics.get(name)
-    return {} if status is None else {item.key: item.value for item in status.values}
 
 
 def agree(listener, keys):
