@@ -118,8 +118,6 @@ class TouchdownCheck:
         return np.asarray(high | (worst.slope > np.float32(self.steepest)))
 
 
-@cython.final
-@cython.cclass
 @cython.boundscheck(False)
 class Blocks:
     """The lander, and the ground about one block of grid points at a time.
@@ -157,27 +155,6 @@ class Blocks:
         worst_rise, worst_slope: Worst found there.
         base_x, base_y: Slopes of the block's plane.
     """
-
-    cython.declare(step=cython.double, rounding=cython.double)
-    cython.declare(side=cython.double, radius=cython.double, pad_radius=cython.double)
-    cython.declare(low_rise=cython.double, high_rise=cython.double, worst_rise=cython.double)
-    cython.declare(low_slope=cython.double, high_slope=cython.double, worst_slope=cython.double)
-    cython.declare(base_x=cython.double, base_y=cython.double, bounded=cython.bint)
-    cython.declare(least_x=cython.float, most_x=cython.float, least_y=cython.float)
-    cython.declare(most_y=cython.float, least_z=cython.float)
-    cython.declare(yaws=cython.Py_ssize_t, reach=cython.Py_ssize_t, width=cython.Py_ssize_t)
-    cython.declare(blocks=cython.Py_ssize_t, highs=cython.Py_ssize_t, spoiler=cython.Py_ssize_t)
-    cython.declare(ground=cython.double[:, :, ::1], offset=cython.double[::1])
-    cython.declare(pad_place=cython.Py_ssize_t[::1], half=cython.Py_ssize_t[::1])
-    cython.declare(begin=cython.Py_ssize_t[::1], high=cython.Py_ssize_t[:, ::1])
-    cython.declare(pad_x=cython.float[::1], pad_y=cython.float[::1], stand=cython.float[:, ::1])
-    cython.declare(top=cython.float[::1], pad=cython.float[::1], run=cython.float[::1])
-    cython.declare(slope_x=cython.float[::1], slope_y=cython.float[::1], roof=cython.float[::1])
-    cython.declare(floor=cython.float[::1], spread=cython.float[::1], height=cython.float[::1])
-    cython.declare(most=cython.float[::1], above=cython.float[::1], along=cython.float[::1])
-    cython.declare(across=cython.float[::1], cos=cython.float[::1], sin=cython.float[::1])
-    cython.declare(resting_x=cython.float[::1], resting_y=cython.float[::1])
-    cython.declare(resting_z=cython.float[::1])
 
     def __init__(
         self, config: LssConfig, limits: Limits, domain: Domain, heading: float | None
@@ -290,17 +267,14 @@ class Blocks:
                     self.judge_block(due, forget, worst, block * BLOCK, k * BLOCK)
             PyErr_CheckSignals()  # one can end it
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
     def judge_block(
         self,
-        due: cython.uchar[:, ::1],
+        due: Bytes,
         forget: cython.bint,
-        worst: cython.float[:, :, ::1],
+        worst: Single,
         row: cython.Py_ssize_t,
         column: cython.Py_ssize_t,
-    ) -> cython.void:
+    ) -> None:
         """`judge` for the grid points of the block that begins at one."""
         cython.declare(r=cython.Py_ssize_t, c=cython.Py_ssize_t)
         loaded: cython.bint = False
@@ -318,10 +292,7 @@ class Blocks:
                 self.find_worst(r - row, c - column)
                 worst[0, r, c], worst[1, r, c] = self.worst_rise, self.worst_slope
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
-    def load(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.void:
+    def load(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
         """Take the ground of the window that begins at a cell.
 
         The plane is one of least squares, through every other cell; any would do.
@@ -350,10 +321,7 @@ class Blocks:
                 self.slope_y[i * w + j] = self.ground[2, row + i, column + j] - slope_y
         self.base_x, self.base_y = slope_x, slope_y
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
-    def place_pads(self) -> cython.void:
+    def place_pads(self) -> None:
         """Heights of the pads about every grid point of the block, and their bounds."""
         cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
         cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
@@ -376,10 +344,7 @@ class Blocks:
             self.spread[i] -= self.floor[i]
             self.floor[i] -= SAG * self.spread[i] + self.rounding if self.bounded else FAR
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
-    def cover(self) -> cython.void:
+    def cover(self) -> None:
         """Highest ground under the lander at every grid point, and the cells that matter.
 
         A disc is a stack of centred runs of cells.
@@ -407,10 +372,7 @@ class Blocks:
                 lowest = self.floor[k]
         self.list_highs(lowest + self.low_rise)
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
-    def list_highs(self, above: cython.double) -> cython.void:
+    def list_highs(self, above: float) -> None:
         """List the cells of the window that are higher than ``above``, the higher ones first.
 
         They are in order of height to a ``step``: more would not pay.
@@ -435,10 +397,7 @@ class Blocks:
             highest = max(highest, self.height[k])
             self.most[k] = highest
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
-    def find_worst(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> cython.void:
+    def find_worst(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
         """Find the worst contact of the lander at a grid point of the block."""
         place: cython.Py_ssize_t = row * BLOCK + column
         lowest = self.floor[place] + self.low_rise
@@ -456,10 +415,7 @@ class Blocks:
         if self.worst_rise <= self.high_rise:
             self.find_rise(row, column, 0, self.highs)
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
-    def find_planes(self, place: cython.Py_ssize_t) -> cython.void:
+    def find_planes(self, place: cython.Py_ssize_t) -> None:
         """The resting planes at a grid point, two for each heading.
 
         Sets their slopes in x and y and height at the grid point, over the block's plane, and the
@@ -489,10 +445,7 @@ class Blocks:
             steepest = max(steepest, max(self.above[k], self.above[n + k]))
         self.worst_slope = max(self.worst_slope, sqrt(steepest))
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
-    def bound_planes(self) -> cython.void:
+    def bound_planes(self) -> None:
         """Bounds of the resting planes."""
         k: cython.Py_ssize_t
         n: cython.Py_ssize_t = self.yaws
@@ -507,16 +460,13 @@ class Blocks:
         self.least_x, self.most_x, self.least_y, self.most_y = least_x, most_x, least_y, most_y
         self.least_z = least_z
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
     def find_rise(
         self,
         row: cython.Py_ssize_t,
         column: cython.Py_ssize_t,
         first: cython.Py_ssize_t,
         last: cython.Py_ssize_t,
-    ) -> cython.void:
+    ) -> None:
         """Set the lander at a grid point over some of the cells that may be in its way.
 
         Until one rises over the limit: by how much does not matter.
@@ -535,9 +485,6 @@ class Blocks:
                         if self.worst_rise > self.high_rise:
                             return
 
-    @cython.cfunc
-    @cython.nogil
-    @cython.exceptval(check=False)
     def rise_at(self, k: cython.Py_ssize_t, east: cython.float, north: cython.float) -> cython.bint:
         """Whether a cell of the list, at a place from the grid point, rises higher than others."""
         i: cython.Py_ssize_t
@@ -561,10 +508,7 @@ class Blocks:
         return True
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def bin_of(steps: cython.double) -> cython.Py_ssize_t:
+def bin_of(steps: float) -> cython.Py_ssize_t:
     """Number of the bin for a height over the least, in steps, the highest ones first."""
     number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, min(steps, BINS - 1.0))
     return BINS - 1 - number
