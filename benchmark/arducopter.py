@@ -77,10 +77,11 @@ class Copter:
 
     def __init__(self, binary: str, folder: Path, heading: float) -> None:
         mavutil = dialect()
-        self._truth = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        for instance in np.random.default_rng().permutation(np.arange(10, 300)):
+        # Below the ports of ROS domains.
+        for instance in map(int, np.random.default_rng().permutation(np.arange(10, 180))):
             try:
-                self._truth.bind(("127.0.0.1", 5503 + 10 * int(instance)))
+                with _bound(5501 + 10 * instance):
+                    self._truth = _bound(5503 + 10 * instance)
                 break
             except OSError:
                 continue
@@ -89,7 +90,7 @@ class Copter:
         self._ground = mavutil.mavlink_connection(f"udpin:127.0.0.1:{ground}", source_system=255)
         self._own = mavutil.mavlink_connection(f"udpin:127.0.0.1:{own}")
         self._node = mavutil.mavlink_connection(f"udpout:127.0.0.1:{self.port}")
-        self._radio = ("127.0.0.1", 5501 + 10 * int(instance))
+        self._radio = ("127.0.0.1", 5501 + 10 * instance)
         lines = [f"{name} {value}" for name, value in BENCH.items()]
         given = find_config("drone").with_name("ardupilot.parm").read_text("utf-8").splitlines()
         lines += [line for line in given if not line.startswith("#")]
@@ -99,7 +100,7 @@ class Copter:
             self.process = subprocess.Popen(
                 [
                     binary, "--model", "quad", "--home", home, "--enable-fgview", "--wipe",
-                    "--rate", "400",
+                    "--rate", "800",
                     "-I", str(instance), "--defaults", "bench.parm",
                     "--serial0", f"udpclient:127.0.0.1:{ground}",
                     "--serial2", f"udpclient:127.0.0.1:{own}",
@@ -192,9 +193,18 @@ def _send(port: Any, data: bytes) -> None:
         return
 
 
+def _bound(port: int) -> socket.socket:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.bind(("127.0.0.1", port))
+    except OSError:
+        bound.close()
+        raise
+    return bound
+
+
 def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
+    with _bound(0) as probe:
         return int(probe.getsockname()[1])
 
 
