@@ -5,7 +5,8 @@
 to guided; autopilot_node lands. Scans are cast from the simulator's true place over rocky ground,
 by the drone preset, and the touchdown is judged by that ground. The simulator's own ground is the
 plane of the field's median height. Between it and autopilot_node a bridge loses, delays or cuts
-what a fault asks for.
+what a fault asks for. All goes by the simulator's time, on /clock: a computer too slow for it only
+makes the flight last longer.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ import numpy as np
 from common import machine, table
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
+from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
@@ -45,14 +47,16 @@ from quadtree_lss.lab.simulation.safety import contact_safe
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.autopilot.link import ARM_DISARM, ARMED, CUSTOM_MODE, DO_SET_MODE, dialect
-from quadtree_lss.onboard.config.loading import dump_config, find_config, load_config
+from quadtree_lss.onboard.config.loading import dump_config, load_config
 from quadtree_lss.onboard.nodes.qos import latched, stream
-from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
+CONFIG = Path(__file__).parents[1] / "config"
 LOITER, GUIDED = 5, 4
 HOME, RADIUS_M = (-35.363262, 149.165237, 584.0), 6_378_100.0
 HEIGHT_M, SCAN_S, PATIENCE_S = 18.0, 0.2, 12.0
-AWAY_M, LONGEST_S, START_S = 25.0, 150.0, 120.0
+AWAY_M, LONGEST_S, START_S, LONGEST_START_S = 25.0, 150.0, 120.0, 400.0
+STEPS_HZ, BEGAN_S = 800, 1_700_000_000
 POSES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 NODES = ("mapping_node", "lss_node", "autopilot_node")
 BENCH = {
@@ -72,10 +76,12 @@ class Copter:
         mode, armed: As of the last heartbeat.
         cut, lost, delay: What the bridge does: nothing passes; no poses; poses by so much later, s.
         texts: What it said.
-        ran: Since its start by its own clock, s.
+        now: The simulator's time, s.
     """
 
-    def __init__(self, binary: str, folder: Path, heading: float) -> None:
+    def __init__(
+        self, binary: str, folder: Path, heading: float, tell: Callable[[float], None]
+    ) -> None:
         mavutil = dialect()
         # Below the ports of ROS domains.
         for instance in map(int, np.random.default_rng().permutation(np.arange(10, 180))):
@@ -92,7 +98,7 @@ class Copter:
         self._node = mavutil.mavlink_connection(f"udpout:127.0.0.1:{self.port}")
         self._radio = ("127.0.0.1", 5501 + 10 * instance)
         lines = [f"{name} {value}" for name, value in BENCH.items()]
-        given = find_config("drone").with_name("ardupilot.parm").read_text("utf-8").splitlines()
+        given = (CONFIG / "ardupilot.parm").read_text("utf-8").splitlines()
         lines += [line for line in given if not line.startswith("#")]
         (folder / "bench.parm").write_text("\n".join(lines) + "\n", encoding="utf-8")
         home = ",".join(map(str, (*HOME, heading)))
@@ -100,18 +106,19 @@ class Copter:
             self.process = subprocess.Popen(
                 [
                     binary, "--model", "quad", "--home", home, "--enable-fgview", "--wipe",
-                    "--rate", "800",
+                    "--rate", str(STEPS_HZ),
                     "-I", str(instance), "--defaults", "bench.parm",
                     "--serial0", f"udpclient:127.0.0.1:{ground}",
                     "--serial2", f"udpclient:127.0.0.1:{own}",
                 ],
-                cwd=folder, stdout=output, stderr=subprocess.STDOUT, start_new_session=True,
+                cwd=folder, stdout=output, stderr=subprocess.STDOUT,
             )  # fmt: skip
         self.mode, self.armed, self.texts = -1, False, []
         self.cut, self.lost, self.delay = False, False, 0.0
-        self.ran = 0.0
+        self.now, self._said, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
+        self._tell = tell
         self._late: list[tuple[float, bytes]] = []
-        self._place: tuple[int, tuple[float, ...]] = (0, (math.nan,) * 6)
+        self._place: tuple[float, tuple[float, ...]] = (0.0, (math.nan,) * 6)
         self._sticks = [1500, 1500, 1000, 1500]
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._pump, daemon=True)
@@ -128,8 +135,8 @@ class Copter:
         for port in (self._ground, self._own, self._node, self._truth):
             port.close()
 
-    def truth(self) -> tuple[int, np.ndarray, np.ndarray]:
-        """When it was there, ns; place (3,) east, north, up of home, m; FRD axes to these."""
+    def truth(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """When it was there, s; place (3,) east, north, up of home, m; FRD axes to these."""
         at, (longitude, latitude, height, *turn) = self._place
         north = RADIUS_M * (latitude - math.radians(HOME[0]))
         east = RADIUS_M * (longitude - math.radians(HOME[1])) * math.cos(math.radians(HOME[0]))
@@ -155,15 +162,22 @@ class Copter:
         self._sticks[2] = pulse
 
     def _pump(self) -> None:
-        radio, due = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0.0
+        radio, due, packet = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0.0, b""
         while not self._end.is_set():
-            now = time.monotonic()
             try:
-                while packet := self._truth.recv(2048):
-                    values = struct.unpack_from(">3d4f", packet, 8)
-                    self._place = (time.time_ns(), (*values[:3], *values[4:]))
+                while True:
+                    packet = self._truth.recv(2048)
+                    self._steps += 1
             except OSError:
                 pass
+            since = self._steps / STEPS_HZ
+            now = self.now = max(self.now, self._said + min(since, 0.03) if self._said else since)
+            if packet:
+                values = struct.unpack_from(">3d4f", packet, 8)
+                self._place = (now, (*values[:3], *values[4:]))
+            if now - self._clocked > 0.01:
+                self._clocked = now
+                self._tell(now)
             while (message := self._ground.recv_msg()) is not None:
                 if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
                     self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
@@ -171,7 +185,8 @@ class Copter:
                     self.texts.append(message.text)
             while (message := self._own.recv_msg()) is not None:
                 pose = message.get_type() in POSES
-                self.ran = 1e-3 * message.time_boot_ms if pose else self.ran
+                if pose:
+                    self._said, self._steps = 1e-3 * message.time_boot_ms, 0
                 if not self.cut and not (pose and self.lost):
                     self._late.append((now + pose * self.delay, bytes(message.get_msgbuf())))
             self._late.sort(key=lambda one: one[0])
@@ -180,10 +195,14 @@ class Copter:
             while (message := self._node.recv_msg()) is not None:
                 if not self.cut:
                     _send(self._own, bytes(message.get_msgbuf()))
-            if now > due:
+            if time.monotonic() > due:
                 radio.sendto(struct.pack("<16H", *self._sticks, *[1500] * 12), self._radio)
-                due = now + 0.05
-            time.sleep(0.004)
+                due = time.monotonic() + 0.05
+            time.sleep(0.002)
+
+
+def _stamp(now: float) -> int:
+    return BEGAN_S * 10**9 + round(1e9 * now)
 
 
 def _send(port: Any, data: bytes) -> None:
@@ -216,7 +235,8 @@ class Landing:
         outcome: landed, hovered, given to the pilot, flew away, or no start.
         ground: Of a landing: safe, unsafe or withdrawn.
         miss: Truly, from the last target, m.
-        pace: Seconds of the simulator for one of the landing: less than 1 on a computer too slow.
+        seconds: Of the landing, by the simulator.
+        pace: Of these for one of real time: less than 1 on a computer too slow.
         states: Of autopilot_node, in order.
     """
 
@@ -270,7 +290,10 @@ class Flight:
             )
             self._forbid = node.create_publisher(PolygonStamped, "landing/keep_out", latched())
             self._make = Messages(TYPES, packed)
-            self.copter = stack.enter_context(Copter(self._binary, self._folder, self._heading))
+            clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
+            tell = lambda now: clock.publish(Clock(clock=time_message(_stamp(now))))  # noqa: E731
+            made = Copter(self._binary, self._folder, self._heading, tell)
+            self.copter = stack.enter_context(made)
             over = {
                 "pose.source": "odometry",
                 "mount.roll_deg": 180.0,
@@ -280,12 +303,14 @@ class Flight:
                 "autopilot.patience": PATIENCE_S,
             }
             params = self._folder / "params.yaml"
-            params.write_text(dump_config(load_config(["drone"], over)), encoding="utf-8")
-            self._args, self._env = ["--params-file", str(params)], local.env
+            params.write_text(
+                dump_config(load_config([CONFIG / "drone.yaml"], over)), encoding="utf-8"
+            )
+            self._args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
+            self._env = local.env
             self._stack = stack
             self.nodes = {name: self._start(name) for name in NODES}
             self._say_keep_out(np.zeros((0, 2)))
-            self._began = time.monotonic()
             if self._take_off():
                 self._land()
             elif not self.landing.outcome:
@@ -298,17 +323,19 @@ class Flight:
         return self._stack.enter_context(NodeProcess(name, self._args, self._env, log))
 
     def _say_keep_out(self, corners: np.ndarray) -> None:
-        self._forbid.publish(self._make.polygon(time.time_ns(), corners))
+        self._forbid.publish(self._make.polygon(_stamp(self.copter.now), corners))
 
     def _tick(self) -> tuple[np.ndarray, float]:
         """A scan, if one is due; the true place and the speed across since the last tick."""
-        time.sleep(SCAN_S)
-        stamp, place, turn = self.copter.truth()
+        due, stuck = self.copter.now + SCAN_S, time.monotonic() + 10.0
+        while self.copter.now < due and time.monotonic() < stuck:
+            time.sleep(0.01)
+        at, place, turn = self.copter.truth()
         if np.isfinite(place).all() and place[2] > 0.3:
             points = self._lidar.scan(self.terrain, place, turn, self._draw)
-            self._scans.publish(self._make.scan(stamp, points))
-        before, self._last = getattr(self, "_last", (stamp, place)), (stamp, place)
-        span = max(1e-9 * (stamp - before[0]), 1e-3)
+            self._scans.publish(self._make.scan(_stamp(at), points))
+        before, self._last = getattr(self, "_last", (at, place)), (at, place)
+        span = max(at - before[0], 1e-3)
         state = self.state
         if state and (not self.landing.states or self.landing.states[-1] != state):
             self.landing.states.append(state)
@@ -327,12 +354,12 @@ class Flight:
 
     def _take_off(self) -> bool:
         """By the pilot's sticks in loiter, to a hover; then guided."""
-        copter, asked = self.copter, 0.0
-        while time.monotonic() - self._began < START_S:
+        copter, asked, end = self.copter, 0.0, time.monotonic() + LONGEST_START_S
+        while copter.now < START_S and time.monotonic() < end:
             place, speed = self._tick()
             if not copter.armed:
-                if time.monotonic() - asked > 1.0:
-                    asked = time.monotonic()
+                if copter.now - asked > 1.0:
+                    asked = copter.now
                     copter.switch(LOITER)
                     copter.command(ARM_DISARM, 1.0)
             elif place[2] < HEIGHT_M - 1.5:
@@ -350,12 +377,12 @@ class Flight:
 
     def _land(self) -> None:
         """Until it is on the ground, or has been standing still with nobody at work."""
-        copter, landing, begun = self.copter, self.landing, time.monotonic()
+        copter, landing, begun = self.copter, self.landing, self.copter.now
         home, still, failed = copter.truth()[1], begun, False
-        farthest, ran = 0.0, copter.ran
+        farthest, wall = 0.0, time.monotonic()
         while True:
             place, speed = self._tick()
-            now = time.monotonic()
+            now = copter.now
             farthest = max(farthest, float(np.hypot(*(place - home)[:2])))
             if landing.fault and not failed and self.state in ("descend", "commit"):
                 failed = place[2] - self._target[2] < self._height
@@ -381,7 +408,7 @@ class Flight:
                 landing.outcome = "hovered" if now - still > 10.0 else "flew on"
             if landing.outcome:
                 landing.seconds = now - begun
-                landing.pace = (copter.ran - ran) / landing.seconds
+                landing.pace = landing.seconds / (time.monotonic() - wall)
                 return
 
     def killed(self, name: str) -> bool:

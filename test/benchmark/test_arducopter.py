@@ -24,7 +24,8 @@ from quadtree_lss.onboard.autopilot.link import dialect
 
 @pytest.fixture
 def copter(tmp_path):
-    with arducopter.Copter("true", tmp_path, 0.0) as copter:
+    told: list[float] = []
+    with arducopter.Copter("true", tmp_path, 0.0, told.append) as copter:
         yield copter
 
 
@@ -58,26 +59,29 @@ def test_the_bridge_passes_loses_delays_and_cuts(copter):
     sitl = mavutil.mavlink_connection(f"udpout:127.0.0.1:{copter._own.port.getsockname()[1]}")
     node = mavutil.mavlink_connection(f"udpin:127.0.0.1:{copter.port}")
 
-    def heard(seconds):
+    boot_ms = 1000
+
+    def heard(after_ms):
+        nonlocal boot_ms
+        boot_ms += after_ms
         sitl.mav.heartbeat_send(2, 3, 0, 4, 4)
-        sitl.mav.local_position_ned_send(1, *[0.0] * 6)
-        end, found = time.monotonic() + seconds, set()
+        sitl.mav.local_position_ned_send(boot_ms, *[0.0] * 6)
+        end, found = time.monotonic() + 0.4, set()
         while time.monotonic() < end:
             message = node.recv_msg()
             found |= {message.get_type()} if message else set()
         return found
 
     both = {"HEARTBEAT", "LOCAL_POSITION_NED"}
-    assert heard(0.3) == both
+    assert heard(0) == both and copter.now >= 1.0
     copter.lost = True
-    assert heard(0.3) == {"HEARTBEAT"}
+    assert heard(100) == {"HEARTBEAT"}
     copter.lost, copter.delay = False, 0.6
-    assert heard(0.3) == {"HEARTBEAT"} and heard(0.6) == both
+    assert heard(100) == {"HEARTBEAT"} and heard(700) == both, "the one before"
     copter.delay = 0.0
-    time.sleep(0.7)
-    heard(0.1)
+    assert heard(700) == both
     copter.cut = True
-    assert heard(0.3) == set()
+    assert heard(100) == set()
     sitl.close()
     node.close()
 
