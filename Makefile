@@ -25,7 +25,7 @@ SOURCES := $(shell find quadtree_lss launch rviz foxglove security config exampl
 export PYTHONSAFEPATH := 1
 unexport VIRTUAL_ENV
 
-.PHONY: help setup lock audit demo test test-all test-checked test-vehicle lint docs figures bench clean
+.PHONY: help setup lock audit demo test test-all test-checked test-vehicle test-autopilot lint docs figures bench clean
 
 help:
 	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
@@ -33,6 +33,7 @@ help:
 	@echo 'make test-all  test suite with the slow tests'
 	@echo 'make test-checked  tests of the core with every index checked'
 	@echo 'make test-vehicle  test suite with the versions of a vehicle computer, where there is a Python 3.12'
+	@echo 'make test-autopilot  landings with the ArduCopter, software in the loop, that ARDUCOPTER names'
 	@echo 'make lint      ruff, mypy, and the language of the documents'
 	@echo 'make docs      the site, into build/site/html'
 	@echo 'make figures   make the quick tables of the documents anew, list the others'
@@ -114,6 +115,11 @@ test: setup
 test-all: setup
 	$(BIN)/pytest -n 2 --dist loadgroup -m 'slow or not slow' $(PYTEST_ARGS)
 	$(MAKE) --no-print-directory test-checked
+
+# Hours in real time: FLIGHTS='--landings 20 --faults 13' flies fewer.
+FLIGHTS ?= --landings 200 --faults 60
+test-autopilot: setup
+	@$(BIN)/python benchmark/arducopter.py $(FLIGHTS)
 
 # What Ubuntu 24.04 has, in an environment of its own. Other tests than all: VEHICLE_TESTS=test/core
 VEHICLE_PYTHON ?= $(shell for python in python3.12 ~/.pyenv/versions/3.12*/bin/python3.12 \

@@ -92,9 +92,17 @@ def test_a_clock_that_was_started_anew_is_followed_at_once():
     assert clock.offset_ns == 11 * 10**9 + 10**6 - 5
 
 
-def nav(stamp_s, x, speed):
+def test_where_time_comes_in_steps_the_exchange_that_waited_least_counts():
+    clock = RemoteClock()
+    for waited in (30, 10, 50):
+        clock.add(10**9, 10**9 + waited * 10**6, 10**9)
+    assert clock.offset_ns == -(10**7) and clock.uncertainty_ns == 0
+
+
+def nav(own_s, x, speed, offset_s=0.0):
     place, velocity = np.array([x, 0.0, 9.0]), np.array([speed, 0.0, 0.0])
-    return Nav(round(1e9 * stamp_s), place, np.array([0.0, 0.0, 0.0, 1.0]), velocity, None)
+    stamp, level = round(1e9 * (own_s + offset_s)), np.array([0.0, 0.0, 0.0, 1.0])
+    return Nav(stamp, place, level, velocity, None, round(1e9 * own_s))
 
 
 def test_only_what_velocity_does_not_explain_is_a_jump():
@@ -103,3 +111,5 @@ def test_only_what_velocity_does_not_explain_is_a_jump():
     assert jumps.size(nav(0.1, 0.5, 5.0)) == pytest.approx(0.0, abs=1e-9)
     assert jumps.size(nav(0.2, 2.0, 5.0)) == pytest.approx(1.0)
     assert jumps.size(nav(9.0, 99.0, 5.0)) == 0.0, "too long ago to say"
+    better = nav(9.1, 99.5, 5.0, offset_s=-0.2)
+    assert jumps.size(better) == pytest.approx(0.0, abs=1e-9), "its clock is better known, no more"

@@ -105,6 +105,8 @@ def test_the_whole_way_down():
     assert flight.states == [TRANSIT, DESCEND, COMMIT, TOUCHDOWN]
     assert np.hypot(*flight.position[:2]) < 0.02
     assert flight.order.point[2] < GROUND, "it goes on pressing on the ground"
+    flight.ours = False
+    assert flight.on(1.0).order.state == TOUCHDOWN, "land mode, which it asked for, is no pilot"
     flight.armed = False
     flight.step()
     assert flight.order.state == TOUCHDOWN and flight.order.point is None

@@ -19,6 +19,7 @@ SMALL = {
         ["--parabola", "201", "--morpheus", "202", "--duration", "2"],
         ["ml, indep., mahalanobis"],
     ),
+    "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),
@@ -55,7 +56,7 @@ SMALL = {
     "start": (["--starts", "1"], ["first scan mapped", "memory"]),
     "soak": (["--minutes", "0.1"], ["By the minute", "mapping_node", "lss_node"]),
 }
-NEED_ROS = {"live", "soak", "start"}
+NEED_ROS = {"arducopter", "live", "soak", "start"}
 
 
 def test_every_script_is_tried():

@@ -32,6 +32,7 @@ class Nav(NamedTuple):
         velocity: (3,) of the map's axes, m/s; NaN if it is not known.
         covariance: (6, 6) of place and of the rotation about the map's fixed axes, m and rad;
             None where the autopilot does not say.
+        own_ns: The stamp by the autopilot's clock.
     """
 
     stamp_ns: int
@@ -39,6 +40,7 @@ class Nav(NamedTuple):
     quaternion: Array
     velocity: Array
     covariance: Array | None
+    own_ns: int
 
 
 def enu(north_east_down: Array) -> Array:
@@ -89,6 +91,8 @@ class RemoteClock:
     """
 
     KEPT = 40
+    STEP_NS = 50_000_000
+    """Time that comes in steps, as a simulator's, differs by so much."""
 
     def __init__(self) -> None:
         self._exchanges: deque[tuple[int, int]] = deque(maxlen=self.KEPT)
@@ -100,21 +104,26 @@ class RemoteClock:
             self._exchanges.clear()
             return
         self._exchanges.append((way, sent_ns + way // 2 - remote_ns))
-        offset = min(self._exchanges)[1]
-        if abs(self._exchanges[-1][1] - offset) > way:  # the other was started anew, or this set
-            last = self._exchanges[-1]
+        offset = self._best[1]
+        last = self._exchanges[-1]
+        if abs(last[1] - offset) > way + self.STEP_NS:  # the other was started anew, or this set
             self._exchanges.clear()
             self._exchanges.append(last)
 
     @property
     def offset_ns(self) -> int | None:
         """This clock less the other; None before the first exchange."""
-        return min(self._exchanges)[1] if self._exchanges else None
+        return self._best[1] if self._exchanges else None
 
     @property
     def uncertainty_ns(self) -> int | None:
         """Half the quickest exchange."""
-        return min(self._exchanges)[0] // 2 if self._exchanges else None
+        return self._best[0] // 2 if self._exchanges else None
+
+    @property
+    def _best(self) -> tuple[int, int]:
+        """The quickest; of equal ones, as where time comes in steps, the one that waited least."""
+        return min(self._exchanges, key=lambda one: (one[0], -one[1]))
 
 
 class Jumps:
@@ -126,7 +135,8 @@ class Jumps:
     def size(self, nav: Nav) -> float:
         """How far this place is from where the last one's velocity leads, m; 0 if unknown."""
         last, self._last = self._last, nav
-        dt = 0.0 if last is None else 1e-9 * (nav.stamp_ns - last.stamp_ns)
+        # By its own clock: what this one knows of it changes, and is no motion.
+        dt = 0.0 if last is None else 1e-9 * (nav.own_ns - last.own_ns)
         if last is None or not 0.0 < dt < 1.0:
             return 0.0
         way = 0.5 * dt * (last.velocity + nav.velocity)

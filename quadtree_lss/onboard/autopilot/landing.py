@@ -156,7 +156,7 @@ class Landing:
         self._left = True
         if self.state == COMMIT and (seen.landed or not seen.armed):
             self._begin(TOUCHDOWN, "on the ground", seen.now)
-        elif self.state not in (PILOT, TOUCHDOWN) or seen.armed:
+        elif self.state not in (PILOT, TOUCHDOWN) or (seen.armed and not seen.landed):
             self._begin(PILOT, "the autopilot is in another mode: the pilot flies", seen.now)
 
     def _usable(self, seen: Seen) -> tuple[Target | None, str]:

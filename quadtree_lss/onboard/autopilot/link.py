@@ -69,11 +69,12 @@ class Link:
     Args:
         connection, baud: As of the parameters.
         clock: This computer's time, ns: poses are stamped by it.
+        now: A steady clock, s: of what is due, and of ``heard``.
 
     Attributes:
         kind: ``ARDUPILOT``, ``PX4`` or None before the first heartbeat.
         mode, armed, landed: As last heard.
-        heard: When the last heartbeat came, of ``time.monotonic``.
+        heard: When the last heartbeat came.
         remote: Its clock.
         refused: How many messages could not be used, by reason.
 
@@ -81,7 +82,13 @@ class Link:
         ConfigError: no pymavlink, or the connection cannot be opened.
     """
 
-    def __init__(self, connection: str, baud: int, clock: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        connection: str,
+        baud: int,
+        clock: Callable[[], int],
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         mavutil = dialect()
         try:
             self._port = mavutil.mavlink_connection(
@@ -90,7 +97,7 @@ class Link:
         except (OSError, ValueError, IndexError, ImportError) as error:
             msg = f"autopilot.connection = {connection!r} cannot be opened: {error}"
             raise ConfigError(msg) from None
-        self._clock = clock
+        self._clock, self._now = clock, now
         self.kind: int | None = None
         self.mode, self.armed, self.landed = -1, False, False
         self.heard = -np.inf
@@ -118,7 +125,7 @@ class Link:
             nav = self._take(message)
             if nav is not None:
                 navs.append(nav)
-        now = time.monotonic()
+        now = self._now()
         if navs:
             self._last_nav = now
         if self._is_due("beat", BEAT_S, now):
@@ -237,7 +244,7 @@ class Link:
             self.kind, self._system = message.autopilot, message.get_srcSystem()
             self._port.mav.srcSystem = self._system
         if message.get_srcSystem() == self._system:
-            self.heard = time.monotonic()
+            self.heard = self._now()
             self.mode = message.custom_mode
             self.armed = bool(message.base_mode & ARMED)
 
@@ -290,4 +297,4 @@ class Link:
         else:
             velocity = enu(velocity)
         covariance = None if upper is None else covariance_enu(upper, turned)
-        return Nav(stamp, enu(place), turned, velocity, covariance)
+        return Nav(stamp, enu(place), turned, velocity, covariance, at_ns)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ from quadtree_lss.onboard.autopilot.landing import (
 from quadtree_lss.onboard.autopilot.link import PX4, Link
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
-from quadtree_lss.onboard.core.landing.target import State
+from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, cloud_records
@@ -52,6 +52,7 @@ ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion
 STATE = "landing/autopilot"
 POLL_S, STEP_S = 0.01, 0.1
 CORNERS = 24
+REASONS = {int(reason): reason.key for reason in Reason}
 LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
 
 
@@ -64,7 +65,10 @@ class AutopilotNode(Node):
         config = self._settings.config
         self._problems = Problems(self.get_logger())
         link = config.autopilot
-        self._link = Link(link.connection, link.baud, lambda: self.get_clock().now().nanoseconds)
+        self._now: Callable[[], float] = time.monotonic
+        if self.get_parameter("use_sim_time").value:  # a simulator may be slower than its time
+            self._now = lambda: 1e-9 * self._clock_ns()
+        self._link = Link(link.connection, link.baud, self._clock_ns, self._now)
         self._landing, self._jumps = Landing(link), Jumps()
         self._nav: Nav | None = None
         self._jump = 0.0
@@ -85,11 +89,17 @@ class AutopilotNode(Node):
         self.create_service(Trigger, "~/land", self._on_land)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(POLL_S, self._poll, clock=steady)
-        self.create_timer(STEP_S, self._step, clock=steady)
+        self.create_timer(STEP_S, self._step, clock=steady if self._now is time.monotonic else None)
         self._diagnostics = Diagnostics(
             self, config.publish.diagnostics_rate, self._problems, self._collect
         )
         announce(self, config)
+        if config.lss.commit_height < link.gate_height:
+            text = "lss.commit_height is below autopilot.gate_height"
+            self.get_logger().warning(f"{text}: a better target on the way down is a wave-off")
+
+    def _clock_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
 
     def destroy_node(self) -> None:
         """Lets the port go, too."""
@@ -105,11 +115,11 @@ class AutopilotNode(Node):
         if message.header.frame_id.lstrip("/") != frame.lstrip("/"):
             self._problems.report("target_frame", f"target in '{message.header.frame_id}': ignored")
             return
-        self._selected = (time.monotonic(), np.array([place.x, place.y, place.z]))
+        self._selected = (self._now(), np.array([place.x, place.y, place.z]))
 
     def _on_status(self, message: Any) -> None:
         try:
-            self._status = (time.monotonic(), cloud_records(message, STATUS_FIELDS)[0])
+            self._status = (self._now(), cloud_records(message, STATUS_FIELDS)[0])
         except MessageError as error:
             self._problems.report("status_layout", str(error))
 
@@ -124,7 +134,7 @@ class AutopilotNode(Node):
         offset = float(status["offset_z"])
         place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
         if not (np.abs(place) <= MAX_POSITION).all():
-            return None, f"there is no target (reason {status['reason']} of landing/status)"
+            return None, f"there is no target: {REASONS.get(int(status['reason']), 'unknown')}"
         # Who has to land now, lands by the map that there is.
         map_age = 0.0 if status["state"] == State.NOW else float(status["age"]) + now - told_at
         return Target(place, age, map_age), ""
@@ -153,12 +163,12 @@ class AutopilotNode(Node):
         return message
 
     def _step(self) -> None:
-        now, link, nav = time.monotonic(), self._link, self._nav
+        now, link, nav = self._now(), self._link, self._nav
         if nav is None:
             text = "no heartbeat yet" if link.kind is None else "no pose of the autopilot yet"
             self._tell(Order(PILOT, text, None, None))
             return
-        pose_age = 1e-9 * (self.get_clock().now().nanoseconds - nav.stamp_ns)
+        pose_age = 1e-9 * (self._clock_ns() - nav.stamp_ns)
         target, why = self._target(now)
         seen = Seen(
             now, link.follows, link.armed, link.landed, now - link.heard, abs(pose_age),
@@ -243,7 +253,7 @@ class AutopilotNode(Node):
 
     def _collect(self, status: Status) -> None:
         status.note(LEVELS.get(self._order.state, OK), f"{self._order.state}: {self._order.text}")
-        heard = time.monotonic() - self._link.heard
+        heard = self._now() - self._link.heard
         status.add({"autopilot.kind": {None: "none", PX4: "px4"}.get(self._link.kind, "ardupilot")})
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})

@@ -1,0 +1,530 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landings with ArduCopter, software in the loop: all three nodes as processes, over DDS.
+
+``ARDUCOPTER`` names the binary; without it nothing is flown. A pilot takes off, hovers and switches
+to guided; autopilot_node lands. Scans are cast from the simulator's true place over rocky ground,
+by the drone preset, and the touchdown is judged by that ground. The simulator's own ground is the
+plane of the field's median height. Between it and autopilot_node a bridge loses, delays or cuts
+what a fault asks for. All goes by the simulator's time, on /clock: a computer too slow for it only
+makes the flight last longer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import machine, table
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
+from rosgraph_msgs.msg import Clock
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.lab.live.listener import Listener
+from quadtree_lss.lab.live.processes import NodeProcess, local_domain
+from quadtree_lss.lab.simulation.lidar import FlashLidar
+from quadtree_lss.lab.simulation.recording import Messages
+from quadtree_lss.lab.simulation.safety import contact_safe
+from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
+from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.onboard.autopilot.link import ARM_DISARM, ARMED, CUSTOM_MODE, DO_SET_MODE, dialect
+from quadtree_lss.onboard.config.loading import dump_config, load_config
+from quadtree_lss.onboard.nodes.qos import latched, stream
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
+
+CONFIG = Path(__file__).parents[1] / "config"
+LOITER, GUIDED = 5, 4
+HOME, RADIUS_M = (-35.363262, 149.165237, 584.0), 6_378_100.0
+HEIGHT_M, SCAN_S, PATIENCE_S = 18.0, 0.2, 12.0
+AWAY_M, LONGEST_S, START_S, LONGEST_START_S = 25.0, 150.0, 120.0, 400.0
+STEPS_HZ, BEGAN_S = 800, 1_700_000_000
+POSES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
+NODES = ("mapping_node", "lss_node", "autopilot_node")
+BENCH = {
+    "FRAME_CLASS": 1, "LOG_BACKEND_TYPE": 0, "BATT_MONITOR": 4, "EK3_IMU_MASK": 1,
+    **{f"COMPASS_OFS{n}_{a}": v for n in ("", 2, 3) for a, v in (("X", 5), ("Y", 13), ("Z", -18))},
+    **{f"INS_ACC{n}OFFS_{a}": 0.001 for n in ("", 2) for a in "XYZ"},
+    **{f"INS_ACC{n}SCAL_{a}": 1.001 for n in ("", 2) for a in "XYZ"},
+}  # fmt: skip
+"""A vehicle that somebody has calibrated, as the simulator's sensors err."""
+
+
+class Copter:
+    """The binary with a pilot at its radio, a ground station, and a bridge to autopilot_node.
+
+    Attributes:
+        port: At which autopilot_node is to listen.
+        mode, armed: As of the last heartbeat.
+        cut, lost, delay: What the bridge does: nothing passes; no poses; poses by so much later, s.
+        texts: What it said.
+        now: The simulator's time, s.
+    """
+
+    def __init__(
+        self, binary: str, folder: Path, heading: float, tell: Callable[[float], None]
+    ) -> None:
+        mavutil = dialect()
+        # Below the ports of ROS domains.
+        for instance in map(int, np.random.default_rng().permutation(np.arange(10, 180))):
+            try:
+                with _bound(5501 + 10 * instance):
+                    self._truth = _bound(5503 + 10 * instance)
+                break
+            except OSError:
+                continue
+        self._truth.setblocking(False)
+        ground, own, self.port = (_free_port() for _ in range(3))
+        self._ground = mavutil.mavlink_connection(f"udpin:127.0.0.1:{ground}", source_system=255)
+        self._own = mavutil.mavlink_connection(f"udpin:127.0.0.1:{own}")
+        self._node = mavutil.mavlink_connection(f"udpout:127.0.0.1:{self.port}")
+        self._radio = ("127.0.0.1", 5501 + 10 * instance)
+        lines = [f"{name} {value}" for name, value in BENCH.items()]
+        given = (CONFIG / "ardupilot.parm").read_text("utf-8").splitlines()
+        lines += [line for line in given if not line.startswith("#")]
+        (folder / "bench.parm").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        home = ",".join(map(str, (*HOME, heading)))
+        with (folder / "arducopter.txt").open("wb") as output:
+            self.process = subprocess.Popen(
+                [
+                    binary, "--model", "quad", "--home", home, "--enable-fgview", "--wipe",
+                    "--rate", str(STEPS_HZ),
+                    "-I", str(instance), "--defaults", "bench.parm",
+                    "--serial0", f"udpclient:127.0.0.1:{ground}",
+                    "--serial2", f"udpclient:127.0.0.1:{own}",
+                ],
+                cwd=folder, stdout=output, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+        self.mode, self.armed, self.texts = -1, False, []
+        self.cut, self.lost, self.delay = False, False, 0.0
+        self.now, self._said, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
+        self._tell = tell
+        self._late: list[tuple[float, bytes]] = []
+        self._place: tuple[float, tuple[float, ...]] = (0.0, (math.nan,) * 6)
+        self._sticks = [1500, 1500, 1000, 1500]
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._pump, daemon=True)
+
+    def __enter__(self) -> Copter:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join(5.0)
+        self.process.kill()
+        self.process.wait()
+        for port in (self._ground, self._own, self._node, self._truth):
+            port.close()
+
+    def truth(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """When it was there, s; place (3,) east, north, up of home, m; FRD axes to these."""
+        at, (longitude, latitude, height, *turn) = self._place
+        north = RADIUS_M * (latitude - math.radians(HOME[0]))
+        east = RADIUS_M * (longitude - math.radians(HOME[1])) * math.cos(math.radians(HOME[0]))
+        swap = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+        ned = Rotation.from_euler("ZYX", turn[::-1]).as_matrix()
+        return at, np.array([east, north, height - HOME[2]]), swap @ ned
+
+    def set(self, name: str, value: float) -> None:
+        """A parameter."""
+        for _ in range(3):
+            self._ground.mav.param_set_send(1, 1, name.encode(), value, 9)
+
+    def command(self, number: int, *values: float) -> None:
+        """A command of the pilot's."""
+        self._ground.mav.command_long_send(1, 1, number, 0, *values, *[0.0] * (7 - len(values)))
+
+    def switch(self, mode: int) -> None:
+        """The pilot's switch."""
+        self.command(DO_SET_MODE, CUSTOM_MODE, mode)
+
+    def throttle(self, pulse: int) -> None:
+        """The pilot's stick, 1000 to 2000."""
+        self._sticks[2] = pulse
+
+    def _pump(self) -> None:
+        radio, due, packet = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0.0, b""
+        while not self._end.is_set():
+            try:
+                while True:
+                    packet = self._truth.recv(2048)
+                    self._steps += 1
+            except OSError:
+                pass
+            since = self._steps / STEPS_HZ
+            now = self.now = max(self.now, self._said + min(since, 0.03) if self._said else since)
+            if packet:
+                values = struct.unpack_from(">3d4f", packet, 8)
+                self._place = (now, (*values[:3], *values[4:]))
+            if now - self._clocked > 0.01:
+                self._clocked = now
+                self._tell(now)
+            while (message := self._ground.recv_msg()) is not None:
+                if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
+                    self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
+                elif message.get_type() == "STATUSTEXT":
+                    self.texts.append(message.text)
+            while (message := self._own.recv_msg()) is not None:
+                pose = message.get_type() in POSES
+                if pose:
+                    self._said, self._steps = 1e-3 * message.time_boot_ms, 0
+                if not self.cut and not (pose and self.lost):
+                    self._late.append((now + pose * self.delay, bytes(message.get_msgbuf())))
+            self._late.sort(key=lambda one: one[0])
+            while self._late and self._late[0][0] <= now:
+                _send(self._node, self._late.pop(0)[1])
+            while (message := self._node.recv_msg()) is not None:
+                if not self.cut:
+                    _send(self._own, bytes(message.get_msgbuf()))
+            if time.monotonic() > due:
+                radio.sendto(struct.pack("<16H", *self._sticks, *[1500] * 12), self._radio)
+                due = time.monotonic() + 0.05
+            time.sleep(0.002)
+
+
+def _stamp(now: float) -> int:
+    return BEGAN_S * 10**9 + round(1e9 * now)
+
+
+def _send(port: Any, data: bytes) -> None:
+    try:
+        port.write(data)
+    except OSError:
+        return
+
+
+def _bound(port: int) -> socket.socket:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.bind(("127.0.0.1", port))
+    except OSError:
+        bound.close()
+        raise
+    return bound
+
+
+def _free_port() -> int:
+    with _bound(0) as probe:
+        return int(probe.getsockname()[1])
+
+
+@dataclass
+class Landing:
+    """A flight's outcome.
+
+    Attributes:
+        outcome: landed, hovered, given to the pilot, flew away, or no start.
+        ground: Of a landing: safe, unsafe or withdrawn.
+        miss: Truly, from the last target, m.
+        seconds: Of the landing, by the simulator.
+        pace: Of these for one of real time: less than 1 on a computer too slow.
+        states: Of autopilot_node, in order.
+    """
+
+    seed: int
+    fault: str
+    outcome: str = ""
+    ground: str = ""
+    miss: float = math.nan
+    pace: float = math.nan
+    height: float = math.nan
+    seconds: float = 0.0
+    states: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        miss = "" if math.isnan(self.miss) else f", {self.miss:.2f} m from the target"
+        where = f" on {self.ground} ground{miss}" if self.ground else ""
+        way = " ".join(self.states)
+        pace = f", pace {self.pace:.2f}"
+        return f"{self.seed} {self.fault or 'nominal'}: {self.outcome}{where}{pace} ({way})"
+
+
+class Flight:
+    """One landing of a seed."""
+
+    def __init__(self, binary: str, seed: int, fault: str, folder: Path) -> None:
+        self.landing, self._folder = Landing(seed, fault), folder
+        self._draw = np.random.default_rng(seed)
+        made = Conditions().ground("drone", self._draw)
+        assert made is not None
+        self.terrain = Terrain(made.x, made.y, made.elevation - np.median(made.elevation))
+        self._lidar = FlashLidar(60.0, pixels=120, range_noise=0.02)
+        self._height = float(self._draw.uniform(1.0, 7.0))  # at which the fault begins
+        self._for = float(self._draw.uniform(1.0, 10.0))
+        self._binary, self._heading = binary, float(self._draw.uniform(0.0, 360.0))
+        self._ends: list[tuple[float, Callable[[], object]]] = []
+        self._keep_out: np.ndarray | None = None
+        self._target = np.full(3, np.nan)
+
+    def fly(self) -> Landing:
+        """From the ground to the ground, or to whoever has it then."""
+        with ExitStack() as stack:
+            local = stack.enter_context(local_domain(self._folder))
+            topics = {
+                "landing/selected": PoseWithCovarianceStamped,
+                "landing/autopilot": DiagnosticStatus,
+            }
+            self._heard = stack.enter_context(Listener(local.number, topics))
+            node = self._heard.node
+            self._scans = node.create_publisher(
+                PointCloud2, "lidar/points", stream(5, reliable=False)
+            )
+            self._forbid = node.create_publisher(PolygonStamped, "landing/keep_out", latched())
+            self._make = Messages(TYPES, packed)
+            clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
+            tell = lambda now: clock.publish(Clock(clock=time_message(_stamp(now))))  # noqa: E731
+            made = Copter(self._binary, self._folder, self._heading, tell)
+            self.copter = stack.enter_context(made)
+            over = {
+                "pose.source": "odometry",
+                "mount.roll_deg": 180.0,
+                "autopilot.connection": f"udpin:127.0.0.1:{self.copter.port}",
+                "autopilot.may_command": "modes",
+                "autopilot.reach": 15.0,
+                "autopilot.patience": PATIENCE_S,
+            }
+            params = self._folder / "params.yaml"
+            params.write_text(
+                dump_config(load_config([CONFIG / "drone.yaml"], over)), encoding="utf-8"
+            )
+            self._args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
+            self._env = local.env
+            self._stack = stack
+            self.nodes = {name: self._start(name) for name in NODES}
+            self._say_keep_out(np.zeros((0, 2)))
+            if self._take_off():
+                self._land()
+            elif not self.landing.outcome:
+                self.landing.outcome = "no start"
+            (self._folder / "texts.txt").write_text("\n".join(self.copter.texts), "utf-8")
+        return self.landing
+
+    def _start(self, name: str) -> NodeProcess:
+        log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
+        return self._stack.enter_context(NodeProcess(name, self._args, self._env, log))
+
+    def _say_keep_out(self, corners: np.ndarray) -> None:
+        self._forbid.publish(self._make.polygon(_stamp(self.copter.now), corners))
+
+    def _tick(self) -> tuple[np.ndarray, float]:
+        """A scan, if one is due; the true place and the speed across since the last tick."""
+        due, stuck = self.copter.now + SCAN_S, time.monotonic() + 10.0
+        while self.copter.now < due and time.monotonic() < stuck:
+            time.sleep(0.01)
+        at, place, turn = self.copter.truth()
+        if np.isfinite(place).all() and place[2] > 0.3:
+            points = self._lidar.scan(self.terrain, place, turn, self._draw)
+            self._scans.publish(self._make.scan(_stamp(at), points))
+        before, self._last = getattr(self, "_last", (at, place)), (at, place)
+        span = max(at - before[0], 1e-3)
+        state = self.state
+        if state and (not self.landing.states or self.landing.states[-1] != state):
+            self.landing.states.append(state)
+        selected = self._heard.newest.get("landing/selected")
+        if selected is not None:
+            at = selected.pose.pose.position
+            if not math.isnan(at.x):
+                self._target = np.array([at.x, at.y, at.z])
+        return place, float(np.linalg.norm(place - before[1])) / span
+
+    @property
+    def state(self) -> str:
+        """What autopilot_node says last."""
+        said = self._heard.newest.get("landing/autopilot")
+        return "" if said is None else {item.key: item.value for item in said.values}["state"]
+
+    def _take_off(self) -> bool:
+        """By the pilot's sticks in loiter, to a hover; then guided."""
+        copter, asked, end = self.copter, 0.0, time.monotonic() + LONGEST_START_S
+        while copter.now < START_S and time.monotonic() < end:
+            place, speed = self._tick()
+            if not copter.armed:
+                if copter.now - asked > 1.0:
+                    asked = copter.now
+                    copter.switch(LOITER)
+                    copter.command(ARM_DISARM, 1.0)
+            elif place[2] < HEIGHT_M - 1.5:
+                copter.throttle(1900)
+            else:
+                copter.throttle(1500)
+                if self.landing.fault == "wind of 8 m/s":
+                    copter.set("SIM_WIND_DIR", self._heading)
+                    copter.set("SIM_WIND_SPD", 8.0)
+                if speed < 0.3 and np.isfinite(self._target).all():
+                    copter.switch(GUIDED)
+                    if copter.mode == GUIDED:
+                        return True
+        return False
+
+    def _land(self) -> None:
+        """Until it is on the ground, or has been standing still with nobody at work."""
+        copter, landing, begun = self.copter, self.landing, self.copter.now
+        home, still, failed = copter.truth()[1], begun, False
+        farthest, wall = 0.0, time.monotonic()
+        while True:
+            place, speed = self._tick()
+            now = copter.now
+            farthest = max(farthest, float(np.hypot(*(place - home)[:2])))
+            if landing.fault and not failed and self.state in ("descend", "commit"):
+                failed = place[2] - self._target[2] < self._height
+                if failed:
+                    landing.height = float(place[2] - self._target[2])
+                    self._fail(now)
+            for due, end in list(self._ends):
+                if now > due:
+                    end()
+                    self._ends.remove((due, end))
+            if speed > 0.5:
+                still = now
+            idle = self.state in ("give_up", "pilot", "hold") or self.killed("autopilot_node")
+            if farthest > AWAY_M or place[2] > HEIGHT_M + 15.0:
+                landing.outcome = "flew away"
+            elif not copter.armed:
+                landing.outcome = "landed"
+                self._judge(place)
+            elif failed and idle and now - still > PATIENCE_S + 3.0 and not self._ends:
+                pilot = self.state in ("give_up", "pilot") and not self.killed("autopilot_node")
+                landing.outcome = "given to the pilot" if pilot else "hovered"
+            elif now - begun > LONGEST_S:
+                landing.outcome = "hovered" if now - still > 10.0 else "flew on"
+            if landing.outcome:
+                landing.seconds = now - begun
+                landing.pace = landing.seconds / (time.monotonic() - wall)
+                return
+
+    def killed(self, name: str) -> bool:
+        """Whether a node is no more."""
+        return self.nodes[name].process.poll() is not None
+
+    def _fail(self, now: float) -> None:
+        """The fault begins; what ends it is kept for its time."""
+        copter, fault, bridge = self.copter, self.landing.fault, self.copter.__setattr__
+        name, _, how = fault.partition(" ")
+        if name in NODES:
+            self.nodes[name].process.kill()
+            self.nodes[name].process.wait()
+            if how == "killed, back after 1 s":
+                again = lambda: self.nodes.__setitem__(name, self._start(name))  # noqa: E731
+                self._ends.append((now + 1.0, again))
+        elif fault == "poses lost for 3 s":
+            copter.lost = True
+            self._ends.append((now + 3.0, lambda: bridge("lost", False)))
+        elif fault == "poses 0.7 s late":
+            copter.delay = 0.7
+            self._ends.append((now + 5.0, lambda: bridge("delay", 0.0)))
+        elif fault == "link cut for 1 to 10 s":
+            copter.cut = True
+            self._ends.append((now + self._for, lambda: bridge("cut", False)))
+        elif fault == "keep-out over the target":
+            square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+            self._keep_out = self._target[:2] + 2.0 * square
+            self._say_keep_out(self._keep_out)
+        elif fault == "GPS 11 m off for 4 s":
+            copter.set("SIM_GPS1_GLTCH_X", 1e-4)
+            self._ends.append((now + 4.0, lambda: copter.set("SIM_GPS1_GLTCH_X", 0.0)))
+        elif fault == "pilot takes over":
+            copter.switch(LOITER)
+
+    def _judge(self, place: np.ndarray) -> None:
+        """By the true ground, and by what was forbidden."""
+        terrain, landing = self.terrain, self.landing
+        gear = SCENARIOS["drone"].lander
+        spot = place[None, :2]
+        safe = contact_safe(terrain.x, terrain.y, terrain.elevation, spot, gear)[0]
+        landing.ground = "safe" if safe else "unsafe"
+        if self._keep_out is not None:
+            beside = np.abs(place[:2] - self._keep_out.mean(axis=0)).max()
+            landing.ground = "withdrawn" if beside < 2.0 else landing.ground
+        landing.miss = float(np.hypot(*(place - self._target)[:2]))
+
+
+FAULTS = (
+    *(f"{name} killed" for name in NODES),
+    *(f"{name} killed, back after 1 s" for name in NODES[:2]),
+    "poses lost for 3 s",
+    "poses 0.7 s late",
+    "link cut for 1 to 10 s",
+    "keep-out over the target",
+    "GPS 11 m off for 4 s",
+    "wind of 8 m/s",
+    "pilot takes over",
+)
+
+
+def fly(case: tuple[str, int, str, Path | None]) -> Landing:
+    """One flight, in a folder that is gone afterwards unless one is given."""
+    binary, seed, fault, keep = case
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) if keep is None else keep / f"{seed}"
+        folder.mkdir(parents=True, exist_ok=True)
+        return Flight(binary, seed, fault, folder).fly()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Flies, prints a line for each flight, and the table; 1 if one ended as none may."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--landings", type=int, default=200, help="without a fault")
+    parser.add_argument("--faults", type=int, default=60, help="landings with one")
+    parser.add_argument("--seed", type=int, default=71000, help="of the first")
+    parser.add_argument("--jobs", type=int, default=1, help="flights at once")
+    parser.add_argument("--keep", type=Path, help="folder for what the processes say")
+    given = parser.parse_args(args)
+    binary = os.environ.get("ARDUCOPTER", "")
+    if not binary:
+        print(f"nothing flown: ARDUCOPTER names no software-in-the-loop binary; {machine()}")
+        return 0
+    faults = [FAULTS[k % len(FAULTS)] for k in range(given.faults)]
+    names = [*[""] * given.landings, *faults]
+    cases = [(binary, given.seed + k, name, given.keep) for k, name in enumerate(names)]
+    found: list[Landing] = []
+    with ProcessPoolExecutor(given.jobs) as pool:
+        try:
+            for landing in pool.map(fly, cases):
+                print(landing, flush=True)
+                found.append(landing)
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+    rows = []
+    for name in ("", *FAULTS):
+        some = [one for one in found if one.fault == name]
+        if some:
+            ends = Counter(one.outcome for one in some)
+            grounds = Counter(one.ground for one in some)
+            misses = [one.miss for one in some if one.outcome == "landed"]
+            rows.append([
+                name or "none", len(some), grounds["safe"], ends["hovered"],
+                ends["given to the pilot"], grounds["unsafe"] + grounds["withdrawn"],
+                ends["flew away"] + ends["flew on"], ends["no start"],
+                f"{max(misses):.2f}" if misses else "-",
+            ])  # fmt: skip
+    header = [
+        "fault", "flights", "landed safe", "hovered", "given to the pilot",
+        "unsafe or withdrawn", "flew away", "no start", "farthest from the target, m",
+    ]  # fmt: skip
+    table(f"{len(found)} flights, seeds from {given.seed}", header, rows)
+    print(machine())
+    bad = [one for one in found if one.outcome in ("flew away", "flew on")]
+    return int(bool(bad) or any(one.ground in ("unsafe", "withdrawn") for one in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What judges the flights with ArduCopter: true place, bridge and ground; without the binary."""
+
+from __future__ import annotations
+
+import struct
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
+
+import arducopter
+
+from quadtree_lss.lab.simulation.safety import worst_contact
+from quadtree_lss.lab.simulation.scenarios import SCENARIOS
+from quadtree_lss.onboard.autopilot.link import dialect
+
+
+@pytest.fixture
+def copter(tmp_path):
+    told: list[float] = []
+    with arducopter.Copter("true", tmp_path, 0.0, told.append) as copter:
+        yield copter
+
+
+def wait(condition):
+    end = time.monotonic() + 5.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_the_true_place_is_east_north_up_of_home(copter):
+    """11.132 m north by a ten-thousandth of a degree; the nose to the east, the left wing up."""
+    latitude, longitude, height = arducopter.HOME
+    place = np.radians([longitude, latitude + 1e-4]), height + 7.0
+    turn = np.radians([20.0, 0.0, 90.0])
+    packet = struct.pack(">II3d4f", 24, 0, *place[0], place[1], place[1], *turn)
+    copter._truth.getsockname()
+    sender = arducopter.socket.socket(arducopter.socket.AF_INET, arducopter.socket.SOCK_DGRAM)
+    sender.sendto(packet, copter._truth.getsockname())
+    sender.close()
+    wait(lambda: copter.truth()[0] > 0)
+    _, found, axes = copter.truth()
+    np.testing.assert_allclose(found, [0.0, 11.132, 7.0], atol=1e-3)
+    np.testing.assert_allclose(axes[:, 0], [1.0, 0.0, 0.0], atol=1e-6)
+    c, s = np.cos(turn[0]), np.sin(turn[0])
+    np.testing.assert_allclose(axes[:, 2], [0.0, s, -c], atol=1e-6)
+
+
+def test_the_bridge_passes_loses_delays_and_cuts(copter):
+    mavutil = dialect()
+    sitl = mavutil.mavlink_connection(f"udpout:127.0.0.1:{copter._own.port.getsockname()[1]}")
+    node = mavutil.mavlink_connection(f"udpin:127.0.0.1:{copter.port}")
+
+    boot_ms = 1000
+
+    def heard(after_ms):
+        nonlocal boot_ms
+        boot_ms += after_ms
+        sitl.mav.heartbeat_send(2, 3, 0, 4, 4)
+        sitl.mav.local_position_ned_send(boot_ms, *[0.0] * 6)
+        end, found = time.monotonic() + 0.4, set()
+        while time.monotonic() < end:
+            message = node.recv_msg()
+            found |= {message.get_type()} if message else set()
+        return found
+
+    both = {"HEARTBEAT", "LOCAL_POSITION_NED"}
+    assert heard(0) == both and copter.now >= 1.0
+    copter.lost = True
+    assert heard(100) == {"HEARTBEAT"}
+    copter.lost, copter.delay = False, 0.6
+    assert heard(100) == {"HEARTBEAT"} and heard(700) == both, "the one before"
+    copter.delay = 0.0
+    assert heard(700) == both
+    copter.cut = True
+    assert heard(100) == set()
+    sitl.close()
+    node.close()
+
+
+def test_a_touchdown_is_judged_by_the_true_ground_and_by_what_was_forbidden(tmp_path):
+    flight = arducopter.Flight("", 5, "", tmp_path)
+    terrain, gear = flight.terrain, SCENARIOS["drone"].lander
+    places = np.random.default_rng(6).uniform(-10.0, 10.0, (200, 2))
+    slope, rise = worst_contact(terrain.x, terrain.y, terrain.elevation, places, gear)
+    good = np.flatnonzero((slope < 0.05) & (rise < 0.03))[0]
+    bad = np.flatnonzero(rise > 0.15)[0]
+    for row, ground in ((good, "safe"), (bad, "unsafe")):
+        flight._target = np.append(places[row] + (0.3, 0.4), 0.0)
+        flight._judge(np.append(places[row], 0.0))
+        assert flight.landing.ground == ground
+        assert flight.landing.miss == pytest.approx(0.5)
+    square = np.array([[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]])
+    for beside, ground in ((1.9, "withdrawn"), (2.1, "safe")):
+        flight._keep_out = places[good] + square + (beside, 0.0)
+        flight._judge(np.append(places[good], 0.0))
+        assert flight.landing.ground == ground
