@@ -145,7 +145,11 @@ def keep(study: Study, out: str | Path, index: int) -> Path:
         msg = f"there is no flight {index}"
         raise CampaignError(msg)
     folder = store.out / "kept" / f"{index:06d}"
-    kind_of(study.kind).keep(study.case(index), folder)
+    from quadtree_lss.lab.campaign.campaign_page import note_kept  # matplotlib
+
+    kind = kind_of(study.kind)
+    kind.keep(study.case(index), folder)
+    note_kept(store.out, kind.page)
     return folder
 
 
