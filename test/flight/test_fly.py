@@ -5,8 +5,10 @@ import json
 
 import numpy as np
 import pytest
+from report.pages import Page, in_a_browser, in_browser
 
 from quadtree_lss.cli import main
+from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.fly import flown, fly
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import Fault, FlightError, flight_settings
@@ -18,7 +20,8 @@ SEED = 40049
 
 @pytest.fixture(scope="module")
 def short():
-    return flown(SEED, flight_settings(SHORT))
+    faults = ("pose_gap@60+1",)
+    return flown(SEED, flight_settings({**SHORT, "faults": faults}), record=True)
 
 
 def test_it_lands_safely_on_the_target(short):
@@ -38,7 +41,7 @@ def test_no_decision_is_taken_too_low(short):
 
 @pytest.mark.slow
 def test_the_same_seed_is_the_same_flight(short):
-    assert fly(SEED, SHORT) == short.figures
+    assert fly(SEED, {**SHORT, "faults": ("pose_gap@60+1",)}) == short.figures
 
 
 def test_without_avoidance_it_lands_on_the_planned_point():
@@ -119,5 +122,79 @@ def test_the_command_writes_figures_and_page(tmp_path, capsys):
     assert {"safe", "x", "y", "error", "propellant", "diverts"} <= figures.keys()
     page = (out / "flight.html").read_text()
     assert "seed 3" in page and "data:image/png;base64" in page
+    assert "the flight made none" in page and (out / "cells.npz").exists()
     assert "Content-Security-Policy" in page and 'class="verdict' in page  # as all pages are
     assert main(["fly", "--lockstep", "--fault", "x@1", "--out", str(out)]) == 1
+
+
+@pytest.fixture(scope="module")
+def text(short, tmp_path_factory):
+    out = tmp_path_factory.mktemp("flight") / "out"
+    write_flight(out, short)
+    return (out / "flight.html").read_text()
+
+
+def test_the_page_is_that_of_the_map_with_the_flight(short, text):
+    """And the folder is one of results."""
+    found = Page(text)
+    flight, samples = found.data["flight"], short.flight.samples
+    np.testing.assert_allclose(found.column(flight["z"]), [s.z for s in samples], atol=1e-4)
+    assert [d[2] for d in flight["decisions"]] == [d.what for d in short.flight.pilot.decisions]
+    ((kind, begin, end),) = flight["faults"]
+    assert kind == "pose_gap" and end - begin == pytest.approx(1.0)
+    assert flight["areas"] and len(flight["areas"]) == len(short.flight.areas)
+    layers = {layer["name"]: found.column(layer["values"]) for layer in found.data["layers"]}
+    data = found.data["grid"]
+    x, y = (data[f"{axis}min"] + data["spacing"] * np.arange(data[f"n{axis}"]) for axis in "xy")
+    true = short.flight.ground.terrain.elevation_at(*np.meshgrid(x, y)).ravel()
+    np.testing.assert_allclose(layers["truth"], true, atol=1e-3)
+    at_x, at_y, _ = short.flight.lander.position
+    here = np.hypot(*np.meshgrid(x - at_x, y - at_y)).argmin()
+    assert layers["stands"][here] == 0  # a safe touchdown
+    assert len(text) < 5e6 and 'class="verdict good"' in text
+
+
+@in_a_browser
+def test_a_flight_is_gone_over(text, tmp_path):
+    """Map, lander, headline and decisions are of the moment; a click on a decision goes there."""
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const f = data.flight, seen = () => [...Array(grid.nx * grid.ny).keys()].filter(
+          i => !(view.answer < 0 ? grid.hazard[i] & 128 : laterThan(i, view.answer))).length;
+        const slider = byId("instant");
+        const at = k => { slider.value = k; slider.dispatchEvent(new Event("input"));
+          return [view.answer, seen(), byId("clock").textContent, byId("verdict").textContent]; };
+        tellTest("end", [frames.last, f.time.length, view.answer]);
+        const half = frames.last >> 1;
+        tellTest("moments", [half, frames.last].map(at));
+        const last = f.decisions.length - 1;
+        document.querySelectorAll("#decisions tbody tr")[last].click();
+        tellTest("there", [momentTime(), f.decisions[last][0]]);
+        const [kind, begin] = f.faults[0]; moment(sampleAt(begin + 0.5));
+        view.sites = view.allowed = view.relief = false;
+        view.x = f.x[view.moment]; view.y = f.y[view.moment]; view.scale = 200; drawNow();
+        const red = () => { drawNow();
+          const d = map.getContext("2d").getImageData(0, 0, map.width, map.height).data;
+          let n = 0; for (let i = 0; i < d.length; i += 4) {
+            n += d[i] === 0xd5 && d[i + 1] === 0x5e && d[i + 2] === 0; } return n; };
+        const during = red(); moment(sampleAt(begin - 1)); tellTest("fault", [during, red()]);
+        moment(frames.last); setMode("scene");
+        await until(() => root.dataset.scene || document.querySelector("#scene .warning"));
+        if (space) {
+          const pads = [], truth = data.layers.find(l => l.name === "truth");
+          space.update();
+          space.marks.traverse(o => { const about = o.geometry && o.geometry.parameters;
+            if (about && about.radiusTop === data.lander.pad) pads.push(o.position.toArray()); });
+          tellTest("pads", pads.slice(-4).map(([x, y, z]) => z - 0.03 + space.z0 -
+            truth.values[gridPointAt(x + space.middle.x, y + space.middle.y)]));
+        }
+        """,
+    )
+    (_, seen, clock, verdict), (answer, all_seen, end, own) = told["moments"]
+    assert told["end"][0] == told["end"][1] - 1 and told["end"][2] == answer == -1
+    assert 0 < seen <= all_seen and clock != end and verdict.startswith("At ")
+    assert own.startswith("Safe touchdown") and abs(told["there"][0] - told["there"][1]) < 0.11
+    assert told["fault"][0] > 10 > told["fault"][1]
+    assert all(-0.1 < gap < 0.3 for gap in told.get("pads", [0.0])), told

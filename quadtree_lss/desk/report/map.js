@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The map: one view of the ground, drawn on one or two panes that move together.
 "use strict";
-const view = { x: 0, y: 0, scale: 1, layer: "", beside: "", mode: "map", site: -1, answer: -1,
+const view = { x: 0, y: 0, scale: 1, layer: "", beside: "", mode: "map", site: -1, answer: -1, moment: 0,
                sites: true, relief: true, allowed: true, leaves: false, track: false, cursor: null, line: null };
 const map = byId("map"), second = byId("map-2");
 const MARGIN = { left: 46, bottom: 30 };
@@ -81,6 +81,7 @@ function drawPane(canvas, name) {
   if (view.leaves) drawLeaves(c);
   drawWishes(c);
   if (view.track || view.answer >= 0) drawScans(c);
+  if (data.flight) drawFlight(c);
   if (view.sites) drawSites(c);
   if (view.line) drawLine(c);
   drawScaleBar(c);

@@ -32,16 +32,16 @@ function drawSites(c) {
   if (data.circle) ring(c, data.circle.x, data.circle.y, data.circle.radius, [5, 4]);
   if (data.miss) { ring(c, data.miss.x, data.miss.y, data.zone, [2, 4]); badge(c, data.miss.x, data.miss.y, "?"); }
 }
+function shape(c, points, colour) {
+  if (!points || points.length < 2) return;
+  c.beginPath();
+  points.forEach(([x, y], k) => c[k ? "lineTo" : "moveTo"](px(x), py(y)));
+  c.closePath(); c.setLineDash([8, 4]); c.lineWidth = 2; c.strokeStyle = colour; c.stroke();
+  c.setLineDash([]);
+}
 function drawWishes(c) { // landing area, keep-out, target
-  const shape = (points, colour) => {
-    if (!points || points.length < 2) return;
-    c.beginPath();
-    points.forEach(([x, y], k) => c[k ? "lineTo" : "moveTo"](px(x), py(y)));
-    c.closePath(); c.setLineDash([8, 4]); c.lineWidth = 2; c.strokeStyle = colour; c.stroke();
-    c.setLineDash([]);
-  };
-  shape(data.landing.area, "#0072b2");
-  for (const name in data.landing) if (name.startsWith("keep_out")) shape(data.landing[name], "#d00");
+  if (!data.flight) shape(c, data.landing.area, "#0072b2"); // a flight has those of its moments
+  for (const name in data.landing) if (name.startsWith("keep_out")) shape(c, data.landing[name], "#d00");
   if (data.landing.target) {
     const [x, y] = data.landing.target, p = px(x), q = py(y);
     c.strokeStyle = "#0072b2"; c.lineWidth = 3; c.beginPath();

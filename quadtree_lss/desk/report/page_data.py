@@ -225,6 +225,7 @@ def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] 
             sites[place[answer]].append([_json(value) for value in values])
     outline = history["scan_outline"]
     return {
+        "first_ns": first,
         "seconds": _seconds(answers[shown], first),
         "seen": columns.whole(seen, "u1"),
         "allowed": columns.whole(packed("allowed"), "u1"),

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from quadtree_lss.desk.report.headline import (
     when,
 )
 from quadtree_lss.desk.report.page_data import Layer, page_data
-from quadtree_lss.desk.report.pages import render
+from quadtree_lss.desk.report.pages import Columns, render
 from quadtree_lss.onboard.config.settings import parameters, values_from_config
 from quadtree_lss.onboard.core.landing.probability import shown
 
@@ -51,11 +51,14 @@ def page(
     content: Content,
     layers: Sequence[Layer] = (),
     template: str = "desk/report/report.html",
+    also: Callable[[dict[str, Any], Columns], Mapping[str, Any]] | None = None,
     **values: Any,
 ) -> str:
     """The page as text: ``layers`` are shown before those of the results; ``template`` extends
-    ``report.html`` and shows ``values`` besides; ``title`` is by default of the bag's name."""
+    ``report.html`` and shows ``values`` besides; ``title`` is by default of the bag's name.
+    ``also`` makes more for the script of its data and columns."""
     data, columns = page_data(content, layers)
+    data |= {} if also is None else also(data, columns)
     summary, config, sites = content.summary, content.config, content.sites
     answer, ground = headline(content)
     level, facts = trust(content)

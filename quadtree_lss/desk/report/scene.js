@@ -94,6 +94,7 @@ class Space {
     this.marks.clear();
     if (view.sites) this.drawSites();
     if (view.track || view.answer >= 0) this.drawTrack();
+    if (data.flight) flightInSpace(this);
     if (going && sites[view.site]) this.approach(sites[view.site]);
     this.render();
   }
@@ -163,7 +164,7 @@ class Space {
     map.colorSpace = THREE.SRGBColorSpace;
     return map;
   }
-  drawLander(site) { // four pads on the ground below them, on the circle that they stand on
+  drawLander(site, ground = heightAt) { // four pads on the ground below, on the circle that they stand on
     const T = THREE, { radius, pad } = data.lander;
     const metal = new T.MeshLambertMaterial({ color: 0xd8b030 });
     const body = new T.MeshLambertMaterial({ color: 0xe8e8e8 });
@@ -172,7 +173,7 @@ class Space {
       const x = site.x + radius * Math.cos(turn), y = site.y + radius * Math.sin(turn);
       let z = -Infinity; // the highest ground under the pad carries it
       for (let a = 0; a < 12; a++) for (const r of [0, 0.5, 1]) {
-        const h = heightAt(x + r * pad * Math.cos(a * Math.PI / 6), y + r * pad * Math.sin(a * Math.PI / 6));
+        const h = ground(x + r * pad * Math.cos(a * Math.PI / 6), y + r * pad * Math.sin(a * Math.PI / 6));
         if (h > z) z = h;
       }
       return this.at(x, y, Number.isFinite(z) ? z : site.z);

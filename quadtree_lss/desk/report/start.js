@@ -14,12 +14,12 @@ async function start() {
   if (seen) for (let i = row; i < seen.length; i++) seen[i] ^= seen[i - row];
   extent = seenBox();
   makeLayers();
-  view.layer = Object.keys(LAYERS)[0];
+  view.layer = data.flight && grid.probability ? "probability" : Object.keys(LAYERS)[0];
   panel();
   watch(map); watch(second);
   byId("layer").value = view.layer;
   fit(); legend();
-  sliders(); timeline(); processing();
+  sliders(); timeline(); startFlight(); processing();
   choose(sites.length ? 0 : -1, false);
   recall();
   new ResizeObserver(again).observe(byId("frame"));

@@ -21,7 +21,7 @@ function setInstant(k) { // of the answers; the last one is the map as it lies
   const h = data.history, last = h.seconds.length - 1;
   view.answer = k >= last ? -1 : k;
   const at = Math.min(k, last), found = h.sites[at].length;
-  byId("instant").value = at;
+  if (!data.flight) byId("instant").value = at;
   byId("clock").textContent = `${h.seconds[at].toFixed(1)} s · ${found || "no"} site` +
     (found === 1 ? "" : "s");
   tableOfTheTime(); legend();
@@ -90,24 +90,31 @@ function tableOfTheTime() { // what is kept of the shown answer; at the end, all
     `the target, dashed on the map, is ${place ? `site ${place}` : "none of the ranked sites"}`);
 }
 const charts_sites = [];
-function timeline() {
-  const h = data.history;
-  if (!h) { byId("show-track").parentElement.hidden = true; return; }
-  byId("time").hidden = false;
-  const slider = byId("instant"), last = h.seconds.length - 1;
-  slider.max = last;
-  slider.oninput = () => setInstant(Number(slider.value));
+// What the slider goes over: the answers, or the samples of a flight.
+const frames = { last: 0, step: 1, go: k => setInstant(k), ofAnswer: k => k,
+                 at: () => (view.answer < 0 ? frames.last : view.answer) };
+function player() {
+  const slider = byId("instant");
+  slider.max = frames.last;
+  slider.oninput = () => frames.go(Number(slider.value));
   byId("play").onclick = () => {
     if (playing) { clearInterval(playing); playing = 0; }
     else {
-      if (view.answer < 0) setInstant(0);
+      if (frames.at() >= frames.last) frames.go(0);
       playing = setInterval(() => {
-        setInstant(Number(slider.value) + 1);
-        if (view.answer < 0) byId("play").onclick();
+        frames.go(Math.min(frames.at() + frames.step, frames.last));
+        if (frames.at() >= frames.last) byId("play").onclick();
       }, 250);
     }
     byId("play").textContent = playing ? "❚❚" : "▶";
   };
+}
+function timeline() {
+  const h = data.history;
+  if (!h) { byId("show-track").parentElement.hidden = true; return; }
+  byId("time").hidden = false;
+  const last = frames.last = h.seconds.length - 1;
+  player();
   const counts = new Map();
   for (const all of h.sites) for (const [id] of all) counts.set(id, (counts.get(id) || 0) + 1);
   const rank = id => (sites.find(s => s.id === id) || {}).rank;
@@ -127,6 +134,7 @@ function timeline() {
     const top = Math.min(middle + half, most);
     return [Math.min(middle - half, top - least), top];
   };
+  const ends = data.flight && [0, data.flight.time.length - 1].map(k => data.flight.time[k] - data.flight.before);
   const chart = (column, scale, label, told, least, most) => {
     if (!h.sites.some(all => all.some(s => s[column] !== null))) return;
     const lines = ids.map(id => h.sites.map(all => {
@@ -137,11 +145,11 @@ function timeline() {
       series: [{ label: "time", value: second_s }, ...ids.map((id, k) =>
         curve(name(id), CURVES[k], "", { value: (u, v) => told(v), width: rank(id) ? 2 : 1, spanGaps: false,
           points: { show: true, size: 3 } }))],
-      scales: { x: { time: false }, y: { range: range(least, most) } },
+      scales: { x: { time: false, ...(ends && { range: () => ends }) }, y: { range: range(least, most) } },
       axes: [{ label: "time, s" }, { label }],
       hooks: { draw: [mark] }, legend: { show: !charts_sites.length },
       cursor: { sync: { key: "sites" },
-        bind: { mousedown: u => () => { setInstant(u.cursor.idx); return null; } } },
+        bind: { mousedown: u => () => { frames.go(frames.ofAnswer(u.cursor.idx)); return null; } } },
     }, [h.seconds, ...lines]));
   };
   chart(5, 100, "probability, %", v => (v === null ? "–" : shareText(v) + " %"), 1, 100);

@@ -3,16 +3,29 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
+from quadtree_lss.desk.replay.files import write_bytes
 from quadtree_lss.desk.report.drawing import png
-from quadtree_lss.desk.report.pages import render
-from quadtree_lss.lab.campaign.kinds import Quantity
-from quadtree_lss.lab.campaign.summary import CampaignResult, bootstrap, flown, groups, number
+from quadtree_lss.desk.report.pages import Columns, render, source
+from quadtree_lss.lab.campaign.kinds import Kind, Quantity
+from quadtree_lss.lab.campaign.store import Record
+from quadtree_lss.lab.campaign.summary import (
+    CampaignResult,
+    Line,
+    badness,
+    bootstrap,
+    flown,
+    groups,
+    line_of,
+    number,
+)
 from quadtree_lss.lab.evaluation.figures import RUNS
 
 MOST_REASONS = 4
@@ -32,21 +45,98 @@ def page_files(result: CampaignResult, times: Sequence[Mapping[str, str]]) -> di
 def _page(
     result: CampaignResult, times: Sequence[Mapping[str, str]], pictures: Mapping[str, bytes]
 ) -> str:
-    note = f"{len(result.records)} of {result.study.count} flights"
+    kind, study = result.study.what, result.study
+    note = f"{len(result.records)} of {study.count} flights"
     if result.failed:
         note += f", {len(result.failed)} failed"
+    keep = f"quadtree-lss campaign STUDY.yaml --out {result.out} --keep"
+    flights, columns = flown(result.records.values()), Columns()
+    parts = groups(study, flights)
+    part_of = {record.index: k for k, (_, records) in enumerate(parts) for record in records}
+    titles = {name: name.replace("_", " ") for name in (*study.varied, *kind.by)}
+    titles |= {q.name: q.title for q in kind.quantities}
+    explained = (*kind.explained, *(q.name for q in kind.quantities if q.of is None))
     return render(
         "lab/campaign/campaign.html",
-        title=f"Campaign {result.study.name}",
+        title=f"Campaign {study.name}",
         note=f"interrupted: {note}" if result.interrupted else note,
+        answers=[_answer(name, lines[0]) for name, lines in result.lines],
+        legend=[(name, RUNS[k % len(RUNS)]) for k, (name, _) in enumerate(parts)],
         lines=[(name, [line.cells() for line in lines]) for name, lines in result.lines],
-        keep=f"quadtree-lss campaign STUDY.yaml --out {result.out} --keep",
-        page=result.study.what.page,
+        keep=keep,
         worst=[(q.title, _worst(q, pairs)) for q, pairs in result.worst() if pairs],
+        reliability=_reliability(kind, flights),
         pictures=pictures,
         failed=result.failed,
         times=_times(times),
+        data={
+            "indices": [record.index for record in flights],
+            "seeds": [str(record.seed) for record in flights],
+            "groups": [part_of[record.index] for record in flights],
+            "colours": list(RUNS),
+            "titles": titles,
+            "columns": {
+                name: columns.floats(np.array([number(record, name) for record in flights]))
+                for name in titles
+            },
+            "bad": [
+                kind.quantities[0].of is not None and badness(kind.quantities[0], r) > 0.0
+                for r in flights
+            ],
+            "first": [next(iter((*kind.by, *titles))), explained[0]],
+            "page": kind.page,
+            "command": keep,
+        },
+        columns=columns.text(),
+        kept=kept_flights(result.out, kind.page),
+        program=source("lab/campaign/campaign.js"),
     )
+
+
+def kept_flights(out: Path, page: str) -> list[str]:
+    """Folders of a campaign's flights that have their page."""
+    return sorted(path.name for path in (out / "kept").glob("*") if (path / page).exists())
+
+
+def note_kept(out: Path, page: str) -> None:
+    """Links on the page of a campaign, if there is one, to the flights that are kept by now."""
+    path = out / "campaign.html"
+    if not path.exists():
+        return
+    head, mark, rest = path.read_text("utf-8").partition(
+        '<script id="kept" type="application/json">'
+    )
+    if mark:
+        tail = rest.partition("</script>")[2]
+        found = json.dumps(kept_flights(out, page))
+        write_bytes(path, f"{head}{mark}{found}</script>{tail}".encode())
+
+
+def _answer(name: str, line: Line) -> tuple[str, str]:
+    """The first quantity of a combination in a sentence, and a level of the colour."""
+    label, value, interval, _, _ = line.cells()
+    words = f"{name.rpartition(':')[0]}: {label} {value}, 95 %: {interval}."
+    if line.events is None:
+        return words, "even"
+    bad = line.count - line.events if line.quantity.worst == "smallest" else line.events
+    return words, "none" if bad else "good"
+
+
+def _reliability(kind: Kind, flights: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Of each bin of risk how many grid points were expected to be unsafe, and how many are."""
+    rows = []
+    for quantity in kind.quantities:
+        expected = quantity.name.replace("_unsafe", "_expected")
+        if quantity.of is None or not any(expected in record.figures for record in flights):
+            continue
+        if expected == quantity.name:
+            continue
+        line = line_of(quantity, flights)
+        total = np.nansum([number(record, expected) for record in flights])
+        _, _, interval, _, _ = line.cells()
+        label = quantity.label.rpartition(" told ")[2]
+        rows.append((label, f"{line.count}", f"{total:.0f}", f"{line.events}", interval))
+    return rows
 
 
 def _worst(quantity: Quantity, pairs: Sequence[tuple[int, float]]) -> list[tuple[str, int]]:

@@ -137,7 +137,11 @@ def keep(study: Study, out: str | Path, index: int) -> Path:
     if not 0 <= index < count or (study.seeds and index >= study.count):
         raise CampaignError(f"there is no flight {index}")
     folder = store.out / "kept" / f"{index:06d}"
-    kind_of(study.kind).keep(study.case(index), folder)
+    from quadtree_lss.lab.campaign.campaign_page import note_kept  # matplotlib
+
+    kind = kind_of(study.kind)
+    kind.keep(study.case(index), folder)
+    note_kept(store.out, kind.page)
     return folder
 
 

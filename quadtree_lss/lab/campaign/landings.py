@@ -55,7 +55,7 @@ def keep(case: Case, folder: Path) -> None:
     from quadtree_lss.lab.flight.flight_page import write_flight
 
     settings, reference = settings_of(case)
-    write_flight(folder, lockstep.flown(case.seed, settings, reference=reference))
+    write_flight(folder, lockstep.flown(case.seed, settings, reference=reference, record=True))
 
 
 FLY = Kind(

@@ -73,7 +73,7 @@ def _run(options: argparse.Namespace) -> int:
 
         try:
             if alone:
-                done = flown(options.seed, settings, progress=progress)
+                done = flown(options.seed, settings, progress=progress, record=not options.no_page)
             else:
                 done = _live(options, settings, progress)
         except BaseException as error:
@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> int:
             raise
     if options.reference:
         done.figures.update(least_propellant(done.flight))
-    write_flight(options.out, done, page=not options.no_page)
+    write_flight(options.out, done, report=not options.no_page)
     if done.figures["warnings"]:
         warn(f"warning: {done.figures['warnings']}")
     if options.json:

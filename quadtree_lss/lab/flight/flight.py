@@ -82,7 +82,8 @@ class Flight:
         time: s of flight.
         outcome: Empty in flight, then ``touchdown``, ``aborted`` or ``time``.
         samples, outlines: Ten a second; edges of the field of view on the ground, two a second.
-        active: Faults that hold now, by kind.
+        active: Faults that hold now, by kind; ``failed`` all that began, until when, s.
+        areas: (V, 2) polygons of what could be reached, with their time, s.
     """
 
     def __init__(self, seed: int, settings: FlightSettings, ground: Ground | None = None) -> None:
@@ -113,6 +114,8 @@ class Flight:
         self._noise = lidar
         self._due = list(settings.faults)
         self.active: dict[str, float] = {}
+        self.failed: list[tuple[str, float, float]] = []
+        self.areas: list[tuple[float, Array]] = []
         self.outcome = ""
         self.samples: list[Sample] = []
         self.outlines: list[Array] = []
@@ -208,6 +211,7 @@ class Flight:
                 del self.active[kind]
         for fault in [fault for fault in self._due if height <= fault.height]:
             self.active[fault.kind] = self.time + fault.seconds
+            self.failed.append((fault.kind, self.time, self.active[fault.kind]))
             self._due.remove(fault)
 
     def _sense(self, position: Array, velocity: Array) -> Iterator[Sent]:
@@ -226,6 +230,7 @@ class Flight:
         if self._ticks % ASK_EVERY == 0:
             area = pilot.area()
             if area is not None:
+                self.areas.append((self.time, area))
                 yield from self._ask("landing/area", area)
             # Where navigation believes to be off, and what guidance adds to it.
             variances = np.diag(self._covariance)[:2] + self.settings.rules.miss**2

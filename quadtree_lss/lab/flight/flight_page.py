@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight as a picture and a short page: path, scans on the ground, diverts, touchdown."""
+"""A flight as a picture, and as the page of its map: path, diverts, faults, touchdown."""
 
 from __future__ import annotations
 
@@ -15,27 +15,43 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from quadtree_lss.desk.exchange.dem import ElevationModel
+from quadtree_lss.desk.replay.elevation_model import map_summary, rank_sites
+from quadtree_lss.desk.replay.files import write_npz
+from quadtree_lss.desk.replay.result import ReplayResult
+from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.desk.report import drawing
-from quadtree_lss.desk.report.pages import render
-from quadtree_lss.lab.flight.fly import Flown
-from quadtree_lss.lab.flight.ground import Ground
+from quadtree_lss.desk.report.content import Content, read
+from quadtree_lss.desk.report.page_data import Layer
+from quadtree_lss.desk.report.pages import Columns
+from quadtree_lss.desk.report.palette import (
+    EXCLUDED_COLOUR,
+    SAFE_COLOUR,
+    UNSEEN_COLOUR,
+    colour_limits,
+)
+from quadtree_lss.desk.report.report import page
+from quadtree_lss.lab.flight.flight import START_NS
+from quadtree_lss.lab.flight.fly import Flown, flight_config
+from quadtree_lss.lab.flight.ground import GRID, Ground
 from quadtree_lss.lab.flight.pilot import Decision
 from quadtree_lss.lab.simulation.safety import LandingGear
+from quadtree_lss.onboard.config.settings import config_from_values, still_parameters
 
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 
 
-def write_flight(out: Path, flown: Flown, *, page: bool = True) -> None:
-    """``touchdown.json``, ``flight.csv``, ``decisions.csv``; with ``page`` the picture and page.
-    Raises `OSError`: ``out`` cannot be written."""
+def write_flight(out: Path, flown: Flown, *, report: bool = True) -> None:
+    """``touchdown.json``, ``flight.csv``, ``decisions.csv``; with ``report`` picture, page and
+    results of the map, as replay writes them. Raises `OSError`: ``out`` cannot be written."""
     write_outcome(out, flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
-    if page:
+    if report:
         picture = drawing.png(figure(flown), dpi=110)
         (out / "flight.png").write_bytes(picture)
-        (out / "flight.html").write_text(_page(flown, picture), encoding="utf-8")
+        (out / "flight.html").write_text(_page(out, flown, picture), encoding="utf-8")
 
 
 def write_outcome(out: Path, figures: Mapping[str, Any]) -> None:
@@ -174,24 +190,107 @@ def headline(flown: Flown) -> str:
     )
 
 
-def _page(flown: Flown, picture: bytes) -> str:
-    """One page with the look of all others."""
-    figures = flown.figures
-    return render(
+def _page(out: Path, flown: Flown, picture: bytes) -> str:
+    """The page of the flight's results, with the flight."""
+    flight, figures = flown.flight, flown.figures
+    content = _content(out, flown)
+    down = figures["outcome"] == "touchdown"
+    note = "" if flown.cells is not None else " The map is the true ground: the flight made none."
+    words, _, ground = headline(flown).partition(": ")[2].partition(" after ")
+    return page(
+        content,
+        _truth(content, flight.ground),
         "lab/flight/flight.html",
+        also=lambda data, columns: {"flight": _flight_data(data, columns, flown)},
         title=f"Flight, seed {figures['seed']}",
-        good=figures["outcome"] == "touchdown" and figures["safe"],
-        headline=headline(flown),
-        image=picture,
+        answer=f"{words[:1].upper()}{words[1:]}.",
+        ground=f"After {ground}.{note}",
+        level="good" if down and figures["safe"] else "none",
+        picture_of_map=picture,
         decisions=[
             (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
-            for d in flown.flight.pilot.decisions
+            for d in flight.pilot.decisions
+        ],
+        targets=[
+            (f"{1e-9 * (t.stamp_ns - START_NS):.1f}", t.reason, f"{t.x:.2f}", f"{t.y:.2f}")
+            for t in flown.targets
         ],
         figures=[
             (name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else value)
             for name, value in sorted(figures.items())
         ],
     )
+
+
+def _content(out: Path, flown: Flown) -> Content:
+    """The map of the flight, written as the results of a replay; without one, the true ground."""
+    flight = flown.flight
+    config = flight_config(flight.settings, flight.ground)
+    bag = f"flight of seed {flown.figures['seed']}"
+    if flown.cells is None or flown.last is None:
+        t, (x, y, _) = flight.ground.terrain, flight.ground.planned
+        half = 0.5 * config.domain.size
+        model = ElevationModel(t.x, t.y, t.elevation)
+        result = rank_sites(model.within([x - half, y - half], [x + half, y + half]), None, config)
+        config = config_from_values(still_parameters(result.summary["config"]))
+        result.summary["bag"] = bag
+    else:
+        cells, last = flown.cells, flown.last
+        summary = map_summary(cells, last, config, float("nan"), {})
+        summary |= {"bag": bag, "duration": flight.time, **flown.told}
+        result = ReplayResult(out, cells, last, (), summary, (), (), targets=flown.targets)
+    write_results(out, result, config, False, flown.history)
+    if flown.history is not None:
+        write_npz(out / "history.npz", flown.history.arrays())
+    return read(out)
+
+
+def _truth(content: Content, ground: Ground) -> tuple[Layer, Layer]:
+    """The true ground at the grid points, and where a lander stands on it."""
+    x, y = content.grid["x"], content.grid["y"]
+    true = ground.terrain.elevation_at(*np.meshgrid(x, y))
+    stands = np.full(true.shape, 2, dtype=np.uint8)
+    at_x, at_y, room = ground.safe
+    rows, columns = (
+        np.flatnonzero((at >= own[0] - 1e-6) & (at <= own[-1] + 1e-6))
+        for at, own in ((y, at_y), (x, at_x))
+    )
+    near_y, near_x = np.rint((y[rows] - at_y[0]) / GRID), np.rint((x[columns] - at_x[0]) / GRID)
+    stands[np.ix_(rows, columns)] = room[np.ix_(near_y.astype(int), near_x.astype(int))] <= 0.0
+    limits = colour_limits(true[content.seen] if content.seen.any() else true)
+    return (
+        Layer("truth", "True elevation", true, "m", limits=limits),
+        Layer(
+            "stands",
+            "Where a lander stands, in truth",
+            stands,
+            classes=(
+                ("stands", SAFE_COLOUR),
+                ("falls", EXCLUDED_COLOUR),
+                ("beyond", UNSEEN_COLOUR),
+            ),
+        ),
+    )
+
+
+def _flight_data(data: dict[str, Any], columns: Columns, flown: Flown) -> dict[str, Any]:
+    """The flight for the page's script; times in s of flight."""
+    flight = flown.flight
+    samples = flight.samples
+    first = (data["history"] or {}).get("first_ns", START_NS)
+    return {
+        "before": 1e-9 * (first - START_NS),
+        **{
+            name: columns.floats(np.array([getattr(s, name) for s in samples]))
+            for name in ("time", "x", "y", "z", "mass", "tilt_deg")
+        },
+        "decisions": [list(d) for d in flight.pilot.decisions],
+        "faults": flight.failed,
+        "areas": [[time, area.round(2).tolist()] for time, area in flight.areas],
+        "planned": flight.ground.planned.tolist(),
+        "aim": flight.pilot.aim.tolist(),
+        "down": flown.figures["outcome"] == "touchdown",
+    }
 
 
 def _write_csv(path: Path, header: Any, rows: Any) -> None:

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.replay.history import History
+from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.lab.flight.flight import Flight
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.lockstep import LockstepNodes
@@ -17,6 +19,7 @@ from quadtree_lss.lab.flight.settings import FlightSettings, flight_settings
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 """Faults that hit a node."""
@@ -35,11 +38,17 @@ PAPER = {
 @dataclass(frozen=True)
 class Flown:
     """A flight that has ended. ``flight``: its state at the end, with its record. ``figures``: see
-    ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them."""
+    ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them. Where it
+    was recorded: ``cells``, the map at the end; ``history``, what became of it; ``targets``, the
+    changes of the target; ``told``, more for its summary."""
 
     flight: Flight
     figures: dict[str, Any]
     last: LandingAssessment | None
+    cells: CellMap | None = None
+    history: History | None = None
+    targets: tuple[TargetChange, ...] = ()
+    told: dict[str, Any] = field(default_factory=dict)
 
 
 def fly(seed: int, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -65,15 +74,16 @@ def flown(
     reference: bool = False,
     ground: Ground | None = None,
     progress: Callable[[float], None] | None = None,
+    record: bool = False,
 ) -> Flown:
-    """One flight with its record; with ``reference`` compared with the least propellant there could
-    be. ``ground`` is of this seed, if it is there already; ``progress`` is told the seconds
-    flown."""
+    """One flight; with ``record`` all that its page shows; with ``reference`` compared with the
+    least propellant there could be. ``ground`` is of this seed, if it is there already;
+    ``progress`` is told the seconds flown."""
     flight = Flight(seed, settings, ground)
     nodes = None
     if flight.looks:
         config = flight_config(settings, flight.ground)
-        nodes = LockstepNodes(config, settings.answer_delay)
+        nodes = LockstepNodes(config, settings.answer_delay, History() if record else None)
     down: set[str] = set()
     asked = False
     while not flight.outcome:
@@ -98,7 +108,11 @@ def flown(
     figures = figures_of(seed, flight, last)
     if reference:
         figures |= least_propellant(flight)
-    return Flown(flight, figures, last)
+    if nodes is None or not record:
+        return Flown(flight, figures, last)
+    cells, at_end = nodes.finish(flight.stamp_ns)
+    recorded = nodes.history, tuple(nodes.targets), nodes.told
+    return Flown(flight, figures, at_end, cells, *recorded)
 
 
 def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:

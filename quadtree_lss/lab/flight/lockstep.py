@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from quadtree_lss.desk.bags.message_types import typestore
-from quadtree_lss.desk.replay.passes import Passes
+from quadtree_lss.desk.replay.history import History
+from quadtree_lss.desk.replay.passes import Passes, TargetChange
 from quadtree_lss.lab.flight.flight import Sent
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.simulation.recording import Messages
@@ -56,9 +57,10 @@ class _Assessments:
 
 class LockstepNodes:
     """mapping_node and lss_node of one configuration without transport. ``answer_delay`` is from a
-    pass to its answer at the guidance, s; ``last`` the last answer that reached it."""
+    pass to its answer at the guidance, s; ``last`` the last answer that reached it; ``history``
+    notes all, ``targets`` are the changes of the target."""
 
-    def __init__(self, config: Config, answer_delay: float) -> None:
+    def __init__(self, config: Config, answer_delay: float, history: History | None = None) -> None:
         self._config = config
         self._make = Messages(typestore(ros1=False).types, frame=config.frames.map)
         self._delay_ns = round(1e9 * answer_delay)
@@ -68,6 +70,8 @@ class LockstepNodes:
         self._down: set[str] = set()
         self.last: LandingAssessment | None = None
         self.scans = 0
+        self.history, self._noise_ratio = history, float("nan")
+        self.targets: list[TargetChange] = []
         self._start_mapping()
         self._start_lss()
 
@@ -90,8 +94,11 @@ class LockstepNodes:
         """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
         if "mapping" not in self._down:
             for scan in self._intake.ready(now_ns):
-                self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+                report = self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+                self._noise_ratio = report.noise_ratio
                 self.scans += 1
+                if self.history is not None:
+                    self.history.scan(scan)
                 self._passes.changed()
             self._intake.notices()
             if now_ns - self._checkpoint_ns >= 1e9 * self._config.checkpoint.interval:
@@ -111,6 +118,16 @@ class LockstepNodes:
     def land_now(self) -> None:
         """As the service of lss_node."""
         self._passes.land_now()
+
+    def finish(self, now_ns: int) -> tuple[CellMap | None, LandingAssessment | None]:
+        """The map at the end, and what is found on it; of the landing wishes, the last."""
+        self._passes.finish(now_ns, self._mapper.snapshot)
+        return self._passes.cells, self._passes.last
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What guidance said last, and how the returns scatter, for a summary."""
+        return {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
 
     def kill(self, node: str) -> None:
         """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""
@@ -135,4 +152,6 @@ class LockstepNodes:
 
     def _start_lss(self) -> None:
         self._assessments, self._chosen = _Assessments(self._delay_ns), False
-        self._passes = Passes(self._config, self._wishes.arguments, (self._assessments,))
+        sinks = [self._assessments, *([self.history] if self.history is not None else [])]
+        self._passes = Passes(self._config, self._wishes.arguments, sinks)
+        self._passes.changes = self.targets

@@ -153,12 +153,13 @@ def fly_live(
                 if progress is not None:
                     progress(flight.time)
         seconds = time.monotonic() - began
-    last = link.map and LandingSiteSelector(config).assess(map_from_messages(*link.map))
+    cells = link.map and map_from_messages(*link.map)
+    last = cells and LandingSiteSelector(config).assess(cells)
     figures = figures_of(seed, flight, last)
     figures |= {"restarts": sum(starts.values()) - len(starts), "others": sorted(others)}
     if others:
         figures["outcome"] = "disturbed"
-    return LiveFlight(Flown(flight, figures, last), tuple(link.heard), seconds)
+    return LiveFlight(Flown(flight, figures, last, cells), tuple(link.heard), seconds)
 
 
 class _Link:

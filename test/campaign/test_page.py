@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a campaign: its answer, a point for each flight, no link to what is not there."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from report.pages import Page, in_a_browser, in_browser
+
+from quadtree_lss.lab.campaign.campaign_page import note_kept, page_files
+from quadtree_lss.lab.campaign.store import Record
+from quadtree_lss.lab.campaign.study import read_study
+from quadtree_lss.lab.campaign.summary import CampaignResult
+
+COUNT, BAD = 40, 7
+
+
+@pytest.fixture
+def result(tmp_path):
+    """Flights straight down and by the nodes; one of them, by the nodes, is unsafe."""
+    study = tmp_path / "study.yaml"
+    study.write_text("kind: fly\nscenario: [package, none]\nseed: 1\nflights: 20\n")
+    records = {}
+    for k in range(COUNT):
+        scenario = ("package", "none")[k % 2]
+        figures = {"safe": int(k != BAD - 1), "unsafe": int(k == BAD - 1), "one": 1, "aborted": 0}
+        figures |= {"propellant": 60.0 + k, "from_planned": float(k % 9), "error": None}
+        labels = {"scenario": scenario}
+        records[k] = Record(k, 10**15 + k, scenario, labels, figures)
+    return CampaignResult(tmp_path / "out", read_study(study), records)
+
+
+def test_the_answer_comes_first_and_every_flight_is_in_it(result):
+    text = page_files(result, ())["campaign.html"].decode()
+    found = Page(text)
+    first, second = re.findall(r'<p class="verdict (\w*)">(.*?)</p>', text)
+    assert first[0] == "none" and second[0] == "good"
+    assert "scenario package: Safe touchdowns 19 of 20, 95 %: 75.13 … 99.87 %." in first[1]
+    assert text.index("19 of 20") < text.index("<canvas") < text.index("<table")
+    data = found.data
+    np.testing.assert_allclose(found.column(data["columns"]["propellant"]), 60.0 + np.arange(COUNT))
+    assert np.isnan(found.column(data["columns"]["error"])).all()
+    assert data["indices"] == list(range(COUNT)) and data["seeds"][3] == "1000000000000003"
+    assert [k for k, bad in enumerate(data["bad"]) if bad] == [BAD - 1]
+
+
+def test_only_what_is_kept_is_linked(result):
+    result.out.mkdir()
+    (result.out / "campaign.html").write_bytes(page_files(result, ())["campaign.html"])
+
+    def kept():
+        return json.loads(Page((result.out / "campaign.html").read_text()).scripts["kept"])
+
+    assert kept() == []
+    for name in ("000003", "000005"):
+        (result.out / "kept" / name).mkdir(parents=True)
+    (result.out / "kept" / "000003" / "flight.html").write_text("")
+    note_kept(result.out, "flight.html")
+    assert kept() == ["000003"]
+    assert (
+        json.loads(Page(page_files(result, ())["campaign.html"].decode()).scripts["kept"]) == kept()
+    )
+
+
+@in_a_browser
+def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
+    (result.out / "kept" / "000003").mkdir(parents=True)
+    (result.out / "kept" / "000003" / "flight.html").write_text("")
+    told = in_browser(
+        page_files(result, ())["campaign.html"].decode(),
+        tmp_path,
+        """
+        const axis = (name, value) => { const s = byId(`axis-${name}`); s.value = value;
+          s.dispatchEvent(new Event("change")); };
+        tellTest("axes", [...byId("axis-x").options].map(o => o.value));
+        axis("x", "propellant"); axis("y", "from_planned");
+        const click = k => { const [x, y] = places()[k], box = canvas.getBoundingClientRect();
+          const there = { clientX: box.left + x, clientY: box.top + y };
+          canvas.dispatchEvent(new MouseEvent("click", there));
+          const [link, code] = ["a", "code"].map(tag => byId("flight").querySelector(tag));
+          return [chosen.flight, link && link.getAttribute("href"), code && code.textContent]; };
+        tellTest("clicked", [3, 20].map(click));
+        document.querySelector("button[data-flight]").click();
+        tellTest("worst", chosen.flight);
+        tellTest("wide", root.scrollWidth <= innerWidth);
+        """,
+    )
+    assert {"propellant", "from_planned", "safe"} <= set(told["axes"])
+    assert "error" not in told["axes"]  # no flight has it
+    assert told["clicked"][0] == [3, "kept/000003/flight.html", None]
+    assert told["clicked"][1][:2] == [20, None] and told["clicked"][1][2].endswith("--keep 20")
+    assert told["worst"] == BAD - 1 and told["wide"]
