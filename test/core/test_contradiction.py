@@ -104,6 +104,13 @@ def test_a_few_wrong_poses_in_a_row_do_not_win_and_neither_do_many_that_disagree
     assert np.abs(flight.errors()).max() < 0.2
 
 
+@pytest.mark.survives(
+    "a scan that contradicts the map",
+    "refused: `points.dropped.contradiction`, `problems.no_points_used`, and the map is as it was. "
+    "Ten in a row that agree with each other win: the map is lifted to them whole, or begun anew "
+    "where that does not do; `problems.map_overruled` "
+    "([mapping.md](mapping.md#errors-that-persist-and-poses-that-are-wrong))",
+)
 def test_many_that_agree_win_and_what_was_mapped_goes_with_them():
     flight = Flight(scans=5)
     leaves = flight.mapper.leaves.count
@@ -146,6 +153,11 @@ def test_planes_of_a_wrong_pose_over_new_ground_go_with_the_next_scan(height):
     assert np.abs(flight.errors()).max() < 0.3
 
 
+@pytest.mark.survives(
+    "planes of a wrong pose over ground that no other scan had seen",
+    "later scans that are 30 deviations off such a plane outvote it point by point; what they show "
+    "is seen, not yet mapped, until they have",
+)
 def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
     """One cell, which no others judge: the wrong plane goes when as many points are against it."""
     domain = {"size": 4.0, "min_level": 0, "max_level": 0}
@@ -212,6 +224,12 @@ def test_a_height_far_beyond_its_claim_moves_the_map_by_less_than_a_tenth(positi
     assert abs(np.median(flight.errors())) < 0.1 * abs(off)
 
 
+@pytest.mark.survives(
+    "a scan that is off by three deviations or more and does not contradict the map",
+    "put down to the scan as far as its pose, five times worse than it claims, explains it: "
+    "lowered and tilted to the map before it is mapped. Over hills a tilt looks like rough ground "
+    "and counts like any other scan's",
+)
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("deviations", [5.0, 8.0, 20.0])
 def test_a_tilt_far_beyond_its_claim_tilts_the_map_by_less_than_a_tenth(deviations, axis):

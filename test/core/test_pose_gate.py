@@ -51,6 +51,12 @@ def test_one_that_says_how_little_it_knows_passes():
     assert passed(poses)[0] == list(range(20))
 
 
+@pytest.mark.survives(
+    "a pose that leaps, beyond its covariance, from where the two before it lead",
+    "waits for the next one: if that follows the leap, navigation has jumped and both are used; if "
+    "it follows those before, the leap is dropped and counted as `pose_contradiction`. Five in a "
+    "row are believed",
+)
 def test_a_jump_of_navigation_is_believed_with_the_second_pose():
     poses = [pose(k, (0.0, 0.0, 0.0 if k < 10 else 30.0)) for k in range(20)]
     found, gate = passed(poses)

@@ -4,6 +4,7 @@
 import json
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -189,3 +190,10 @@ def test_the_rule_of_nan_is_as_documented(flight, tmp_path):
 def test_the_picture_is_small():
     for picture in (ROOT / "docs" / "images").iterdir():
         assert picture.stat().st_size <= 200_000
+
+
+def test_what_survives_what_is_as_the_tests_that_show_it_say():
+    made = runpy.run_path(str(ROOT / "docs" / "survives.py"))
+    written = made["TABLE"].search(made["PAGE"].read_text(encoding="utf-8")).group()
+    assert written == made["table"](), "python docs/survives.py writes it"
+    assert written.count("\n") > 30 and "| `lss_node` killed | " in written

@@ -69,6 +69,10 @@ def changed(entries):
     return covariance
 
 
+@pytest.mark.survives(
+    'attitude variance above 0.25 rad² (drivers send 1e6 for "unknown")',
+    "no pose, counted as `pose_attitude`: nothing can be placed by it. Zeros say unknown",
+)
 @pytest.mark.parametrize(
     "covariance",
     [

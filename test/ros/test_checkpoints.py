@@ -49,6 +49,11 @@ sys.exit(main())
 SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 
 
+@pytest.mark.survives(
+    "`mapping_node` killed",
+    "started again, it takes up its checkpoint and publishes it; what came since the last one is "
+    "lost. Without `checkpoint.path` it begins anew",
+)
 def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     """The sensors stay and are heard by the successor, as on a vehicle."""
     path = ros.folder / "checkpoint.map"
@@ -98,6 +103,11 @@ def _stamp_in(path):
     return mapper.stamp_ns
 
 
+@pytest.mark.survives(
+    "checkpoint damaged, or of another domain, or with figures in it that none can be",
+    "set aside as `….refused`, with a line; the one before it, `….previous`, is taken up, or if "
+    "that cannot be used either, empty map",
+)
 def test_damaged_checkpoint_is_set_aside_and_mapping_goes_on(ros):
     path = ros.folder / "checkpoint.map"
     path.write_bytes(b"PK\x03\x04 something else")
@@ -111,6 +121,11 @@ def test_damaged_checkpoint_is_set_aside_and_mapping_goes_on(ros):
     assert "Traceback" not in mapping.output()
 
 
+@pytest.mark.survives(
+    "disk full, path not writable",
+    "`problems.checkpoint` counts, one line in five seconds, mapping goes on, written as soon as "
+    "it can be",
+)
 def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     path = ros.folder / "checkpoint.map"
     args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
@@ -164,6 +179,13 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     assert "[ERROR]" in mapping.output().splitlines()[-1]
 
 
+@pytest.mark.survives(
+    "a scan ends in an error of the program",
+    "left out: ERROR in the diagnostics with the reason, the traceback in the log, "
+    "`problems.scan_failed`; the map, which may be half changed by it, is that of the checkpoint "
+    "again, or without one goes on if every figure in it is sound, or begins anew. The next scan "
+    "is mapped",
+)
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     """Whatever it was, the map that it happened to may be half changed."""
@@ -200,6 +222,12 @@ def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     assert faulty.returncode == 0 and "ValueError: math domain error" in errors
 
 
+@pytest.mark.survives(
+    "a second `mapping_node` on the same checkpoint",
+    "a line, and WARN in its diagnostics as long as it runs: it takes up nothing and writes "
+    "nothing there, whichever began to write later. The right is a lock on the file (`flock`): "
+    "gone with the process, however that ends. End both and start one",
+)
 def test_two_nodes_on_one_checkpoint(ros):
     path = ros.folder / "checkpoint.map"
     args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")

@@ -27,6 +27,15 @@ def hears(pid: int, number: int) -> bool:
     return bool(int(caught, 16) >> (number - 1) & 1)
 
 
+@pytest.mark.survives(
+    "ended by SIGINT, SIGTERM or SIGHUP",
+    "exit code 0 from 0.2 s after the start (before, Python itself is not up); the state is "
+    "written first, an error in the log if it cannot be; the next start goes on from there. To "
+    "begin anew call `~/reset` or remove the file. A SIGHUP that is ignored (`nohup`) stays so. A "
+    "landing site pass that is at work is ended first; a second signal three seconds or more after "
+    "the first, as `launch` sends it, breaks it off, exit code 0, and what was half done is not "
+    "written",
+)
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):

@@ -37,6 +37,10 @@ def flight(ros):
         assert "Traceback" not in mapping.output()
 
 
+@pytest.mark.survives(
+    "poses stop",
+    "scans wait `pose.max_wait` and are dropped with a line that says so; goes on by itself",
+)
 def test_poses_stop_and_resume(flight):
     listener, sensors, mapping = flight
     sensors.publish(SCANS)
@@ -69,6 +73,10 @@ def test_poses_out_of_order_serve_as_well(flight):
     )
 
 
+@pytest.mark.survives(
+    "time jumps back by more than 1 s, or forward",
+    "buffers are cleared, the map is kept, its stamp follows",
+)
 def test_time_jumps_back_and_forward(flight):
     listener, sensors, mapping = flight
     # The second pass is a looping bag. At a jump itself scans that still wait may be dropped.
@@ -82,6 +90,10 @@ def test_time_jumps_back_and_forward(flight):
     assert "jumped back" in mapping.output()
 
 
+@pytest.mark.survives(
+    "covariance all zero",
+    "unknown by convention: `pose.unknown_*` are used, with a line at most every five seconds",
+)
 def test_unknown_and_invalid_covariances(flight):
     listener, sensors, mapping = flight
 
@@ -149,6 +161,10 @@ def test_every_legal_layout_maps_all_points(flight):
     assert set(dropped.values()) == {"0"}, dropped
 
 
+@pytest.mark.survives(
+    "two publishers of scans, poses or maps",
+    "a warning; all are taken; lost scans cannot be seen then",
+)
 def test_a_second_publisher_is_told_and_no_loss_invented(flight):
     listener, sensors, mapping = flight
     sensors.publish(SCANS)
@@ -193,6 +209,11 @@ def test_mounts_give_the_map_of_the_lidars_own_poses(ros, moving):
     assert (found != wanted).mean() < 1e-3
 
 
+@pytest.mark.survives(
+    "no point of a scan enters the map",
+    "`problems.no_points_used`, one line in five seconds: how many were outside the domain, out of "
+    "range, isolated or no returns, and where the scan lies",
+)
 def test_scans_of_which_nothing_enters_the_map_are_told_with_the_reason(flight):
     listener, sensors, mapping = flight
 

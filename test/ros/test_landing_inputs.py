@@ -80,6 +80,13 @@ def east(places):
     return places[:, 0] >= 5.0
 
 
+@pytest.mark.survives(
+    "`lss_node` killed",
+    "started again, it gets the last map, and latched area, keep-out and target; sites at once if "
+    "both an area and a keep-out are among them (without vertices = no restriction), else 3 s "
+    "after it came, since a publisher may be found late (with `lss.required_input` not before what "
+    "it names has come). What was not latched must be sent again",
+)
 def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
     wait = vehicle.listener.wait_for
     vehicle.send("landing/keep_out", polygon(WEST))
@@ -148,6 +155,11 @@ def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle
     assert wait(lambda: vehicle.told(DiagnosticStatus.OK, "sites")), lss.output()
 
 
+@pytest.mark.survives(
+    "area or keep-out in a wrong frame or damaged",
+    "no site until a usable or an empty one comes; ERROR in the diagnostics. One that comes before "
+    "the map is judged by the map's frame",
+)
 def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
     wait = vehicle.listener.wait_for
     lss = ros.start("lss_node")
@@ -176,6 +188,11 @@ def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
     assert found == {f"problems.{key}": str(n) for key, n in counts.items()}
 
 
+@pytest.mark.survives(
+    "two publishers of maps in two frames",
+    "halves of two frames are refused; set `frames.map` for `lss_node`, and it takes that one "
+    "alone",
+)
 def test_halves_of_two_maps_are_not_joined(ros, vehicle):
     """Neither those of one stamp that belong to two maps, nor those of two frames."""
     wait = vehicle.listener.wait_for

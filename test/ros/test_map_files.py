@@ -25,6 +25,10 @@ from quadtree_lss.onboard.nodes.map_files import WrongContentError, load, save
 SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 
 
+@pytest.mark.survives(
+    "killed while it writes a checkpoint",
+    "the one before is intact: files are replaced in one step",
+)
 def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     path, part = tmp_path / "map", tmp_path / "map.part"
     program = (
@@ -90,6 +94,11 @@ def test_a_link_stays_and_what_it_points_to_is_written_and_removed(tmp_path):
     assert [path.name for path in disk.iterdir()] == ["real.refused"]
 
 
+@pytest.mark.survives(
+    "`checkpoint.path` or `map_file.path` is a folder, device or pipe",
+    "a line; never read, moved or replaced. A link stays one: what it points to is replaced, if it "
+    "lies below `files.root` where that is set",
+)
 def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
     mapper = Mapper(load_config(overrides=SMALL))
     folder, pipe, device = tmp_path / "folder", tmp_path / "pipe", tmp_path / "device"
@@ -114,6 +123,12 @@ def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
         save(tmp_path / "a\0b", mapper)
 
 
+@pytest.mark.survives(
+    "checkpoint that cannot be read",
+    "a line; the one before is taken up, or empty map; it may be a good one, so it is neither "
+    "moved nor replaced, and `problems.checkpoint` counts, until it is removed or `~/reset` is "
+    "called",
+)
 def test_a_checkpoint_that_cannot_be_read_is_left_alone(tmp_path):
     """``/proc/self/mem`` is a regular file that gives an input/output error, to root as well."""
     mapper = Mapper(load_config(overrides=SMALL))
@@ -188,6 +203,12 @@ def test_the_checkpoint_before_is_kept_and_taken_up_when_the_newest_is_damaged(t
     assert not os.listdir(tmp_path), "a reset forgets both"
 
 
+@pytest.mark.survives(
+    "a map that is broken (covariances not positive semi-definite, not finite, leaves that do not "
+    "tile)",
+    "never becomes a checkpoint: each is read back from the disk and checked before it replaces "
+    "the one before; `problems.checkpoint`",
+)
 @pytest.mark.parametrize("name", ["range_part", "pose_part"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, "indefinite"])
 def test_a_broken_map_never_replaces_a_good_checkpoint(tmp_path, name, value):

@@ -124,6 +124,10 @@ def test_live_equals_offline_cell_for_cell(ros):
     assert len(results.positions) and site_difference(live, results.sites) < 1e-6
 
 
+@pytest.mark.survives(
+    "wrong frame, bad quaternion or covariance, malformed cloud",
+    "not used, counted by reason",
+)
 def test_malformed_messages_are_counted_and_survived(ros):
     mapping = ros.start("mapping_node")
     with ros.listen() as listener:
@@ -213,6 +217,11 @@ def test_ends_cleanly_on_signals(ros, name, signal_number):
     assert "Traceback" not in node.output()
 
 
+@pytest.mark.survives(
+    "misspelt key, impossible value or name; `mount.tf` without `tf2_msgs`",
+    "one line, exit code 78; not started again by the launch file, nor by systemd with "
+    "`RestartPreventExitStatus=2 78`",
+)
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
     node = ros.start(name, "-p", "domain.max_levle:=7")

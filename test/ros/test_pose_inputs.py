@@ -43,6 +43,10 @@ def test_odometry_is_taken_where_it_is_configured(ros):
     assert "/odometry/filtered (reliable, 200)" in mapping.output()
 
 
+@pytest.mark.survives(
+    "poses come as the other type",
+    "a warning in the diagnostics that names `pose.source`",
+)
 def test_a_node_that_waits_for_the_other_type_says_so(ros):
     mapping = ros.start("mapping_node", "-r", "nav/odometry:=odometry/filtered")
     with ros.listen() as listener:

@@ -74,6 +74,13 @@ def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells, mon
     assert received.arrivals.age() == 5.0
 
 
+@pytest.mark.survives(
+    "a map that `lss_node` cannot use",
+    "ERROR in the diagnostics with the reason, the sites of the one before hold; the map's age "
+    "runs on, and after `lss.max_map_age` (30 s) without one that can be used the sites are "
+    "withdrawn, as they are when no map comes at all. Where the lidar is off for the last part of "
+    "a descent, set it to what the ground may be trusted for, or to 0",
+)
 def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
     lss = ros.start("lss_node", "-p", "lss.max_map_age:=8.0", "-p", "diagnostics.warn_age:=0.4")
     with ros.listen({}) as listener:
@@ -137,6 +144,11 @@ sys.exit(main())
 """A pass over its third map ends in an error."""
 
 
+@pytest.mark.survives(
+    "a landing site pass ends in an error of the program",
+    "its result is withheld: no site, the target is withdrawn, ERROR with the reason, the "
+    "traceback in the log, `problems.pass_failed`; the next map is assessed",
+)
 def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ros, cells):
     command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params)]
     with (
@@ -188,6 +200,11 @@ def test_who_waits_says_for_what_ever_less_often(monkeypatch):
     assert lines == ["waiting for a map"] * 3, "after 5, 15 and 35 s"
 
 
+@pytest.mark.survives(
+    "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
+    "the node says in its log what it waits for, after 5 s and then each time after twice as long; "
+    "WARN in the diagnostics",
+)
 def test_nodes_that_wait_say_so_in_the_log(ros):
     lss, mapping = ros.start("lss_node"), ros.start("mapping_node")
     with ros.listen({}) as listener:

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes the table "What survives what" of docs/onboard.md: `python docs/survives.py`.
+
+Its rows are the arguments of `@pytest.mark.survives(EVENT, EFFECT)` on the tests that show them.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "onboard.md"
+TABLE = re.compile(r"(?<=<!-- python docs/survives.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
+
+
+def table():
+    """Of all tests, file by file."""
+    rows = [["Event", "Effect"], ["---", "---"]]
+    for path in sorted(ROOT.glob("test/**/test_*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            for mark in getattr(node, "decorator_list", []):
+                if ast.unparse(mark).startswith("pytest.mark.survives("):
+                    rows.append([ast.literal_eval(text) for text in mark.args])
+    return "".join(f"| {event} | {effect} |\n" for event, effect in rows)
+
+
+if __name__ == "__main__":
+    text = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(TABLE.sub(lambda _: table(), text), encoding="utf-8")
