@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from core.builders import configured, flat, mapped
-from core.kernels import plus
+from core.kernels import tangent_basis
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -477,10 +477,12 @@ def test_covariance_is_that_of_drawn_maps():
     x, y, radius = 6.5, 7.0, 1.5
     rng = np.random.default_rng(4)
     root = np.linalg.cholesky(cells.covariance_range)
+    bases = np.array([tangent_basis(n) for n in cells.normal])
     drawn = []
     for _ in range(1500):
         error = np.einsum("kij,kj->ki", root, rng.standard_normal((len(cells.z), 3)))
-        normal = np.array([plus(n, e[:2]) for n, e in zip(cells.normal, error, strict=True)])
+        normal = cells.normal + np.einsum("kij,kj->ki", bases, error[:, :2])  # to first order
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         moved = dataclasses.replace(cells, normal=normal, z=cells.z + error[:, 2] / normal[:, 2])
         raster = rasterise(moved, LssConfig(max_gap=1.0))
         planes = ground_planes(raster.elevation, raster.seen, 0.5, radius)
