@@ -9,6 +9,7 @@ from core.builders import (
     ABOVE,
     EXACT,
     configured,
+    disturbed,
     flat,
     look,
     make_pose,
@@ -24,6 +25,7 @@ from quadtree_lss.onboard.core.mapping.departure import Departure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.mapping.update import ScanUpdate
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.register import register
 
 NOISE = 0.02
@@ -311,3 +313,55 @@ def test_the_maps_height_is_as_well_known_as_it_says(sigma, persistent):
         height = np.median(cells.z[cells.measured])
         squares.append(height**2 / np.median(cells.covariance_pose[cells.measured, 2, 2]))
     assert 0.02 < np.mean(squares) < 2.0
+
+
+def along_a_strip(align: bool, drift: float = np.radians(0.1)) -> float:
+    """Height at the far end of 500 m, seen 45 degrees ahead from 100 m, pitch wrong by ``drift``.
+
+    Each scan shows 40 m, 5 m farther on than the last; nothing is seen again.
+    """
+    config = configured(
+        domain={"xmin": 0.0, "ymin": -32.0, "size": 1024.0, "min_level": 7, "max_level": 7},
+        lidar={"range_noise": NOISE},
+        mapping={"align": align},
+    )
+    mapper, rng = Mapper(config), np.random.default_rng(12)
+    turn = np.array(
+        [[np.cos(drift), 0, -np.sin(drift)], [0, 1, 0], [np.sin(drift), 0, np.cos(drift)]]
+    )
+    sigma = np.diag([1e-4, 1e-4, 1e-4, 1e-10, drift**2, 1e-10])
+    for number in range(100):
+        at = np.array([5.0 * number - 80.0, 0.0, 100.0])
+        x = at[0] + 80.0 + 40.0 * rng.random(3000)
+        y = -20.0 + 40.0 * rng.random(3000)
+        keep = x > 0.0
+        true = make_pose(tuple(at), sigma)
+        points = scan(flat(), x[keep], y[keep], true, NOISE, rng)
+        stamp = 1 + 250_000_000 * number
+        estimate = Pose(stamp, at, turn @ true.rotation_map_lidar, sigma)
+        mapper.update(points, estimate)
+    cells = mapper.snapshot()
+    far = cells.measured & (cells.x > 480.0) & (cells.x < 520.0) & (np.abs(cells.y) < 16.0)
+    near = cells.measured & (cells.x > 20.0) & (cells.x < 60.0) & (np.abs(cells.y) < 16.0)
+    return float(np.mean(cells.z[far]) - np.mean(cells.z[near]))
+
+
+def test_a_strip_that_is_never_seen_twice_does_not_drift_away():
+    """Alignment is no odometry: what persists is not added up from scan to scan."""
+    assert abs(along_a_strip(True)) < abs(along_a_strip(False)) + 0.05
+
+
+def test_drawn_poses_keep_the_map_where_they_are():
+    """From 30 degrees aside, a hundred scans whose poses are drawn anew each time."""
+    rng, sigma = np.random.default_rng(10), pose_covariance(0.05, 1e-3)
+    mapper = mapper_of(0.0)
+    place = (8.0 - 400.0 * np.tan(np.radians(30.0)), 8.0, 400.0)
+    bound = 5.0 * np.hypot(0.05, 1e-3 * 500.0)
+    for k in range(100):
+        true = make_pose(place, sigma, 1_000_000_000 + 50_000_000 * k)
+        x, y = scattered(rng, 2.0, 2.0, 12.0, 3000)
+        points = scan(waves, x, y, true, NOISE, rng)
+        report = mapper.update(points, disturbed(true, rng))
+        assert report.points_used > 2500
+        assert abs(report.offset) < bound
+    assert abs(np.median(heights(mapper))) < 0.15

@@ -8,7 +8,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped, strip, upward_normals
+from core.builders import configured, flat, mapped, slope, strip, upward_normals
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.feature import height
@@ -93,6 +93,22 @@ def test_a_rock_in_an_undivided_cell_is_an_exception():
     assert not np.delete(bits, at).any()
 
 
+@pytest.mark.parametrize("min_level", [0, 1, 2])
+def test_leaves_larger_than_the_reference_have_no_elevation_feature(min_level):
+    """Flat ground that was never divided below the reference size of 4 m."""
+    config = configured(domain={"min_level": min_level})
+    cells = mapped(config, flat(), density=20.0, scans=1).snapshot()
+    assert not hazards.avoided_features(cells, config.lss).any()
+
+
+def test_unmeasured_leaves_have_no_bits():
+    config = configured()
+    cells = mapped(config, slope(1.0, 0.0), density=20.0, scans=1, where=(0.0, 0.0, 8.0)).snapshot()
+    bits = hazards.avoided_features(cells, config.lss)
+    assert not bits[~cells.measured].any()
+    assert (bits[cells.measured] & hazards.SLOPE).all()
+
+
 def test_inherited_leaves_have_no_bits(cells):
     """Their plane is not their ground's."""
     lss = configured().lss
@@ -154,3 +170,19 @@ def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
     # Gaps are bridged whole or not at all.
     missing = list(range(30, 30 + columns)) if unseen else []
     assert np.flatnonzero(~raster.firm.all(axis=0)).tolist() == missing
+
+
+def test_gaps_are_bridged_level_from_the_nearest_measured_cell():
+    cells = strip(4)
+    raster = rasterise(cells, LssConfig())
+    np.testing.assert_allclose(raster.elevation, 0.0, atol=0.2)
+    assert not raster.slope_x[:, 30:34].any()
+    nearest = raster.elevation[:, [29, 34]]
+    np.testing.assert_array_equal(raster.elevation[:, [30, 33]], nearest)
+
+
+def test_a_map_of_nothing_is_unseen():
+    cells = mapped(configured(), flat(), density=0.0, scans=1).snapshot()
+    raster = rasterise(cells, LssConfig())
+    assert not raster.seen.any()
+    assert np.isnan(raster.elevation).all()

@@ -75,6 +75,23 @@ def test_every_method_divides_at_a_step_and_not_on_a_slope(fit, covariance, divi
     assert (cells.level[far] == config.domain.min_level).all()
 
 
+def test_the_papers_criterion_hides_misfit_behind_pose_uncertainty():
+    """With metre-level poses a step of 0.3 m passes for noise; lack_of_fit sees it."""
+    counts = []
+    for division in ("lack_of_fit", "mahalanobis"):
+        config = configured(
+            mapping={"division": division}, lidar={"range_noise": 0.03}, features={"enabled": False}
+        )
+        mapper, rng = Mapper(config), np.random.default_rng(5)
+        pose, places = (
+            make_pose(ABOVE, pose_covariance(0.5, 1e-12)),
+            scattered(rng, 0, 0, 16, 10_000),
+        )
+        look(mapper, lambda x, y: 0.3 * (x > 5.1), *places, rng, 0.03, pose)
+        counts.append(mapper.leaves.count)
+    assert counts[0] > 50 and counts[1] == 16
+
+
 def test_elevation_of_stepped_ground():
     config = configured(lidar={"range_noise": 0.03})
 

@@ -18,8 +18,9 @@ from quadtree_lss.onboard.config.risk import (
     Curve,
     RiskModel,
     risk_model,
+    risk_model_text,
 )
-from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.grid import TIE, probable_first
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
@@ -202,6 +203,66 @@ def test_more_that_speaks_against_a_place_never_lowers_its_risk():
     assert (risks(hidden, more) <= risks(hidden, places) + 1e-12).all()
 
 
+@pytest.mark.parametrize("scale", [0.1, 0.3, 3.0])
+def test_world_vehicle_noise_and_cells_of_another_size_have_the_same_risk(rough_ground, scale):
+    config, cells = rough_ground
+    expected, _ = RiskTable(MODEL, config.lss, 0.06).risk(*landed(config, cells))
+    domain, vehicle = cells.domain, config.vehicle
+    lengths = {
+        name: scale * getattr(vehicle, name) for name in ("diameter", "clearance", "pad_radius")
+    }
+    of = {name: scale * getattr(cells, name) for name in ("z", "low", "high")}
+    feature = cells.feature * np.array([1.0, scale**1.5, scale, scale, scale])
+    small = replace(
+        cells,
+        domain=replace(domain, **{n: scale * getattr(domain, n) for n in ("xmin", "ymin", "size")}),
+        roughness=scale**3 * cells.roughness,
+        feature=feature,
+        **of,
+    )
+    other = replace(config, vehicle=replace(vehicle, **lengths))
+    found, _ = RiskTable(MODEL, other.lss, 0.06 * scale).risk(*landed(other, small))
+    np.testing.assert_allclose(found, expected, atol=0.02)
+    assert np.abs(found - expected).mean() < 1e-3
+
+
+def test_ground_that_no_return_is_from_raises_the_risk(rough_ground):
+    """Level ground of which ever more cells are bridged."""
+    config, cells = rough_ground
+    leaves, none = np.ones(len(cells.level)), np.full(len(cells.level), np.nan)
+    flat = replace(cells, z=leaves, normal=np.outer(leaves, [0.0, 0.0, 1.0]), low=none, high=none)
+    flat = replace(flat, roughness=0.0 * leaves, feature=np.full_like(cells.feature, np.nan))
+    table, drawn = RiskTable(risk_model(""), config.lss, 0.06), np.random.default_rng(9)
+    order, inner = drawn.random(cells.known.shape), np.s_[24:-12, 40:-12]
+    before = np.bincount(cells.leaf_raster()[cells.known], minlength=len(leaves))
+    told = []
+    for share in (0.0, 0.1, 0.3):
+        known = flat.known & (order >= share)
+        left = np.bincount(cells.leaf_raster()[known], minlength=len(leaves))
+        count = (cells.count * left / np.maximum(before, 1)).astype(np.uint32)
+        thin = replace(flat, known=known, observed=known, count=count)
+        raster, judged, slope, worst = landed(config, thin)
+        told.append(table.risk(raster, judged, slope, worst)[0][inner])
+    for fewer, more in zip(told, told[1:], strict=False):
+        assert (more >= fewer - 1e-6).mean() > 0.98
+        assert (more > fewer).mean() > 0.5
+
+
+def test_what_lies_beyond_the_window_does_not_matter(rough_ground):
+    """Rocks in the eastern half: two and a half diameters to the west all is as it was."""
+    config, cells = rough_ground
+    bare = replace(cells, known=cells.observed.copy())
+    table = RiskTable(MODEL, config.lss, 0.06)
+    east = cells.x > 22.0
+    raised = replace(bare, z=np.where(east & (cells.size < 0.6), bare.z + 0.5, bare.z))
+    one, other = (table.risk(*landed(config, of))[0] for of in (bare, raised))
+    x = np.arange(one.shape[1]) * cells.domain.finest_size
+    assert (one != other)[:, x > 22.0].any()
+    far = x < 22.0 - (2.0 + 0.5) * 3.7 - 2.0 * cells.domain.finest_size
+    np.testing.assert_array_equal(one[:, far], other[:, far])
+    assert (one[:, far] < 1.0).any()
+
+
 def test_aims_are_means_over_the_touchdowns_drawn_from_the_dispersion():
     rng = np.random.default_rng(4)
     risk = (rng.random((41, 41)) < 0.3).astype(float)
@@ -359,6 +420,22 @@ def test_limits_cover_the_model_and_the_touchdown_limits():
     assert found.rise == (pytest.approx(0.15), pytest.approx(0.42))
     steep = np.tan(np.radians(10.0))
     assert found.slope == (pytest.approx(0.6 * steep), pytest.approx(1.3 * steep))
+
+
+def test_where_the_probability_is_the_same_the_score_decides(beside_a_rock, tmp_path):
+    """If contacts alone matter all bare ground is as good: the first is far from the rock."""
+    steep = Cause(-9.0, (Curve("tilt", (0.5, 1.5), ((0.0, 12.0),)),))
+    rock = Cause(-9.0, (Curve("rise", (0.5, 1.5), ((0.0, 12.0),)),))
+    causes = dict(zip(MODEL.causes, (rock, steep, Cause(-9.0, ())), strict=True))
+    (tmp_path / "model.yaml").write_text(risk_model_text(replace(MODEL, causes=causes)))
+    with mock.patch.object(score, "DISTANCE_CAP", 12.0):
+        selector = probable(dispersion=0.1, risk_model=str(tmp_path / "model.yaml"))
+        found = selector.assess(beside_a_rock)
+    first = found.sites.position[0, :2]
+    best = found.probability == found.probability[found.safe].max()
+    assert best.sum() > 100
+    row, column = divmod(int(np.argmin(np.where(best, found.score, np.inf))), len(found.x))
+    np.testing.assert_allclose(first, (found.x[column], found.y[row]))
 
 
 @pytest.mark.parametrize("sigma", [1e-160, 1e-200, 1e-320, 1e-3])

@@ -63,6 +63,13 @@ def test_quaternions_of_matrices_match_scipy():
     np.testing.assert_allclose(np.abs(np.einsum("ni,ni->n", q, expected)), 1.0, atol=EXACT)
 
 
+@pytest.mark.parametrize("turn", [(np.pi, 0, 0), (0, np.pi, 0), (0, 0, np.pi), (0, 0, 0)])
+def test_quaternion_round_trip_at_half_turns(turn):
+    matrix = Rotation.from_rotvec(turn).as_matrix()
+    back = rotations.rotation_from_quaternion(rotations.quaternion_from_rotation(matrix))
+    np.testing.assert_allclose(back, matrix, atol=EXACT)
+
+
 @pytest.mark.parametrize("fraction", [0.0, 0.2, 0.5, 0.9, 1.0])
 def test_slerp_matches_scipy(fraction):
     for start, end in random_rotations(40, 7).as_matrix().reshape(20, 2, 3, 3):

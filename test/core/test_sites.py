@@ -117,6 +117,21 @@ def test_leaves_with_many_exceptions_are_kept_off(level_ground, assessment):
                 assert found.safe[row, column] == (inside and not meets), (x, y)
 
 
+def test_leaves_with_exceptions_divide_rather_than_stay_hazards():
+    """The same block, divided over: no leaf but finest ones is left with many exceptions."""
+    config = small()
+
+    def ground(x, y):
+        return 0.4 * ((np.abs(x - 9.0) < 0.3) & (np.abs(y - 9.0) < 0.3))
+
+    cells = mapped(config, ground, density=100.0).snapshot()
+    often = np.nan_to_num(cells.exception_fraction) > hazards.MAX_EXCEPTION_FRACTION
+    assert (cells.level[often] == cells.domain.max_level).all()
+    for limit in (hazards.MAX_EXCEPTION_FRACTION, 1.0):
+        with mock.patch.object(hazards, "MAX_EXCEPTION_FRACTION", limit):
+            assert not assess(cells, config).safe[17:20, 17:20].any()
+
+
 @pytest.mark.parametrize("margin", [0.0, 0.7, 1.3])
 def test_the_margin_keeps_off_points_that_fail_the_touchdown_check(cells, margin):
     config = small(margin=margin)
@@ -274,6 +289,26 @@ def test_elevation_is_the_maps_own_and_the_planes_is_another():
             assert found.sites.position[k, 2] == sz == found.plane_elevation[at]
 
 
+def test_roughness_is_a_height_whatever_the_leafs_size():
+    """Eq. 55's volume over the leaf's area: the same ground is as rough in large leaves."""
+    found = []
+    for level in (2, 4):
+        config = configured(
+            domain={"min_level": level, "max_level": level},
+            lidar={"range_noise": 0.02},
+            vehicle={"diameter": 1.9, "clearance": 6.0, "max_slope_deg": 88.0},
+        )
+
+        def ground(x, y):
+            return 0.2 * np.sin(9.0 * x) * np.sin(9.0 * y)
+
+        cells = mapped(config, ground, density=300.0).snapshot()
+        found.append(assess(cells, config).sites.roughness[0])
+    large, little = found
+    assert 0.03 < large < 0.2
+    assert 0.5 < little / large < 2.0
+
+
 @pytest.mark.parametrize(("assessment", "limit"), [("paper", 11), ("touchdown", 9.9)])
 def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessment, limit):
     config = small(assessment=assessment, max_slope_deg=11.0)
@@ -301,6 +336,41 @@ def test_level_ground_is_safe_wherever_the_zone_fits(level_ground, assessment):
     assert (found.sites.hazard_distance <= edge).all()
     assert (found.sites.hazard_distance > 1.0).all()  # the middle of 16 m is best
     assert not found.hazard.any()
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
+def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
+    """A block of 1 m, 0.5 m high: its cells reach a finest cell beyond it at most."""
+    config = small(assessment=assessment, diameter=2.9)
+
+    def ground(x, y):
+        return 0.5 * ((np.abs(x - 8.25) < 0.5) & (np.abs(y - 8.25) < 0.5))
+
+    found = assess(mapped(config, ground, density=200.0).snapshot(), config)
+    x, y = np.meshgrid(found.x, found.y)
+    edge = np.hypot(
+        np.maximum(np.abs(x - 8.25) - 0.5, 0.0), np.maximum(np.abs(y - 8.25) - 0.5, 0.0)
+    )
+    # Wholly under the lander, or under a pad at some heading.
+    assert not found.safe[edge <= 1.45 - 0.5].any()
+    inside = np.minimum(np.minimum(x, 16.0 - x), np.minimum(y, 16.0 - y)) > 1.45
+    assert found.safe[inside & (edge > 1.45 + 1.5)].all()
+    assert found.safe.any()
+
+
+@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
+def test_a_slope_of_twelve_degrees_is_no_landing_ground(assessment):
+    config = small(assessment=assessment, max_risk=0.2)  # so few returns
+
+    def ground(x, y):
+        return np.tan(np.radians(12.0)) * np.maximum(x - 8.0, 0.0)
+
+    found = assess(mapped(config, ground, density=100.0).snapshot(), config)
+    assert not found.safe[:, found.x > 9.5].any()
+    gentle = (found.x >= 1.0) & (found.x < 8.0 - 2.0)
+    assert found.safe[2:-2, gentle].all()
+    steep = found.slope_deg[4:-4, (found.x > 11.0) & (found.x < 13.0)]
+    np.testing.assert_allclose(steep, 12.0, atol=0.5)
 
 
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])

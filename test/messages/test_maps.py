@@ -88,6 +88,13 @@ def test_the_map_of_nothing_survives(cells):
     assert back.domain == empty.domain
 
 
+@pytest.mark.parametrize("level", [0, 3])
+def test_one_level_maps_survive(level):
+    config = configured(domain={"min_level": level, "max_level": level})
+    one = mapped(config, lambda x, y: 0.1 * x, density=5.0, scans=1).snapshot()
+    assert maps.round_trip(one).domain == one.domain
+
+
 def test_records_are_packed_little_endian_with_x_y_z_first():
     kind = maps.record_dtype(maps.CELL_FIELDS)
     assert kind.names[:3] == ("x", "y", "z")
@@ -176,6 +183,14 @@ def test_impossible_values_are_refused(cells, name, value):
     assert "\n" not in str(caught.value)
 
 
+def test_landing_assessment_survives_the_message(cells):
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, vehicle={"diameter": 2.0})
+    once = maps.round_trip(cells)
+    a, b = (LandingSiteSelector(config).assess(m) for m in (once, maps.round_trip(once)))
+    np.testing.assert_array_equal(a.score, b.score)
+    np.testing.assert_array_equal(a.sites.position, b.sites.position)
+
+
 def test_site_table_and_grids(cells):
     config = configured(domain={"xmin": -7.3, "ymin": 102.4}, vehicle={"diameter": 2.0})
     assessment = LandingSiteSelector(config).assess(cells)
@@ -254,6 +269,10 @@ def test_site_orientations_take_z_to_the_normal_and_x_into_the_xz_plane():
     assert (turned[:, 0, 0] > 0.0).all()
     np.testing.assert_allclose(np.linalg.det(turned), 1.0, atol=1e-12)
     np.testing.assert_allclose(maps.site_orientations(normals[-1:]), [[0, 0, 0, 1]], atol=1e-12)
+
+
+def test_no_sites_have_no_orientations():
+    assert maps.site_orientations(np.zeros((0, 3))).shape == (0, 4)
 
 
 def test_a_map_of_another_scale_is_refused_before_anything_is_made_of_it(cells):

@@ -188,8 +188,19 @@ def test_a_moving_and_turning_lidar_maps_the_ground_where_it_is(driver):
     assert cells.z[top].max() == pytest.approx(ROCK[1], abs=0.1)
 
 
-def test_without_deskewing_times_are_not_read():
-    assert flown("Ouster", **{"lidar.deskew": False})[0].sweep is None
+def test_without_the_times_it_is_off_by_what_the_motion_says():
+    ready, points, at, t = flown("Ouster", **{"lidar.deskew": False})
+    assert ready.sweep is None
+    cells, known = mapped(ready)
+    # Where each point is put, and where it should be: the ground is bent by the difference.
+    put = rotation(at).apply(points) + position(at)
+    assert np.abs(put[:, 2]).max() > 1.0
+    for level in np.unique(cells.level[known]):
+        rows = np.flatnonzero(known & (cells.level == level))
+        for row in rows[:10]:
+            inside = np.abs(put[:, :2] - (cells.x[row], cells.y[row])).max(axis=1)
+            near = inside < 0.5 * cells.size[row]
+            assert cells.z[row] == pytest.approx(put[near, 2].mean(), abs=0.35 * cells.size[row])
 
 
 def test_a_flash_with_a_time_for_each_point_gives_the_same_bits_as_without():
