@@ -124,6 +124,7 @@ def test_each_flight_is_a_file_and_told(first):
     assert "--keep 17" in page and "data:image/png" in page and "Safe terrain found" in page
 
 
+@pytest.mark.slow
 def test_two_workers_give_the_same_files(first, study, tmp_path):
     campaign(read_study(study), tmp_path, Where(workers=2))
     assert files(tmp_path) == files(first[0].out)
@@ -157,6 +158,7 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
 
 
 def test_the_campaign_killed_and_resumed(first, study, tmp_path):
+    """By two workers, with the same files as by one."""
     process = start(study, tmp_path, "--workers", 2)
     wait_until(lambda: flown(tmp_path) >= 2)
     children = psutil.Process(process.pid).children(recursive=True)
@@ -171,6 +173,7 @@ def test_the_campaign_killed_and_resumed(first, study, tmp_path):
     assert files(tmp_path) == files(first[0].out)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_loses_nothing(first, study, tmp_path):
     process = start(study, tmp_path, "--workers", 2)
     wait_until(lambda: flown(tmp_path) >= 1)
@@ -183,6 +186,7 @@ def test_a_worker_killed_loses_nothing(first, study, tmp_path):
     assert files(tmp_path) == files(first[0].out)
 
 
+@pytest.mark.slow
 def test_a_scheduler_started_separately(first, study, tmp_path):
     note = tmp_path / "scheduler.json"
     command = [sys.executable, "-m", "distributed.cli"]

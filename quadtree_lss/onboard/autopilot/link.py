@@ -21,8 +21,8 @@ from quadtree_lss.onboard.autopilot.frames import (
     enu,
 )
 from quadtree_lss.onboard.config.settings import ConfigError
+from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
-from quadtree_lss.onboard.messages.poses import MAX_POSITION
 
 ARDUPILOT, PX4 = 3, 12
 """MAV_AUTOPILOT of a heartbeat."""
@@ -279,7 +279,7 @@ class Link:
         if offset is None:
             return None
         stamp, wrong = at_ns + offset, ""
-        if not (np.abs(place) <= MAX_POSITION).all() or (np.abs(velocity) > MAX_POSITION).any():
+        if not (np.abs(place) <= MOST_HEIGHT).all() or (np.abs(velocity) > MOST_HEIGHT).any():
             wrong = "position"
         elif not abs(length - 1.0) < 0.05:
             wrong = "attitude"
