@@ -22,6 +22,7 @@ from quadtree_lss.desk.commands import (
     info,
     replay,
     sites,
+    view,
 )
 from quadtree_lss.desk.commands.common import (
     DONE,
@@ -129,6 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     sites.add(commands)
     compare.add(commands)
     export.add(commands)
+    view.add(commands)
     info.add(commands)
     doctor.add(commands)
     config.add(commands)

@@ -64,10 +64,15 @@ def _write(out: Path, result: ReplayResult, config: Config, report: bool, histor
     write_json(out / "summary.json", result.summary)
     _remove_report(out)
     if report:
-        from quadtree_lss.desk.report.report import report_files  # matplotlib takes long to import
+        write_report(out)
 
-        for name, content in report_files(out).items():
-            write_bytes(out / name, content)
+
+def write_report(out: Path) -> None:
+    """Page and figures of a results folder, made of its other files."""
+    from quadtree_lss.desk.report.report import report_files  # matplotlib takes long to import
+
+    for name, content in report_files(out).items():
+        write_bytes(out / name, content)
 
 
 def _remove_report(out: Path) -> None:

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A results folder as a recording of Rerun: ground, sites, target and scans over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.report.content import Content
+from quadtree_lss.desk.report.palette import EXCLUDED_COLOUR, SAFE_COLOUR, UNSEEN_COLOUR
+from quadtree_lss.onboard.arrays import Array, Bytes, Mask
+
+MOST = 60
+"""Passes that are written."""
+LACKING = "rerun is not installed, which --rerun needs: pip install 'quadtree_lss[rerun]'"
+
+
+def write_rerun(content: Content, path: Path) -> None:
+    """Heights are those at the end, m, map frame; colours: where landing was allowed.
+
+    Raises:
+        ExchangeError: the extra ``rerun`` is not installed, or there is no history.
+    """
+    try:
+        import rerun as rr
+    except ImportError:
+        raise ExchangeError(LACKING) from None
+    grid, history = content.grid, content.history
+    if not len(history.get("answer_stamp_ns", ())):
+        msg = f"there is no history of this map for {path.name}"
+        raise ExchangeError(msg)
+    out = rr.RecordingStream("quadtree_lss")
+    out.save(path)
+    out.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    places, triangles = mesh(grid["x"], grid["y"], grid["elevation"])
+    out.log(
+        "map/ground", rr.Mesh3D(vertex_positions=places, triangle_indices=triangles), static=True
+    )
+    shape = grid["hazard"].shape
+    stamps = history["answer_stamp_ns"]
+    mapped = np.flatnonzero(stamps > 0)
+    for answer in mapped[np.unique(np.linspace(0, len(mapped) - 1, MOST).round().astype(int))]:
+        out.set_time("bag", timestamp=np.datetime64(int(stamps[answer]), "ns"))
+        seen, allowed = (
+            np.unpackbits(history[name][answer], count=shape[0] * shape[1]).astype(bool)
+            for name in ("seen", "allowed")
+        )
+        out.log("map/ground", rr.Mesh3D.from_fields(vertex_colors=colours(seen, allowed)))
+        own = history["site_answer"] == answer
+        sites, likely = history["site_position"][own], history["site_probability"][own]
+        labels = [f"{k}: {100 * p:.1f} %" for k, p in enumerate(likely, start=1)]
+        out.log("map/sites", rr.Points3D(sites, labels=labels, radii=0.3))
+        target = history["target"][answer]
+        place = target[None, 1:] if target[0] else np.zeros((0, 3))
+        out.log("map/target", rr.Points3D(place, radii=0.6, colors=[0, 95, 165]))
+        if len(likely):
+            out.log("probability", rr.Scalars(float(likely[0])))
+    edge = history["scan_outline"]
+    level = np.full((*edge.shape[:2], 1), np.nanmedian(grid["elevation"]))
+    rings = np.concatenate([edge, level], axis=2)
+    for stamp, place, ring in zip(
+        history["scan_stamp_ns"], history["scan_position"], rings, strict=True
+    ):
+        out.set_time("bag", timestamp=np.datetime64(int(stamp), "ns"))
+        out.log("map/lidar", rr.Points3D(place[None], radii=0.5))
+        out.log("map/scan", rr.LineStrips3D([np.vstack([ring, ring[:1]])]))
+    out.flush()
+
+
+def mesh(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    """Vertices (ny nx, 3), and triangles (T, 3) where all corners have a height."""
+    along, across = np.meshgrid(x, y)
+    number = np.arange(z.size).reshape(z.shape)
+    a, b, c, d = (
+        number[i : i + z.shape[0] - 1, j : j + z.shape[1] - 1].ravel()
+        for i, j in ((0, 0), (0, 1), (1, 1), (1, 0))
+    )
+    both = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    known = np.isfinite(z.ravel())
+    places = np.column_stack([along.ravel(), across.ravel(), np.where(known, z.ravel(), 0.0)])
+    return places, both[known[both].all(axis=1)]
+
+
+def colours(seen: Mask, allowed: Mask) -> Bytes:
+    """(N, 3) of grid points by what is known of them."""
+    names = (UNSEEN_COLOUR, EXCLUDED_COLOUR, SAFE_COLOUR)
+    table = np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], np.uint8)
+    return np.asarray(table[np.where(seen, 1 + allowed.astype(int), 0)])

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quadtree-lss view``: the page of whatever is in a folder."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import webbrowser
+
+import pytest
+
+from quadtree_lss.cli import main
+from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.report.rerun_file import MOST
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """What a browser was asked to open."""
+    asked = []
+    monkeypatch.setattr(webbrowser, "open", lambda address: asked.append(address) or True)
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("names", "first"),
+    [
+        (["campaign.html", "report.html"], "campaign.html"),
+        (["flight.html", "report.html"], "flight.html"),
+        (["evaluation/report.html"], "evaluation/report.html"),
+        (["latest/report.html"], "latest/report.html"),
+    ],
+)
+def test_it_opens_what_the_folder_is_of(names, first, opened, tmp_path, capsys):
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("")
+    assert main(["view", str(tmp_path)]) == 0
+    assert opened == [(tmp_path / first).as_uri()]
+    assert capsys.readouterr().out.strip() == str(tmp_path / first)
+
+
+def test_of_results_without_a_page_it_is_made(result, text, opened, tmp_path, capsys):
+    out = shutil.copytree(result.out, tmp_path / "out")
+    shutil.rmtree(out / "figures")
+    (out / "report.html").unlink()
+    assert main(["view", str(out), "--no-open", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "page": str(out / "report.html"),
+        "opened": False,
+    }
+    assert not opened and (out / "report.html").read_text() == text
+
+
+def test_where_nothing_is_to_be_seen_is_one_line(opened, tmp_path, capsys):
+    for folder, words in ((tmp_path, "no page and no results"), (tmp_path / "x", "no such folder")):
+        assert main(["view", str(folder)]) == 1
+        assert words in capsys.readouterr().err
+    assert not opened
+
+
+def test_without_a_browser_it_says_what_to_open(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(webbrowser, "open", lambda address: False)
+    (tmp_path / "report.html").write_text("")
+    assert main(["view", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.strip() == f"open {tmp_path / 'report.html'}"
+
+
+def test_a_recording_of_rerun_holds_what_the_history_does(result, tmp_path):
+    pytest.importorskip("rerun")
+    path = tmp_path / "map.rrd"
+    assert main(["view", str(result.out), "--rerun", str(path)]) == 0
+    command = [sys.executable, "-m", "rerun", "rrd", "stats", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    for name in ("ground", "sites", "target", "lidar", "scan"):
+        assert f"/map/{name}: " in done.stdout
+    rows = re.search(r"num_rows = (\d+)", done.stdout)
+    scans, answers = len(result.timings), len(read(result.out).history["answer_stamp_ns"])
+    assert int(rows[1]) >= 2 * scans + 3 * min(answers, MOST)
+
+
+def test_without_rerun_one_line_names_its_extra(result, monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert main(["view", str(result.out), "--rerun", str(tmp_path / "map.rrd")]) == 1
+    assert "quadtree_lss[rerun]" in capsys.readouterr().err
