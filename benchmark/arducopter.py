@@ -106,7 +106,7 @@ class Copter:
             self.process = subprocess.Popen(
                 [
                     binary, "--model", "quad", "--home", home, "--enable-fgview", "--wipe",
-                    "--rate", str(STEPS_HZ),
+                    "--rate", str(STEPS_HZ), "--speedup", "10",
                     "-I", str(instance), "--defaults", "bench.parm",
                     "--serial0", f"udpclient:127.0.0.1:{ground}",
                     "--serial2", f"udpclient:127.0.0.1:{own}",
@@ -175,7 +175,7 @@ class Copter:
             if packet:
                 values = struct.unpack_from(">3d4f", packet, 8)
                 self._place = (now, (*values[:3], *values[4:]))
-            if now - self._clocked > 0.01:
+            if now - self._clocked > 0.01 and self.armed:
                 self._clocked = now
                 self._tell(now)
             while (message := self._ground.recv_msg()) is not None:
@@ -235,6 +235,7 @@ class Landing:
         outcome: landed, hovered, given to the pilot, flew away, or no start.
         ground: Of a landing: safe, unsafe or withdrawn.
         miss: Truly, from the last target, m.
+        height: Over the target, at which the fault began, m; NaN if it never came.
         seconds: Of the landing, by the simulator.
         pace: Of these for one of real time: less than 1 on a computer too slow.
         states: Of autopilot_node, in order.
@@ -255,6 +256,7 @@ class Landing:
         where = f" on {self.ground} ground{miss}" if self.ground else ""
         way = " ".join(self.states)
         pace = f", pace {self.pace:.2f}"
+        pace += ", the fault never came" if self.fault and math.isnan(self.height) else ""
         return f"{self.seed} {self.fault or 'nominal'}: {self.outcome}{where}{pace} ({way})"
 
 
@@ -309,8 +311,7 @@ class Flight:
             self._args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
             self._env = local.env
             self._stack = stack
-            self.nodes = {name: self._start(name) for name in NODES}
-            self._say_keep_out(np.zeros((0, 2)))
+            self.nodes: dict[str, NodeProcess] = {}
             if self._take_off():
                 self._land()
             elif not self.landing.outcome:
@@ -362,6 +363,11 @@ class Flight:
                     asked = copter.now
                     copter.switch(LOITER)
                     copter.command(ARM_DISARM, 1.0)
+            elif not self.nodes:
+                copter.throttle(1900)
+                copter.set("SIM_SPEEDUP", 1.0)  # until here, nothing happens
+                self.nodes = {name: self._start(name) for name in NODES}
+                self._say_keep_out(np.zeros((0, 2)))
             elif place[2] < HEIGHT_M - 1.5:
                 copter.throttle(1900)
             else:
@@ -395,13 +401,14 @@ class Flight:
                     self._ends.remove((due, end))
             if speed > 0.5:
                 still = now
-            idle = self.state in ("give_up", "pilot", "hold") or self.killed("autopilot_node")
+            over = failed and (self.state in ("pilot", "hold") or self.killed("autopilot_node"))
+            over = (over or self.state == "give_up") and now - still > PATIENCE_S + 3.0
             if farthest > AWAY_M or place[2] > HEIGHT_M + 15.0:
                 landing.outcome = "flew away"
             elif not copter.armed:
                 landing.outcome = "landed"
                 self._judge(place)
-            elif failed and idle and now - still > PATIENCE_S + 3.0 and not self._ends:
+            elif over and not self._ends:
                 pilot = self.state in ("give_up", "pilot") and not self.killed("autopilot_node")
                 landing.outcome = "given to the pilot" if pilot else "hovered"
             elif now - begun > LONGEST_S:
@@ -511,13 +518,14 @@ def main(args: Sequence[str] | None = None) -> int:
             grounds = Counter(one.ground for one in some)
             misses = [one.miss for one in some if one.outcome == "landed"]
             rows.append([
-                name or "none", len(some), grounds["safe"], ends["hovered"],
+                name or "none", len(some), sum(math.isnan(one.height) for one in some if name),
+                grounds["safe"], ends["hovered"],
                 ends["given to the pilot"], grounds["unsafe"] + grounds["withdrawn"],
                 ends["flew away"] + ends["flew on"], ends["no start"],
                 f"{max(misses):.2f}" if misses else "-",
             ])  # fmt: skip
     header = [
-        "fault", "flights", "landed safe", "hovered", "given to the pilot",
+        "fault", "flights", "it never came", "landed safe", "hovered", "given to the pilot",
         "unsafe or withdrawn", "flew away", "no start", "farthest from the target, m",
     ]  # fmt: skip
     table(f"{len(found)} flights, seeds from {given.seed}", header, rows)
