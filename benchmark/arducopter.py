@@ -114,6 +114,7 @@ class Copter:
                 cwd=folder, stdout=output, stderr=subprocess.STDOUT,
             )  # fmt: skip
         self.mode, self.armed, self.texts = -1, False, []
+        self._values: dict[str, float] = {}
         self.cut, self.lost, self.delay = False, False, 0.0
         self.now, self._said, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
         self._tell = tell
@@ -145,9 +146,17 @@ class Copter:
         return at, np.array([east, north, height - HOME[2]]), swap @ ned
 
     def set(self, name: str, value: float) -> None:
-        """A parameter."""
-        for _ in range(3):
+        """A parameter; it is asked for until the autopilot says that it has it.
+
+        Raises:
+            TimeoutError: it never does.
+        """
+        for _ in range(50):
             self._ground.mav.param_set_send(1, 1, name.encode(), value, 9)
+            time.sleep(0.1)
+            if abs(self._values.get(name, math.nan) - value) < 1e-6:
+                return
+        raise TimeoutError(name)
 
     def command(self, number: int, *values: float) -> None:
         """A command of the pilot's."""
@@ -181,6 +190,8 @@ class Copter:
             while (message := self._ground.recv_msg()) is not None:
                 if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
                     self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
+                elif message.get_type() == "PARAM_VALUE":
+                    self._values[message.param_id] = message.param_value
                 elif message.get_type() == "STATUSTEXT":
                     self.texts.append(message.text)
             while (message := self._own.recv_msg()) is not None:
