@@ -154,7 +154,7 @@ class Copter:
         for _ in range(50):
             self._ground.mav.param_set_send(1, 1, name.encode(), value, 9)
             time.sleep(0.1)
-            if abs(self._values.get(name, math.nan) - value) < 1e-6:
+            if math.isclose(self._values.get(name, math.nan), value, rel_tol=1e-5, abs_tol=1e-9):
                 return
         raise TimeoutError(name)
 
