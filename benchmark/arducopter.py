@@ -54,7 +54,7 @@ from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 CONFIG = Path(__file__).parents[1] / "config"
 LOITER, GUIDED = 5, 4
 HOME, RADIUS_M = (-35.363262, 149.165237, 584.0), 6_378_100.0
-HEIGHT_M, SCAN_S, PATIENCE_S = 18.0, 0.2, 12.0
+HEIGHT_M, SCAN_S, PATIENCE_S = 18.0, 0.2, 25.0
 AWAY_M, LONGEST_S, START_S, LONGEST_START_S = 25.0, 150.0, 120.0, 400.0
 STEPS_HZ, BEGAN_S = 800, 1_700_000_000
 POSES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
