@@ -274,8 +274,8 @@ class Landing:
 class Flight:
     """One landing of a seed."""
 
-    def __init__(self, binary: str, seed: int, fault: str, folder: Path) -> None:
-        self.landing, self._folder = Landing(seed, fault), folder
+    def __init__(self, binary: str, seed: int, fault: str, folder: Path, pace: float = 1.0) -> None:
+        self.landing, self._folder, self._pace = Landing(seed, fault), folder, pace
         self._draw = np.random.default_rng(seed)
         made = Conditions().ground("drone", self._draw)
         assert made is not None
@@ -376,7 +376,7 @@ class Flight:
                     copter.command(ARM_DISARM, 1.0)
             elif not self.nodes:
                 copter.throttle(1900)
-                copter.set("SIM_SPEEDUP", 1.0)  # until here, nothing happens
+                copter.set("SIM_SPEEDUP", self._pace)  # until here, nothing happens
                 self.nodes = {name: self._start(name) for name in NODES}
                 self._say_keep_out(np.zeros((0, 2)))
             elif place[2] < HEIGHT_M - 1.5:
@@ -488,13 +488,13 @@ FAULTS = (
 )
 
 
-def fly(case: tuple[str, int, str, Path | None]) -> Landing:
+def fly(case: tuple[str, int, str, Path | None, float]) -> Landing:
     """One flight, in a folder that is gone afterwards unless one is given."""
-    binary, seed, fault, keep = case
+    binary, seed, fault, keep, pace = case
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) if keep is None else keep / f"{seed}"
         folder.mkdir(parents=True, exist_ok=True)
-        return Flight(binary, seed, fault, folder).fly()
+        return Flight(binary, seed, fault, folder, pace).fly()
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -504,6 +504,8 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--faults", type=int, default=60, help="landings with one")
     parser.add_argument("--seed", type=int, default=71000, help="of the first")
     parser.add_argument("--jobs", type=int, default=1, help="flights at once")
+    text = "seconds of the simulator for one: less than 1 where nodes cannot keep up"
+    parser.add_argument("--pace", type=float, default=1.0, help=text)
     parser.add_argument("--keep", type=Path, help="folder for what the processes say")
     given = parser.parse_args(args)
     binary = os.environ.get("ARDUCOPTER", "")
@@ -512,7 +514,8 @@ def main(args: Sequence[str] | None = None) -> int:
         return 0
     faults = [FAULTS[k % len(FAULTS)] for k in range(given.faults)]
     names = [*[""] * given.landings, *faults]
-    cases = [(binary, given.seed + k, name, given.keep) for k, name in enumerate(names)]
+    how = given.keep, given.pace
+    cases = [(binary, given.seed + k, name, *how) for k, name in enumerate(names)]
     found: list[Landing] = []
     with ProcessPoolExecutor(given.jobs) as pool:
         try:
