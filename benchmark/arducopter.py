@@ -54,7 +54,7 @@ from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 CONFIG = Path(__file__).parents[1] / "config"
 LOITER, GUIDED = 5, 4
 HOME, RADIUS_M = (-35.363262, 149.165237, 584.0), 6_378_100.0
-HEIGHT_M, SCAN_S, PATIENCE_S = 18.0, 0.2, 12.0
+HEIGHT_M, SCAN_S, PATIENCE_S = 18.0, 0.2, 25.0
 AWAY_M, LONGEST_S, START_S, LONGEST_START_S = 25.0, 150.0, 120.0, 400.0
 STEPS_HZ, BEGAN_S = 800, 1_700_000_000
 POSES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
@@ -106,7 +106,7 @@ class Copter:
             self.process = subprocess.Popen(
                 [
                     binary, "--model", "quad", "--home", home, "--enable-fgview", "--wipe",
-                    "--rate", str(STEPS_HZ),
+                    "--rate", str(STEPS_HZ), "--speedup", "10",
                     "-I", str(instance), "--defaults", "bench.parm",
                     "--serial0", f"udpclient:127.0.0.1:{ground}",
                     "--serial2", f"udpclient:127.0.0.1:{own}",
@@ -114,6 +114,7 @@ class Copter:
                 cwd=folder, stdout=output, stderr=subprocess.STDOUT,
             )  # fmt: skip
         self.mode, self.armed, self.texts = -1, False, []
+        self._values: dict[str, float] = {}
         self.cut, self.lost, self.delay = False, False, 0.0
         self.now, self._said, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
         self._tell = tell
@@ -145,9 +146,17 @@ class Copter:
         return at, np.array([east, north, height - HOME[2]]), swap @ ned
 
     def set(self, name: str, value: float) -> None:
-        """A parameter."""
-        for _ in range(3):
+        """A parameter; it is asked for until the autopilot says that it has it.
+
+        Raises:
+            TimeoutError: it never does.
+        """
+        for _ in range(50):
             self._ground.mav.param_set_send(1, 1, name.encode(), value, 9)
+            time.sleep(0.1)
+            if math.isclose(self._values.get(name, math.nan), value, rel_tol=1e-5, abs_tol=1e-9):
+                return
+        raise TimeoutError(name)
 
     def command(self, number: int, *values: float) -> None:
         """A command of the pilot's."""
@@ -175,12 +184,14 @@ class Copter:
             if packet:
                 values = struct.unpack_from(">3d4f", packet, 8)
                 self._place = (now, (*values[:3], *values[4:]))
-            if now - self._clocked > 0.01:
+            if now - self._clocked > 0.01 and self.armed:
                 self._clocked = now
                 self._tell(now)
             while (message := self._ground.recv_msg()) is not None:
                 if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
                     self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
+                elif message.get_type() == "PARAM_VALUE":
+                    self._values[message.param_id] = message.param_value
                 elif message.get_type() == "STATUSTEXT":
                     self.texts.append(message.text)
             while (message := self._own.recv_msg()) is not None:
@@ -235,6 +246,7 @@ class Landing:
         outcome: landed, hovered, given to the pilot, flew away, or no start.
         ground: Of a landing: safe, unsafe or withdrawn.
         miss: Truly, from the last target, m.
+        height: Over the target, at which the fault began, m; NaN if it never came.
         seconds: Of the landing, by the simulator.
         pace: Of these for one of real time: less than 1 on a computer too slow.
         states: Of autopilot_node, in order.
@@ -255,14 +267,15 @@ class Landing:
         where = f" on {self.ground} ground{miss}" if self.ground else ""
         way = " ".join(self.states)
         pace = f", pace {self.pace:.2f}"
+        pace += ", the fault never came" if self.fault and math.isnan(self.height) else ""
         return f"{self.seed} {self.fault or 'nominal'}: {self.outcome}{where}{pace} ({way})"
 
 
 class Flight:
     """One landing of a seed."""
 
-    def __init__(self, binary: str, seed: int, fault: str, folder: Path) -> None:
-        self.landing, self._folder = Landing(seed, fault), folder
+    def __init__(self, binary: str, seed: int, fault: str, folder: Path, pace: float = 1.0) -> None:
+        self.landing, self._folder, self._pace = Landing(seed, fault), folder, pace
         self._draw = np.random.default_rng(seed)
         made = Conditions().ground("drone", self._draw)
         assert made is not None
@@ -309,8 +322,7 @@ class Flight:
             self._args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
             self._env = local.env
             self._stack = stack
-            self.nodes = {name: self._start(name) for name in NODES}
-            self._say_keep_out(np.zeros((0, 2)))
+            self.nodes: dict[str, NodeProcess] = {}
             if self._take_off():
                 self._land()
             elif not self.landing.outcome:
@@ -362,6 +374,11 @@ class Flight:
                     asked = copter.now
                     copter.switch(LOITER)
                     copter.command(ARM_DISARM, 1.0)
+            elif not self.nodes:
+                copter.throttle(1900)
+                copter.set("SIM_SPEEDUP", self._pace)  # until here, nothing happens
+                self.nodes = {name: self._start(name) for name in NODES}
+                self._say_keep_out(np.zeros((0, 2)))
             elif place[2] < HEIGHT_M - 1.5:
                 copter.throttle(1900)
             else:
@@ -395,13 +412,14 @@ class Flight:
                     self._ends.remove((due, end))
             if speed > 0.5:
                 still = now
-            idle = self.state in ("give_up", "pilot", "hold") or self.killed("autopilot_node")
+            over = failed and (self.state in ("pilot", "hold") or self.killed("autopilot_node"))
+            over = (over or self.state == "give_up") and now - still > PATIENCE_S + 3.0
             if farthest > AWAY_M or place[2] > HEIGHT_M + 15.0:
                 landing.outcome = "flew away"
             elif not copter.armed:
                 landing.outcome = "landed"
                 self._judge(place)
-            elif failed and idle and now - still > PATIENCE_S + 3.0 and not self._ends:
+            elif over and not self._ends:
                 pilot = self.state in ("give_up", "pilot") and not self.killed("autopilot_node")
                 landing.outcome = "given to the pilot" if pilot else "hovered"
             elif now - begun > LONGEST_S:
@@ -470,13 +488,13 @@ FAULTS = (
 )
 
 
-def fly(case: tuple[str, int, str, Path | None]) -> Landing:
+def fly(case: tuple[str, int, str, Path | None, float]) -> Landing:
     """One flight, in a folder that is gone afterwards unless one is given."""
-    binary, seed, fault, keep = case
+    binary, seed, fault, keep, pace = case
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) if keep is None else keep / f"{seed}"
         folder.mkdir(parents=True, exist_ok=True)
-        return Flight(binary, seed, fault, folder).fly()
+        return Flight(binary, seed, fault, folder, pace).fly()
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -486,6 +504,8 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--faults", type=int, default=60, help="landings with one")
     parser.add_argument("--seed", type=int, default=71000, help="of the first")
     parser.add_argument("--jobs", type=int, default=1, help="flights at once")
+    text = "seconds of the simulator for one: less than 1 where nodes cannot keep up"
+    parser.add_argument("--pace", type=float, default=1.0, help=text)
     parser.add_argument("--keep", type=Path, help="folder for what the processes say")
     given = parser.parse_args(args)
     binary = os.environ.get("ARDUCOPTER", "")
@@ -494,7 +514,8 @@ def main(args: Sequence[str] | None = None) -> int:
         return 0
     faults = [FAULTS[k % len(FAULTS)] for k in range(given.faults)]
     names = [*[""] * given.landings, *faults]
-    cases = [(binary, given.seed + k, name, given.keep) for k, name in enumerate(names)]
+    how = given.keep, given.pace
+    cases = [(binary, given.seed + k, name, *how) for k, name in enumerate(names)]
     found: list[Landing] = []
     with ProcessPoolExecutor(given.jobs) as pool:
         try:
@@ -511,13 +532,14 @@ def main(args: Sequence[str] | None = None) -> int:
             grounds = Counter(one.ground for one in some)
             misses = [one.miss for one in some if one.outcome == "landed"]
             rows.append([
-                name or "none", len(some), grounds["safe"], ends["hovered"],
+                name or "none", len(some), sum(math.isnan(one.height) for one in some if name),
+                grounds["safe"], ends["hovered"],
                 ends["given to the pilot"], grounds["unsafe"] + grounds["withdrawn"],
                 ends["flew away"] + ends["flew on"], ends["no start"],
                 f"{max(misses):.2f}" if misses else "-",
             ])  # fmt: skip
     header = [
-        "fault", "flights", "landed safe", "hovered", "given to the pilot",
+        "fault", "flights", "it never came", "landed safe", "hovered", "given to the pilot",
         "unsafe or withdrawn", "flew away", "no start", "farthest from the target, m",
     ]  # fmt: skip
     table(f"{len(found)} flights, seeds from {given.seed}", header, rows)

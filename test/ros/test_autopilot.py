@@ -15,14 +15,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4
 from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS, record_dtype
 from quadtree_lss.onboard.messages.outputs import MessageMaker
-from quadtree_lss.onboard.nodes.qos import latched, target
-from quadtree_lss.onboard.nodes.ros_messages import TYPES, header_message, packed
+from quadtree_lss.onboard.nodes.qos import latched, stream, target
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, header_message, packed, time_message
 
 pytestmark = pytest.mark.xdist_group("ros_autopilot")
 FAST = {
@@ -38,7 +39,7 @@ FAST = {
 class Scene:
     """A model in the air, the node, and a stand-in for lss_node that speaks when it is stepped."""
 
-    def __init__(self, ros, listener, model, **parameters):
+    def __init__(self, ros, listener, model, pace=None, **parameters):
         self.model, self.listener = model, listener
         self.place, self.map_age, self.silent = (0.0, 0.0, 0.0), 0.2, False
         self.says = State.HOLDS
@@ -53,6 +54,18 @@ class Scene:
         node.create_subscription(Odometry, "nav/odometry", self.odometry.append, every)
         given = {"connection": model.connection, **FAST, **parameters}
         options = [o for k, v in given.items() for o in ("-p", f"autopilot.{k}:={v}")]
+        if pace is not None:
+            clock, began = (
+                node.create_publisher(Clock, "/clock", stream(10, reliable=True)),
+                time.time(),
+            )
+
+            def tell():
+                now = began + pace * (time.time() - began)
+                clock.publish(Clock(clock=time_message(round(1e9 * now))))
+
+            node.create_timer(0.01, tell)
+            options += ["-p", "use_sim_time:=true"]
         self.node = ros.start("autopilot_node", *options)
         self._maker, self._due = MessageMaker(TYPES, packed, "map"), 0.0
         timer = node.create_timer(0.1, self._say)
@@ -225,6 +238,16 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     said = flight.listener.wait_for(lambda: any("jumped" in text for text in model.texts))
     assert said, model.texts
     assert model.landed_at is None
+
+
+def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
+    """A simulator of a quarter of real time: two seconds of silence are half a second."""
+    flight = scene(place=(0.0, 0.0, 5.5), pace=0.25, max_pose_age=5.0)  # the model's time is ours
+    flight.handed_over().below(4.0)
+    flight.silent = True
+    flight.listener.wait_for(lambda: False, timeout=2.0)
+    assert flight.states[-1] == "descend"
+    flight.until("wave_off").flies_up_and_stays()
 
 
 def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
