@@ -460,13 +460,13 @@ class Landings:
 
     def risk(self, table: RiskTable) -> Array:
         """(K,) P(unsafe)."""
-        slope = self.around.planes.slope
-        return table.risk(self.raster, self.around.judged, slope, self.worst)[0][self.counts]
+        gradient = self.around.planes.gradient
+        return table.risk(self.raster, self.around.judged, gradient, self.worst)[0][self.counts]
 
     def asked(self, table: RiskTable) -> Single:
         """(K, len(ASKED)) what a model asks of each place."""
-        slope = self.around.planes.slope
-        of = table.features(self.raster, self.around.judged, slope, self.worst)[:, self.counts].T
+        gradient = self.around.planes.gradient
+        of = table.features(self.raster, self.around.judged, gradient, self.worst)[:, self.counts].T
         overall = table.overall(self.raster.domain.finest_size)
         all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
         return np.hstack([of, all_over]).astype(np.float32)
