@@ -109,12 +109,12 @@ def landed(config, cells):
     raster = rasterise(cells, lss)
     around = look_around(raster, lss)
     worst = TouchdownCheck(lss, limits(MODEL, lss)).worst(raster, around.met)
-    return raster, around.judged, around.planes.slope, worst
+    return raster, around.judged, around.planes.gradient, worst
 
 
 def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     config, cells = rough_ground
-    raster, judged, slope, worst = given = landed(config, cells)
+    raster, judged, gradient, worst = given = landed(config, cells)
     table = RiskTable(MODEL, config.lss, 0.06)
     found = dict(zip(LOCAL, table.features(*given), strict=True))
     side, c, steep = raster.domain.finest_size, 0.3, np.tan(np.radians(10.0))
@@ -144,7 +144,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     places = square_means(judged, about, about + 1, size)
     rocks = judged & (found["rise"] > 1.0) & (found["tilt"] <= 1.0)
     assert 0.02 < rocks.mean() < 0.9
-    for name, values in (("rocks", rocks), ("slopes", judged * np.tan(slope) / steep)):
+    for name, values in (("rocks", rocks), ("slopes", judged * gradient / steep)):
         with np.errstate(invalid="ignore", divide="ignore"):
             means = square_means(values, about, about + 1, size) / places
         means = np.sqrt(means) if name == "rocks" else means
@@ -154,7 +154,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
 @pytest.mark.parametrize("noise", [0.06, 0.03])
 def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     config, cells = rough_ground
-    raster, judged, slope, worst = given = landed(config, cells)
+    raster, judged, gradient, worst = given = landed(config, cells)
     table = RiskTable(MODEL, config.lss, noise)
     found, cause = table.risk(*given)
     of = dict(zip(LOCAL, table.features(*given)[:, judged].astype(float), strict=True))
@@ -241,8 +241,8 @@ def test_ground_that_no_return_is_from_raises_the_risk(rough_ground):
         left = np.bincount(cells.leaf_raster()[known], minlength=len(leaves))
         count = (cells.count * left / np.maximum(before, 1)).astype(np.uint32)
         thin = replace(flat, known=known, observed=known, count=count)
-        raster, judged, slope, worst = landed(config, thin)
-        told.append(table.risk(raster, judged, slope, worst)[0][inner])
+        raster, judged, gradient, worst = landed(config, thin)
+        told.append(table.risk(raster, judged, gradient, worst)[0][inner])
     for fewer, more in zip(told, told[1:], strict=False):
         assert (more >= fewer - 1e-6).mean() > 0.98
         assert (more > fewer).mean() > 0.5

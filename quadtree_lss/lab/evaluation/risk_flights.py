@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -253,12 +254,12 @@ def _descent(rng: np.random.Generator) -> View:
     return View(times, at, look_at(at, aims, NORTH), beams)
 
 
-def _wide(rng: np.random.Generator) -> View:
-    """Over the ground, looking down with a wide or a spinning lidar."""
+def _wide(rng: np.random.Generator, rate: float | None = None) -> View:
+    """Over the ground, looking down with a wide or a spinning lidar; at a rate, Hz, or any."""
     high = rng.uniform(90.0, 190.0)
     begin = np.array([*rng.uniform(-45.0, 45.0, 2), high])
     end = np.array([*(-begin[:2] * rng.uniform(0.2, 1.0)), high * rng.uniform(0.5, 1.0)])
-    times, at = _passed(rng, begin, end)
+    times, at = _passed(rng, begin, end, rate)
     aims = np.column_stack([at[:, :2] + rng.uniform(-0.2, 0.2, 2) * high, np.zeros(len(at))])
     lines = int(rng.choice([16, 32, 64])) if rng.random() < 0.6 else 0
     pixels, fov = int(rng.choice([64, 96, 128])), rng.uniform(40.0, 80.0)
@@ -286,10 +287,14 @@ def _few(rng: np.random.Generator) -> View:
     return View(times, at, look_at(at, aims, NORTH), pixel_beams(fov, fov, columns, rows))
 
 
-def _passed(rng: np.random.Generator, begin: Array, end: Array) -> tuple[Array, Array]:
-    """Times, and places between two."""
+def _passed(
+    rng: np.random.Generator, begin: Array, end: Array, rate: float | None = None
+) -> tuple[Array, Array]:
+    """Times, of a rate or 12 to 119 at random, and places between two."""
     duration = rng.uniform(8.0, 40.0)
-    times = np.sort(rng.uniform(0.0, duration, int(rng.integers(12, 120))))
+    count = int(rng.integers(12, 120))
+    times = np.sort(rng.uniform(0.0, duration, count))
+    times = times if rate is None else np.arange(0.0, duration, 1.0 / rate)
     share = (times / duration)[:, None]
     return times, begin + (end - begin) * share * (1.25 - 0.25 * share)
 
@@ -300,6 +305,7 @@ VIEWS: dict[str, Callable[[np.random.Generator], View]] = {
     "oblique": _oblique,
     "descent": _descent,
     "wide": _wide,
+    "scanning": partial(_wide, rate=10.0),
     "few": _few,
 }
 
@@ -446,13 +452,13 @@ class Landings:
 
     def risk(self, table: RiskTable) -> Array:
         """(K,) P(unsafe)."""
-        slope = self.around.planes.slope
-        return table.risk(self.raster, self.around.judged, slope, self.worst)[0][self.counts]
+        gradient = self.around.planes.gradient
+        return table.risk(self.raster, self.around.judged, gradient, self.worst)[0][self.counts]
 
     def asked(self, table: RiskTable) -> Single:
         """(K, len(ASKED)) what a model asks of each place."""
-        slope = self.around.planes.slope
-        of = table.features(self.raster, self.around.judged, slope, self.worst)[:, self.counts].T
+        gradient = self.around.planes.gradient
+        of = table.features(self.raster, self.around.judged, gradient, self.worst)[:, self.counts].T
         overall = table.overall(self.raster.domain.finest_size)
         all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
         return np.hstack([of, all_over]).astype(np.float32)

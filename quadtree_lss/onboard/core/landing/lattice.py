@@ -65,12 +65,13 @@ def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
 @dataclass(frozen=True)
 class GroundPlanes:
     """Least-squares plane of the map over a disc about each grid point: arrays (n + 1, n + 1).
-    ``elevation``: height at the grid point, m. ``slope_x``, ``slope_y``: dz/dx, dz/dy. ``slope``:
-    angle to the horizontal, rad."""
+    ``elevation``: height at the grid point, m. ``slope_x``, ``slope_y``: dz/dx, dz/dy.
+    ``gradient``: rise over run. ``slope``: angle to the horizontal, rad."""
 
     elevation: Array
     slope_x: Array
     slope_y: Array
+    gradient: Array
     slope: Array
 
 
@@ -88,7 +89,8 @@ def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> G
     out = np.empty((3, len(elevation) + 1, len(elevation) + 1))
     disc_moments(elevation, np.mean(elevation), over.half, seen.view(np.uint8), square, out)
     height, slope_x, slope_y = out
-    return GroundPlanes(height, slope_x, slope_y, np.arctan(np.sqrt(slope_x**2 + slope_y**2)))
+    gradient = np.sqrt(slope_x**2 + slope_y**2)
+    return GroundPlanes(height, slope_x, slope_y, gradient, np.arctan(gradient))
 
 
 def touching(cells: Bytes) -> Bytes:

@@ -137,14 +137,14 @@ class RiskTable:
         }
 
     def features(
-        self, raster: TerrainRaster, judged: Mask, slope: Array, worst: WorstContact
+        self, raster: TerrainRaster, judged: Mask, gradient: Array, worst: WorstContact
     ) -> Single:
         """What the model asks of each grid point, (F, n + 1, n + 1) in the order of `LOCAL`.
 
         Args:
             raster: The map.
             judged: (n + 1, n + 1) grid points where all ground under the lander is seen.
-            slope: (n + 1, n + 1) of the ground at the lander's scale, rad.
+            gradient: (n + 1, n + 1) of the ground at the lander's scale, rise over run.
             worst: The lander's worst contacts on the map, at those and beside them.
         """
         vehicle, side, cells = self._vehicle, raster.domain.finest_size, raster.cells
@@ -172,7 +172,7 @@ class RiskTable:
         np.maximum(share, np.float32(1e-6), out=share)
         rises = (judged & (out[0] > 1.0) & (out[2] <= 1.0)).astype(np.float32)
         set_means(rises, about, 1, out[5])
-        inclined = (places * np.tan(slope)).astype(np.float32) / np.float32(steep)
+        inclined = (places * gradient).astype(np.float32) / np.float32(steep)
         set_means(inclined, about, 1, out[6])
         out[5:7] /= share
         np.sqrt(out[5], out=out[5])
@@ -180,7 +180,7 @@ class RiskTable:
         return out
 
     def risk(
-        self, raster: TerrainRaster, judged: Mask, slope: Array, worst: WorstContact
+        self, raster: TerrainRaster, judged: Mask, gradient: Array, worst: WorstContact
     ) -> tuple[Array, Bytes]:
         """P(unsafe) of landing at each grid point, and what most of it comes from.
 
@@ -189,7 +189,7 @@ class RiskTable:
         Returns:
             (n + 1, n + 1) probabilities, 1 where it is not judged; and numbers in `CAUSES`.
         """
-        places = self.features(raster, judged, slope, worst)
+        places = self.features(raster, judged, gradient, worst)
         of = self.overall(raster.domain.finest_size)
         constant = np.array([self._model.causes[name].at(of) for name in CAUSES])
         out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)

@@ -143,7 +143,7 @@ def assess_points(
     hazard = touching(bits)
     risk, cause = np.full(around.room.shape, np.nan), np.zeros(around.room.shape, dtype=np.uint8)
     if worst is not None and table is not None:
-        risk, cause = table.risk(raster, around.judged, around.planes.slope, worst)
+        risk, cause = table.risk(raster, around.judged, around.planes.gradient, worst)
     if worst is None or check is None or lss.assessment == "paper":
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the drone's preset, alone, calls safe: at the ends of flights over simulated ground.
+
+They last 8 to 40 s, 15 to 31 m high at first, at 10 Hz, with wide and spinning lidars of 4,000 to
+33,000 beams. Judged are the grid points under whose lander all ground is seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from common import configuration, machine, table
+from scipy.ndimage import distance_transform_edt
+
+from quadtree_lss.lab.campaign.study import parse_seeds
+from quadtree_lss.lab.evaluation.risk_fit import ASKED
+from quadtree_lss.lab.evaluation.risk_flights import Family, fly, land, table_of
+from quadtree_lss.lab.simulation.hazard_field import FIELDS
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.risk import risk_model
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.yaml_text import parse_yaml
+
+GROUNDS = (*FIELDS, "mixed", "bare")
+LIMITS = (0.002, 0.004, 0.006, 0.008, 0.012, 0.02, 0.05)
+#: Where ground is seen so well (log10 of returns on a square as wide as the clearance), and better.
+WELL = 1.2
+HEADER = ["judged, %", "unsafe, %", "kept of the safe, %", "called safe of the unsafe, %"]
+HEADER += ["unsafe of what is called safe, %", "deepest, m"]
+
+
+def main() -> None:
+    """Print a row for each ground, and for each `max_risk`."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", default="94000-94026", help="dealt to the grounds in turn")
+    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE")
+    options = parser.parse_args()
+    changes = (one.split("=", 1) for one in options.set)
+    config = configuration("drone", **{k.replace(".", "__"): parse_yaml(v) for k, v in changes})
+    print(machine())
+    flights: list[tuple[str, Array]] = []
+    for number, seed in enumerate(parse_seeds(options.seeds)):
+        ground = GROUNDS[number % len(GROUNDS)]
+        flights.append((ground, judged(ground, seed, config)))
+        print(f"seed {seed}, {ground}: {', '.join(row(flights[-1][1], config))}", flush=True)
+    every = np.concatenate([of for _, of in flights], axis=1)
+    well = [of for _, of in flights if np.median(of[2][np.isfinite(of[2])]) >= WELL]
+    rows = [
+        [name, *row(np.concatenate([of for kind, of in flights if kind == name], axis=1), config)]
+        for name in dict.fromkeys(kind for kind, _ in flights)
+    ]
+    rows.append([f"{len(flights)} flights", *row(every, config)])
+    rows.append([f"{len(well)} that see well", *row(np.concatenate(well, axis=1), config)])
+    table(f"max_risk {config.lss.max_risk:g}", ["ground", *HEADER], rows)
+    header = ["max_risk", *HEADER[2:]]
+    table("All flights", header, [[f"{t:g}", *row(every, config, t)[2:]] for t in LIMITS])
+
+
+def judged(ground: str, seed: int, config: Config) -> Array:
+    """(3, K) of grid points: risk, NaN where it is not judged; how deep they lie in unsafe ground,
+    m, 0 where it is safe; how well they are seen."""
+    mapped = fly(Family(grounds=(ground,), views=("scanning",)), seed, config)[-1]
+    model = risk_model("")
+    landings = land(mapped, model)
+    told = table_of(model, mapped.config)
+    risk, seen = np.full((2, *mapped.known.shape), np.nan)
+    risk[landings.counts] = landings.risk(told)
+    seen[landings.counts] = landings.asked(told)[:, ASKED.index("seen")]
+    deep = distance_transform_edt(~mapped.safe) * mapped.cells.domain.finest_size
+    return np.stack([risk, deep, seen])[:, mapped.known]
+
+
+def row(points: Array, config: Config, limit: float | None = None) -> list[str]:
+    """As `HEADER` says."""
+    some = points[:, np.isfinite(points[0])]
+    unsafe, told = some[1] > 0.0, some[0] <= (config.lss.max_risk if limit is None else limit)
+    missed = told & unsafe
+    shares = (
+        (np.isfinite(points[0]).mean(), 1),
+        (unsafe.mean() if unsafe.size else np.nan, 1),
+        (told[~unsafe].mean() if (~unsafe).any() else np.nan, 1),
+        (told[unsafe].mean() if unsafe.any() else np.nan, 2),
+        (unsafe[told].mean() if told.any() else np.nan, 3),
+    )
+    deepest = some[1][missed].max() if missed.any() else 0.0
+    return [*(f"{100.0 * value:.{digits}f}" for value, digits in shares), f"{deepest:.2f}"]
+
+
+if __name__ == "__main__":
+    main()
