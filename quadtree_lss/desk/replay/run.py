@@ -195,7 +195,7 @@ class Run:
             self._decode_ms.clear()  # those of dropped scans
         if self.history is not None:
             self.history.scan(scan)
-        self.points_dropped.update(report.dropped)
+        self.points_dropped.update(scan.lost(report.dropped))
         if misplaced(report) and not self._missed_why:
             self._missed_at = report.centre
             self._missed_why = likely_reason(scan.points_lidar, scan.pose, self.config)
