@@ -32,6 +32,8 @@ ALONE = any(os.path.basename(word) == os.path.basename(__file__) for word in sys
 TOPICS = {
     "mapping_node": (
         "lidar/points",
+        "depth/image",
+        "depth/camera_info",
         "lidar/gimbal",
         "nav/pose",
         "nav/odometry",

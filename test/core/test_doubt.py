@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, mapped
 
+from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.doubt import MOST_BRIDGED, Hindsight, coverage
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -31,6 +33,13 @@ def test_risks_that_do_not_come_true_are_told():
     said = judged_again(0.01, 0.04)
     assert "told 1 % of risk at first, 4 % is unsafe" in said
     assert judged_again(0.04, 0.01) == ""  # too bold is what matters
+
+
+def test_noise_of_stereo_is_doubted_where_it_grows():
+    stereo = {"lidar.noise_model": "stereo", "lidar.disparity_sigma": 0.08}
+    for far, doubted in ((2.0, False), (8.0, True)):
+        said = doubt(config_from_values({**stereo, "lidar.max_range": far}))
+        assert ("not one of stereo up to 0.27" in said) is doubted, said
 
 
 def test_what_is_right_on_average_is_no_doubt():

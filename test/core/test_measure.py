@@ -244,6 +244,19 @@ def test_a_fit_weighs_by_the_noise_at_its_range():
     assert np.sqrt(far.variance / near.variance) == pytest.approx(0.2 / 0.04, rel=0.01)
 
 
+def test_noise_of_stereo_goes_with_the_square_of_the_depth():
+    """And is common to range and depth by the angle between them: seen from beside, too."""
+    lidar = {"range_noise": 0.02, "noise_model": "stereo", "disparity_sigma": 0.1}
+    of = Rules(configured(lidar={**lidar, "focal_length": 400.0, "baseline": 0.05}))
+    of.look(np.array([0.0, 0.0, -1.0]))
+    cloud, given = tilted(np.random.default_rng(13), 7, 0.0), (2.0, NORMAL, NO_POSE)
+    for up, aside in ((2.0, 0.0), (8.0, 0.0), (8.0, 8.0)):
+        found = fit(of, cloud + (aside, 0.0, -up), aside, 0.0, *given)[0]
+        z, distance = -found.centroid[2], np.linalg.norm(np.array(found.centroid))
+        along = np.hypot(0.02, 0.1 * z * distance / 20.0)
+        assert np.sqrt(found.variance) == pytest.approx(along * found.cosine, rel=1e-6)
+
+
 def test_ground_that_is_no_plane_leaves_its_height_uncertain_however_many_points_tell_it():
     """By the mean square residual that noise does not explain."""
     rng = np.random.default_rng(14)

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from messages.samples import cloud, pose
+from messages.samples import cloud, header, pose
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -186,6 +188,91 @@ def test_a_moving_and_turning_lidar_maps_the_ground_where_it_is(driver):
     assert cells.normal[ground, 2].min() > np.cos(0.01)
     top = known & (away < 0.4) & (cells.size < 0.6)
     assert cells.z[top].max() == pytest.approx(ROCK[1], abs=0.1)
+
+
+#: Fields of a point as each driver sends them: name, type, byte; bytes of a point; the field of
+#: times, as in `LAYOUTS`; whether a scan is an image of lines, and how it says "no return".
+XYZ = [("x", "f4", 0), ("y", "f4", 4), ("z", "f4", 8)]
+DRIVERS = {
+    "Ouster": (
+        [("intensity", "f4", 16), ("t", "u4", 20), ("reflectivity", "u2", 24), ("ring", "u2", 26),
+         ("ambient", "u2", 28), ("range", "u4", 32)], 48, "Ouster", True, 0.0,
+    ),
+    "Velodyne": (
+        [("intensity", "f4", 12), ("ring", "u2", 16), ("time", "f4", 18)], 22, "Velodyne", False,
+        np.nan,
+    ),
+    "Velodyne, organised": (
+        [("intensity", "f4", 12), ("ring", "u2", 16), ("time", "f4", 18)], 22,
+        "Velodyne, stamped at the end", True, np.nan,
+    ),
+    "Hesai": (
+        [("intensity", "f4", 12), ("ring", "u2", 16), ("timestamp", "f8", 18)], 26, "Hesai", False,
+        np.nan,
+    ),
+    "Hesai, of PCL": (
+        [("intensity", "f4", 16), ("ring", "u2", 20), ("timestamp", "f8", 24)], 32, "Hesai", False,
+        np.nan,
+    ),
+    "Nebula": (
+        [("intensity", "u1", 12), ("return_type", "u1", 13), ("channel", "u2", 14),
+         ("azimuth", "f4", 16), ("elevation", "f4", 20), ("distance", "f4", 24),
+         ("time_stamp", "u4", 28)], 32, "Livox, offsets", False, np.nan,
+    ),
+    "Livox": (
+        [("intensity", "f4", 12), ("tag", "u1", 16), ("line", "u1", 17), ("timestamp", "f8", 18)],
+        26, "Livox", False, 0.0,
+    ),
+}  # fmt: skip
+CODES = {"u1": 2, "u2": 4, "u4": 6, "f4": 7, "f8": 8}
+
+
+def drivers_cloud(driver, points, times, stamp):
+    """A cloud built field by field; what is no coordinate and no time is anything."""
+    others, step, layout, image, _ = DRIVERS[driver]
+    count, timed = len(points), "time_stamp" if driver == "Nebula" else LAYOUTS[layout][0]
+    data = np.random.default_rng(1).integers(0, 256, count * step, dtype=np.uint8)
+    fields = []
+    for name, kind, offset in XYZ + others:
+        view = np.ndarray(count, f"<{kind}", data, offset, (step,))
+        if name in "xyz":
+            view[:] = points[:, "xyz".index(name)]
+        elif name == timed:
+            view[:] = times
+        fields.append(SimpleNamespace(name=name, offset=offset, datatype=CODES[kind], count=1))
+    height = LINES if image else 1
+    return SimpleNamespace(
+        header=header(stamp, "lidar"), height=height, width=count // height, fields=fields,
+        is_bigendian=False, point_step=step, row_step=step * count // height, data=data,
+        is_dense=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_a_cloud_as_its_driver_sends_it_is_read_without_a_setting(driver):
+    """Points, times and de-skewing: the same scan for all of them maps the same ground."""
+    _, _, layout, image, none = DRIVERS[driver]
+    start, shift = 0.05, 99_900_000 if layout.endswith("end") else 0
+    points, seconds = scan_lines(start)
+    points[7] = none
+    stamp, intake = STAMP + shift, Intake(config_from_values({}))
+    msg = drivers_cloud(driver, points, LAYOUTS[layout][2](seconds), stamp)
+    for k in range(30):
+        t = 0.01 * k - 0.003
+        turn = rotation(t).as_quat()
+        at = STAMP + round((t - start) * 1e9)
+        intake.on_pose(pose(at, position(t), turn, 1e-9 * np.eye(6)))
+    assert intake.on_cloud(msg, 0) == stamp
+    (ready,) = intake.ready(0)
+    assert not intake.rejected and not intake.notices()
+    assert ready.points_lidar.ndim == (3 if image else 2)
+    read = ready.points_lidar.reshape(-1, 3)
+    np.testing.assert_array_equal(np.delete(read, 7, 0), np.delete(points, 7, 0).astype(np.float32))
+    offsets = np.delete(ready.sweep.offsets * 1e-9 + shift * 1e-9, 7)
+    np.testing.assert_allclose(offsets, np.delete(seconds, 7), atol=LAYOUTS[layout][3] * 1e-9)
+    cells, known = mapped(ready)
+    ground = known & (np.hypot(cells.x - ROCK[0][0], cells.y - ROCK[0][1]) > ROCK[1] + cells.size)
+    assert ground.sum() > 50 and np.abs(cells.z[ground]).max() < 0.01
 
 
 def test_without_the_times_it_is_off_by_what_the_motion_says():

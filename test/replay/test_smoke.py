@@ -17,6 +17,7 @@ SHIPPED = sorted(path.stem for path in Path(find_config("default")).parent.glob(
 def flight(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flight")
     simulate("parabola", folder / "bag", seed=5, duration=4.0)
+    simulate("depth", folder / "depth" / "bag", seed=5, duration=1.6)
     return folder
 
 
@@ -30,6 +31,7 @@ def run_all(capsys, *commands):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_each_command_with_each_shipped_configuration(flight, tmp_path, capsys, name):
     out, chosen = tmp_path / "out", ["--config", name]
+    flight = flight / "depth" if name == "depth_camera" else flight
     run_all(
         capsys,
         ["info", flight / "bag", *chosen],

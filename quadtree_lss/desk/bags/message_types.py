@@ -19,6 +19,8 @@ SCAN_TYPE = CLOUD_TYPE
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 POSE_TYPES = (POSE_TYPE, ODOMETRY_TYPE)
+IMAGE_TYPE, CAMERA_TYPE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+SCAN_TYPES = (SCAN_TYPE, IMAGE_TYPE)
 GIMBAL_TYPE = "geometry_msgs/msg/TransformStamped"
 TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
 
@@ -47,6 +49,13 @@ _FIELDS = {
     "geometry_msgs/Pose pose",
     SCAN_TYPE: f"{_HEADER}\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
     "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense",
+    IMAGE_TYPE: f"{_HEADER}\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
+    "uint32 step\nuint8[] data",
+    "sensor_msgs/msg/RegionOfInterest": "uint32 x_offset\nuint32 y_offset\nuint32 height\n"
+    "uint32 width\nbool do_rectify",
+    CAMERA_TYPE: f"{_HEADER}\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
+    "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
+    "sensor_msgs/RegionOfInterest roi",
     POSE_TYPE: f"{_HEADER}\ngeometry_msgs/PoseWithCovariance pose",
     ODOMETRY_TYPE: f"{_HEADER}\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
     "geometry_msgs/TwistWithCovariance twist",
@@ -64,7 +73,7 @@ _FIELDS = {
 }
 """By type its fields, a line each."""
 OURS = (SCAN_TYPE, *POSE_TYPES, GIMBAL_TYPE, TRANSFORMS_TYPE, GRID_TYPE, POLYGON_TYPE, POINT_TYPE)
-OURS = (*OURS, INSTANCE_TYPE, POSES_TYPE, GRID_MAP_TYPE)
+OURS = (*OURS, INSTANCE_TYPE, POSES_TYPE, GRID_MAP_TYPE, IMAGE_TYPE, CAMERA_TYPE)
 
 
 def typestore(ros1: bool, wanted: Collection[str] = OURS) -> Typestore:

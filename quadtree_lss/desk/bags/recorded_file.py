@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, DamagedError, unpack
-from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_TYPE
+from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_TYPES
 
 HOUR_NS = 3600 * 10**9
 YEAR_NS = 365 * 24 * HOUR_NS
@@ -140,7 +140,7 @@ class RecordedFile(ABC):
 
     def _stamps(self) -> NDArray[np.int64]:
         """(M,) stamps in the messages' headers, -1 where there is none that we know."""
-        stamped = (SCAN_TYPE, *POSE_TYPES, GIMBAL_TYPE)
+        stamped = (*SCAN_TYPES, *POSE_TYPES, GIMBAL_TYPE)
         known = [channel for channel, (_, kind) in self.topics.items() if kind in stamped]
         out = np.full(len(self.index), -1)
         places = np.flatnonzero(np.isin(self.index["channel"], known))

@@ -4,11 +4,18 @@
 from __future__ import annotations
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.message_types import ODOMETRY_TYPE, POSE_TYPE
+from quadtree_lss.desk.bags.message_types import (
+    CAMERA_TYPE,
+    IMAGE_TYPE,
+    ODOMETRY_TYPE,
+    POSE_TYPE,
+    SCAN_TYPE,
+)
 from quadtree_lss.onboard.messages.landing_inputs import TYPES
 from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
 
 SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
+DEPTH_TOPIC, CAMERA_TOPIC = "/depth/image", "/depth/camera_info"
 ODOMETRY_TOPIC, TRANSFORMS_TOPIC = "/nav/odometry", "/tf_static"
 
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
@@ -49,14 +56,34 @@ def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, st
     kinds = [(POSE_TOPIC, POSE_TYPE), (ODOMETRY_TOPIC, ODOMETRY_TYPE)]
     if source == "odometry":
         kinds.reverse()
+    return _choose(bag, asked, kinds, "--pose-topic")
+
+
+def choose_scan_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str, str]:
+    """Topic and type of the scans, as of `choose_pose_topic` by ``lidar.source``, and the topic of
+    the CameraInfo of depth images, empty for clouds. Raises `BagError`: lists the candidates."""
+    kinds = [(SCAN_TOPIC, SCAN_TYPE), (DEPTH_TOPIC, IMAGE_TYPE)]
+    if source == "depth":
+        kinds.reverse()
+    topic, kind = _choose(bag, asked, kinds, "--scan-topic")
+    if kind == SCAN_TYPE:
+        return topic, kind, ""
+    beside = topic.rpartition("/")[0] + "/camera_info"
+    return topic, kind, choose_topic(bag, None, beside, CAMERA_TYPE, "the CameraInfo")
+
+
+def _choose(
+    bag: Bag, asked: str | None, kinds: list[tuple[str, str]], option: str
+) -> tuple[str, str]:
+    """Of two types the first that is there, or that of the topic asked for."""
     names = set() if asked is None else {asked, f"/{asked}"}
     for default, kind in kinds:
         there = [t.name for t in bag.topics if t.type == kind and t.count]
         if asked is None:
             there = [name for name in there if not name.endswith(OUTPUTS)]
         if there and (asked is None or names & set(there)):
-            return choose_topic(bag, asked, default, kind, "--pose-topic"), kind
-    return choose_topic(bag, asked, kinds[0][0], kinds[0][1], "--pose-topic"), kinds[0][1]
+            return choose_topic(bag, asked, default, kind, option), kind
+    return choose_topic(bag, asked, kinds[0][0], kinds[0][1], option), kinds[0][1]
 
 
 def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]:

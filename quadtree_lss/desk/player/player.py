@@ -25,15 +25,24 @@ from rclpy.publisher import Publisher
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, DamagedError, unpack
-from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, ODOMETRY_TYPE, POSE_TYPE, SCAN_TYPE
+from quadtree_lss.desk.bags.message_types import (
+    CAMERA_TYPE,
+    GIMBAL_TYPE,
+    IMAGE_TYPE,
+    ODOMETRY_TYPE,
+    POSE_TYPE,
+    SCAN_TYPE,
+)
 from quadtree_lss.desk.bags.recorded_file import RawMessage, stamp_of
 from quadtree_lss.desk.bags.topics import (
+    CAMERA_TOPIC,
+    DEPTH_TOPIC,
     GIMBAL_TOPIC,
     ODOMETRY_TOPIC,
     POSE_TOPIC,
     SCAN_TOPIC,
     choose_pose_topic,
-    choose_topic,
+    choose_scan_topic,
     landing_topics,
 )
 from quadtree_lss.desk.player.clock import SECOND_NS, PlayTime, keys_pressed
@@ -52,6 +61,7 @@ BAR_S = 0.2
 LANDING = {f"/landing/{name}": kind for name, kind in landing_inputs.TYPES.items()}
 MAPS = {f"/{name}": TOPIC_TYPES[name] for name in (CELLS, OBSERVED)}
 KINDS = {SCAN_TOPIC: SCAN_TYPE, POSE_TOPIC: POSE_TYPE, ODOMETRY_TOPIC: ODOMETRY_TYPE}
+KINDS |= {DEPTH_TOPIC: IMAGE_TYPE, CAMERA_TOPIC: CAMERA_TYPE}
 KINDS |= {GIMBAL_TOPIC: GIMBAL_TYPE, **LANDING, **MAPS}
 OPTIONAL = (GIMBAL_TOPIC, *LANDING)
 """Played though nobody may listen."""
@@ -143,7 +153,7 @@ def play(
                 publisher.wait_for_all_acked(Duration(seconds=5))
             counts = {name: sent[recorded] for recorded, name in names.items()}
             return PlayReport(
-                counts.get(SCAN_TOPIC, 0),
+                counts.get(SCAN_TOPIC, 0) + counts.get(DEPTH_TOPIC, 0),
                 counts.get(POSE_TOPIC, 0) + counts.get(ODOMETRY_TOPIC, 0),
                 seconds,
                 tuple(source.losses),
@@ -159,8 +169,10 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
     if pairs is not None:
         return dict(zip(pairs.topics, MAPS, strict=True))
     poses, kind = choose_pose_topic(bag, pose_topic, "pose")
+    scans, _, camera = choose_scan_topic(bag, scan_topic, "points")
     names = {
-        choose_topic(bag, scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic"): SCAN_TOPIC,
+        scans: DEPTH_TOPIC if camera else SCAN_TOPIC,
+        **({camera: CAMERA_TOPIC} if camera else {}),
         poses: ODOMETRY_TOPIC if kind == ODOMETRY_TYPE else POSE_TOPIC,
     }
     names |= {topic: f"/landing/{name}" for topic, name in landing_topics(bag).items()}
@@ -188,11 +200,11 @@ def _send(
     times: PlayTime,
 ) -> dict[str, int]:
     counts = dict.fromkeys(publishers, 0)
-    newest = {name: 0 for name in names.values() if name not in LANDING}
-    scans = SCAN_TOPIC in newest
+    newest = {name: 0 for name in names.values() if name not in (CAMERA_TOPIC, *LANDING)}
+    scans = next((name for name in (SCAN_TOPIC, DEPTH_TOPIC) if name in newest), "")
     for topic, received_ns, raw in messages:
         # A scan that waits for the pose after it during a pause would be dropped by the node.
-        served = not scans or min(newest.values()) == newest[SCAN_TOPIC]
+        served = not scans or min(newest.values()) == newest[scans]
         times.wait_until(received_ns, may_pause=served)
         raw = _serialised(raw)
         publishers[topic].publish(raw)

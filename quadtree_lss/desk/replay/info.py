@@ -14,7 +14,7 @@ import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.cloud_files import open_recording
-from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_TYPE
+from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_TYPE, SCAN_TYPES
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
 from quadtree_lss.desk.replay.files import plain
@@ -150,7 +150,7 @@ def inspect_bag(
 
 def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
     """Of the clouds and poses that are not read: what they may be chosen by."""
-    spans = {t.name: Span() for t in info.topics if t.type in (SCAN_TYPE, *POSE_TYPES)}
+    spans = {t.name: Span() for t in info.topics if t.type in (*SCAN_TYPES, *POSE_TYPES)}
     for topic in info.topics:
         if topic.first_stamp_ns is not None:
             spans.pop(topic.name, None)
@@ -181,7 +181,7 @@ def _read(
             info.scans_with_pose += 1
             scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
             info.points += ready.points_lidar.size // 3
-            dropped.update(lost)
+            dropped.update(ready.lost(lost))
             if not why and not len(scan.key):
                 missed_at = scan.centre
                 why = likely_reason(ready.points_lidar, ready.pose, config)
@@ -216,12 +216,14 @@ def _hear(heard: Heard, bag: Bag, message: RawMessage, stream: Stream, seen: _St
     if message.topic == stream.gimbal:
         heard.add_gimbal(bag.decode(message.raw, GIMBAL_TYPE))
         return
-    kind = SCAN_TYPE if message.topic == stream.scans else stream.pose_type
+    if message.topic == stream.camera:
+        return
+    kind = stream.scan_type if message.topic == stream.scans else stream.pose_type
     msg = bag.decode(message.raw, kind)
     seen.add(msg, message.received_ns)
     if kind == SCAN_TYPE:
         heard.add_cloud(msg)
-    else:
+    elif kind not in SCAN_TYPES:
         heard.add_pose(msg)
 
 

@@ -188,7 +188,7 @@ class Run:
         if len(self._decode_ms) > 2 * self.config.pose.queue:
             self._decode_ms.clear()  # those of dropped scans
         self.history.scan(scan)
-        self.points_dropped.update(report.dropped)
+        self.points_dropped.update(scan.lost(report.dropped))
         if misplaced(report) and not self._missed_why:
             self._missed_at = report.centre
             self._missed_why = likely_reason(scan.points_lidar, scan.pose, self.config)

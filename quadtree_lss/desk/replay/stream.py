@@ -10,13 +10,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPE, SCAN_TYPE, TRANSFORMS_TYPE
+from quadtree_lss.desk.bags.message_types import (
+    CAMERA_TYPE,
+    GIMBAL_TYPE,
+    POSE_TYPE,
+    SCAN_TYPE,
+    TRANSFORMS_TYPE,
+)
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.bags.topics import (
     GIMBAL_TOPIC,
-    SCAN_TOPIC,
     TRANSFORMS_TOPIC,
     choose_pose_topic,
+    choose_scan_topic,
     choose_topic,
     landing_topics,
 )
@@ -74,7 +80,8 @@ class Stream:
     Attributes:
         bag: Path of the bag, absolute.
         scans, poses, gimbal: Topics that are read; the last is empty without a gimbal.
-        pose_type: Type of the poses' messages.
+        pose_type, scan_type: Of the messages.
+        camera: Topic of the CameraInfo of depth images, empty for clouds.
         start_ns, stop_ns: Times of reception: start_ns <= t < stop_ns.
         seconds: Length of the part.
         navigation: Hears the poses.
@@ -88,6 +95,8 @@ class Stream:
     scans: str = field(default="", init=False)
     poses: str = field(default="", init=False)
     pose_type: str = field(default=POSE_TYPE, init=False)
+    scan_type: str = field(default=SCAN_TYPE, init=False)
+    camera: str = field(default="", init=False)
     gimbal: str = field(default="", init=False)
     start_ns: int = field(default=0, init=False)
     stop_ns: int = field(default=0, init=False)
@@ -101,7 +110,9 @@ class Stream:
         """Finds topics and limits in an open bag. Raises `BagError`: a topic is missing or
         ambiguous; or `ReplayError`: the part lies outside the bag."""
         self.limit(bag)
-        self.scans = choose_topic(bag, self.scan_topic, SCAN_TOPIC, SCAN_TYPE, "--scan-topic")
+        self.scans, self.scan_type, self.camera = choose_scan_topic(
+            bag, self.scan_topic, config.lidar.source
+        )
         self.poses, self.pose_type = choose_pose_topic(bag, self.pose_topic, config.pose.source)
         if config.mount.gimbal:
             self.gimbal = choose_topic(bag, None, GIMBAL_TOPIC, GIMBAL_TYPE, "mount.gimbal")
@@ -129,7 +140,7 @@ class Stream:
     @property
     def topics(self) -> list[str]:
         """Those that are read."""
-        return [name for name in (self.scans, self.poses, self.gimbal) if name]
+        return [name for name in (self.scans, self.poses, self.gimbal, self.camera) if name]
 
     def messages(self, bag: Bag) -> Iterator[RawMessage]:
         """The messages, in the order of the bag."""
@@ -149,7 +160,8 @@ class Stream:
 
     def take(self, bag: Bag, intake: Intake, message: RawMessage) -> int | None:
         """Gives one message to ``intake``; the stamp if it is a usable scan."""
-        names = {self.scans: ("cloud", SCAN_TYPE), self.poses: ("pose", self.pose_type)}
+        names = {self.scans: ("cloud", self.scan_type), self.poses: ("pose", self.pose_type)}
+        names[self.camera] = ("camera", CAMERA_TYPE)
         what, kind = names.get(message.topic, ("gimbal", GIMBAL_TYPE))
         try:
             msg = bag.decode(message.raw, kind)
@@ -161,7 +173,9 @@ class Stream:
             self._stamps.setdefault(message.topic, Span()).add(stamp_ns(msg.header))
         if what == "cloud":
             return intake.on_cloud(msg, message.received_ns)
-        if what == "pose":
+        if what == "camera":
+            intake.on_camera_info(msg)
+        elif what == "pose":
             intake.on_pose(msg)
             self.navigation.take(msg)
         else:

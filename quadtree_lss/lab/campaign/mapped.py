@@ -18,7 +18,8 @@ from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, sco
 from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
-from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, TYPES
+from quadtree_lss.lab.simulation.lidar import StereoCamera
+from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE_TOPIC, TYPES
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.lab.simulation.simulation import Simulation
@@ -49,8 +50,10 @@ def fly(case: Case) -> Flown:
 
 def in_memory(simulation: Simulation) -> MessageBag:
     """A simulated flight as a bag that is no file, for once."""
-    counts = {SCAN_TOPIC: simulation.scans, POSE_TOPIC: simulation.poses}
-    topics = [Topic(name, kind, counts[name]) for name, kind in TYPES.items()]
+    kinds, counts = dict(TYPES), {POSE_TOPIC: simulation.poses}
+    if isinstance(simulation.legs[0].plan.lidar, StereoCamera):
+        kinds = {**DEPTH_TYPES, POSE_TOPIC: TYPES[POSE_TOPIC]}
+    topics = [Topic(name, kind, counts.get(name, simulation.scans)) for name, kind in kinds.items()]
     return MessageBag("bag", topics, simulation.span_ns, simulation.messages())
 
 

@@ -8,7 +8,7 @@ import argparse
 from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say
 
-SCENARIOS = ("morpheus", "parabola", "descent", "drone")
+SCENARIOS = ("morpheus", "parabola", "descent", "drone", "depth")
 TEXT = "Simulate a flight: a bag, and truth.npz beside it."
 FLIGHTS = """flights:
   morpheus   the paper's Section VII: 20 s at 20 Hz on a 30 degree glide slope, 450 m off, 1 degree
@@ -17,6 +17,8 @@ FLIGHTS = """flights:
   descent    30 s at 5 Hz from 200 m down to 50 m, looking down with 20 degrees, over 60 x 60 m;
              for measured ground by --terrain
   drone      10 s at 10 Hz from 25 m down to 15 m, looking down with 60 degrees, over 16 x 16 m
+  depth      10 s at 5 Hz from 15 m down to 3 m, looking down with a stereo camera's depth images,
+             640 x 480, over 8 x 8 m of the drone's ground
 --terrain takes an elevation model: .npz with x (nx,), y (ny,) ascending in equal steps and
 elevation (ny, nx), m, z up, at least 9 x 9 m. Without it morpheus and descent fly over a field of
 rocks and craters. The flight is about the model's middle (parabola's about x 10, y 0): let

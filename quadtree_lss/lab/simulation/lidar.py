@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flash lidar: all pixels range at one instant."""
+"""A flash lidar, and a stereo camera: all pixels range at one instant."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from quadtree_lss.lab.simulation.terrain import Surface
 from quadtree_lss.onboard.arrays import Array
@@ -98,3 +99,57 @@ class FlashLidar:
             ranges[generator.random(ranges.shape) < self.dropouts] = np.nan
         ranges[ranges <= 0.0] = np.nan
         return np.asarray(ranges[..., None] * self.directions())
+
+
+@dataclass(frozen=True)
+class StereoCamera(FlashLidar):
+    """Depths of a pair of cameras, as a RealSense D455 gives them: whole millimetres, along z.
+
+    Disparities have Gaussian noise, which the window of the matching makes common to 3 x 3 pixels;
+    half of the pixels at an edge take a depth between the near and the far. A square field of view,
+    the lesser of the two, is the outline.
+    """
+
+    field_of_view_deg: float = 64.0
+    columns: int = 640
+    rows: int = 480
+    focal_length: float = 385.0
+    baseline: float = 0.095
+    disparity_sigma: float = 0.08
+
+    def directions(self) -> Array:
+        """Unit directions of the pixels (rows, columns, 3)."""
+        u, v = np.meshgrid(np.arange(float(self.columns)), np.arange(float(self.rows)))
+        f, middle = self.focal_length, (0.5 * (self.columns - 1), 0.5 * (self.rows - 1))
+        rays = np.stack([(u - middle[0]) / f, (v - middle[1]) / f, np.ones_like(u)], axis=-1)
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+    def true_ranges(
+        self, surface: Surface, position_map: Array, rotation_map_lidar: Array
+    ) -> Array:
+        """Noise-free ranges (rows, columns) from a pose; NaN = no return."""
+        directions_map = self.directions().reshape(-1, 3) @ rotation_map_lidar.T
+        return surface.cast(position_map, directions_map).reshape(self.rows, self.columns)
+
+    def scan(
+        self,
+        surface: Surface,
+        position_map: Array,
+        rotation_map_lidar: Array,
+        generator: np.random.Generator,
+    ) -> Array:
+        """Measured points (rows, columns, 3), NaN = no return."""
+        rays = self.directions()
+        z = self.true_ranges(surface, position_map, rotation_map_lidar) * rays[..., 2]
+        for axis in (0, 1):  # what lies beside the pixel, where that is elsewhere
+            beside = np.roll(z, 1, axis)
+            share = generator.random(z.shape)
+            smeared = (np.abs(beside - z) > 0.02 * z) & (generator.random(z.shape) < 0.5)
+            z = np.where(smeared, share * z + (1.0 - share) * beside, z)
+        noise = uniform_filter(generator.normal(0.0, 3.0 * self.disparity_sigma, z.shape), 3)
+        product = self.focal_length * self.baseline
+        with np.errstate(invalid="ignore", divide="ignore"):
+            z = product / (product / z + noise)
+            z = np.where((z > 0.0) & (z < 65.0), np.rint(1e3 * z) / 1e3, np.nan)
+        z[generator.random(z.shape) < self.dropouts] = np.nan
+        return np.asarray(rays / rays[..., 2:] * z[..., None])

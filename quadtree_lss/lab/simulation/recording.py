@@ -17,6 +17,9 @@ from quadtree_lss.onboard.arrays import Array
 SCAN_TOPIC, POSE_TOPIC = "/lidar/points", "/nav/pose"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+DEPTH_TOPIC, CAMERA_TOPIC = "/depth/image", "/depth/camera_info"
+IMAGE, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+DEPTH_TYPES = {DEPTH_TOPIC: IMAGE, CAMERA_TOPIC: CAMERA}
 TYPES = {SCAN_TOPIC: CLOUD, POSE_TOPIC: POSE}
 _FLOAT32 = 7  # sensor_msgs/PointField
 
@@ -53,6 +56,42 @@ class Messages:
             row_step=12 * width,
             data=self._pack(data),
             is_dense=bool(np.isfinite(points_lidar).all()),
+        )
+
+    def depth(self, stamp_ns: int, z: Array) -> Any:
+        """A depth image (H, W), m, as 16UC1 in mm; NaN = no return."""
+        height, width = z.shape
+        pixels = np.nan_to_num(np.rint(1e3 * z)).astype("<u2")
+        return self._types[IMAGE](
+            header=self._header(stamp_ns, "camera_depth_optical_frame"),
+            height=height,
+            width=width,
+            encoding="16UC1",
+            is_bigendian=0,
+            step=2 * width,
+            data=self._pack(pixels.view(np.uint8).reshape(-1)),
+        )
+
+    def camera(
+        self, stamp_ns: int, height: int, width: int, focal_length: float, d: Array | None = None
+    ) -> Any:
+        """The CameraInfo of an image with its axis in the middle; ``d`` of plumb_bob, or none."""
+        f, middle = focal_length, (0.5 * (width - 1), 0.5 * (height - 1))
+        k = np.array([f, 0.0, middle[0], 0.0, f, middle[1], 0.0, 0.0, 1.0])
+        return self._types[CAMERA](
+            header=self._header(stamp_ns, "camera_depth_optical_frame"),
+            height=height,
+            width=width,
+            distortion_model="plumb_bob",
+            d=np.zeros(5) if d is None else np.asarray(d, np.float64),
+            k=k,
+            r=np.eye(3).reshape(9),
+            p=np.insert(k, (3, 6, 9), 0.0),
+            binning_x=0,
+            binning_y=0,
+            roi=self._types["sensor_msgs/msg/RegionOfInterest"](
+                x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+            ),
         )
 
     def pose(self, stamp_ns: int, position: Array, xyzw: Array, covariance: Array) -> Any:
@@ -93,7 +132,7 @@ class Messages:
 
 
 class BagRecorder:
-    """Context manager that records messages of `TYPES` into a new mcap bag at ``path``."""
+    """Context manager that records messages of `TYPES` and `DEPTH_TYPES` into a new mcap bag."""
 
     def __init__(self, path: Path) -> None:
         self._store = get_typestore(Stores.ROS2_JAZZY)
@@ -101,17 +140,20 @@ class BagRecorder:
 
     def __enter__(self) -> BagRecorder:
         self._writer.open()
-        self._topics = {
-            topic: self._writer.add_connection(topic, kind, typestore=self._store)
-            for topic, kind in TYPES.items()
-        }
+        self._topics = {topic: self._connection(topic) for topic in TYPES}
         return self
+
+    def _connection(self, topic: str) -> Any:
+        kind = {**TYPES, **DEPTH_TYPES}[topic]
+        return self._writer.add_connection(topic, kind, typestore=self._store)
 
     def __exit__(self, *_: object) -> None:
         self._writer.close()
 
     def write(self, topic: str, received_ns: int, message: Any) -> None:
         """Write one message."""
+        if topic not in self._topics:
+            self._topics[topic] = self._connection(topic)
         connection = self._topics[topic]
         raw = self._store.serialize_cdr(message, connection.msgtype)
         self._writer.write(connection, received_ns, raw)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.lab.simulation.hazard_field import HazardField, hazard_field, strewn
-from quadtree_lss.lab.simulation.lidar import FlashLidar
+from quadtree_lss.lab.simulation.lidar import FlashLidar, StereoCamera
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.terrain import (
@@ -234,6 +234,13 @@ def _drone(given: Conditions, terrain: Terrain | None, duration: float, flight: 
     return replace(plan, spacing=0.25 * GRID_SPACING)
 
 
+def _depth(given: Conditions, terrain: Terrain | None, duration: float, flight: int) -> FlightPlan:
+    """A stereo camera from 15 m to 3 m above any terrain, 5 Hz; faster if shorter."""
+    camera = StereoCamera(dropouts=given.dropouts)
+    plan = _looking_down(given, terrain, duration, 4.0, 5.0, (15.0, 3.0), camera)
+    return replace(plan, spacing=0.25 * GRID_SPACING)
+
+
 def _looking_down(
     given: Conditions,
     terrain: Terrain | None,
@@ -277,6 +284,7 @@ SCENARIOS: dict[str, Scenario] = {
     "morpheus": Scenario(_morpheus, 20.0, True),
     "parabola": Scenario(_parabola, 60.0, False),
     "descent": Scenario(_descent, 30.0, True),
+    "depth": Scenario(_depth, 10.0, True, 0.35, LandingGear(0.6, 0.02, 10.0, 0.08)),
     "drone": Scenario(_drone, 10.0, True, 0.35, LandingGear(0.6, 0.02, 10.0, 0.08)),
 }
 

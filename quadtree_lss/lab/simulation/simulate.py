@@ -13,7 +13,7 @@ import numpy as np
 
 from quadtree_lss.desk.exchange.archives import read_arrays
 from quadtree_lss.desk.exchange.libraries import ExchangeError
-from quadtree_lss.lab.simulation.recording import SCAN_TOPIC, BagRecorder
+from quadtree_lss.lab.simulation.recording import DEPTH_TOPIC, SCAN_TOPIC, BagRecorder
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulation import Leg, Simulation
 from quadtree_lss.lab.simulation.terrain import SimulationError
@@ -84,7 +84,8 @@ def simulate(
     give the same messages.
 
     Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
-    lidar's estimated pose in frame ``map``, with covariance). ``truth.npz`` goes into the bag's
+    lidar's estimated pose in frame ``map``, with covariance); of ``depth`` ``/depth/image`` and
+    ``/depth/camera_info`` instead of the former. ``truth.npz`` goes into the bag's
     parent directory, with the bag's name and the seed; one of another bag that is there is replaced
     with ``overwrite`` only, as is a bag. ``flights`` > 1 flies again over the same ground with new
     navigation errors, into the same bag. ``lander`` is whose safety is in the truth; ``conditions``
@@ -105,7 +106,7 @@ def simulate(
         with BagRecorder(path) as recorder:
             for topic, received_ns, message in simulation.messages(stop):
                 recorder.write(topic, received_ns, message)
-                if progress is not None and topic == SCAN_TOPIC:
+                if progress is not None and topic in (SCAN_TOPIC, DEPTH_TOPIC):
                     done += 1
                     progress(done, simulation.scans)
         if not simulation.legs[0].scans:

@@ -10,7 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messages
+from quadtree_lss.lab.simulation.lidar import StereoCamera
+from quadtree_lss.lab.simulation.recording import (
+    CAMERA_TOPIC,
+    DEPTH_TOPIC,
+    POSE_TOPIC,
+    SCAN_TOPIC,
+    Messages,
+)
 from quadtree_lss.lab.simulation.safety import LandingGear, safety_map
 from quadtree_lss.lab.simulation.scenarios import (
     SCENARIOS,
@@ -126,8 +133,14 @@ class Simulation:
                 scan = plan.lidar.scan(plan.surface, *at, self._noise)
                 leg.outlines.append(plan.lidar.outline(plan.surface, *at))
                 leg.points += int(np.isfinite(scan[..., 0]).sum())
-                cloud = self.make.scan(int(leg.scan_ns[k]), scan)
-                yield Arrival(SCAN_TOPIC, received_ns, cloud)
+                stamp, camera = int(leg.scan_ns[k]), plan.lidar
+                if not isinstance(camera, StereoCamera):
+                    yield Arrival(SCAN_TOPIC, received_ns, self.make.scan(stamp, scan))
+                    continue
+                size = camera.rows, camera.columns
+                info = self.make.camera(stamp, *size, camera.focal_length)
+                yield Arrival(CAMERA_TOPIC, received_ns, info)
+                yield Arrival(DEPTH_TOPIC, received_ns, self.make.depth(stamp, scan[..., 2]))
 
     def truth(self, bag_name: str, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
         """Content of ``truth.npz`` for what has been flown."""

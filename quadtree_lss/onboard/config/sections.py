@@ -29,12 +29,36 @@ class DomainConfig:
 
 @dataclass(frozen=True)
 class LidarConfig:
-    """What the lidar measures."""
+    """What the lidar, or the depth camera, measures."""
 
+    source: str = _p(
+        "points",
+        "scans come on lidar/points (PointCloud2), or on depth/image (Image, 16UC1 in mm or 32FC1"
+        " in m) with depth/camera_info; in a bag that has this type not, the other is taken",
+        choices=("points", "depth"),
+    )
+    depth_step: int = _p(
+        2, "of a depth image every so many columns and rows are taken; 2 is a quarter", (1, 64)
+    )
+    depth_raw: bool = _p(
+        False,
+        "the depth image is not rectified: the plumb_bob distortion of its CameraInfo is undone",
+    )
     range_noise: float = _p(0.06, "standard deviation of a range (Eq. 13)", (1e-4, 10.0), "m")
     range_noise_per_metre: float = _p(
         0.0, "what each metre of range adds to this deviation", (0.0, 1.0)
     )
+    noise_model: str = _p(
+        "range",
+        "what grows with range: range_noise_per_metre; or, of stereo, beside range_noise the depth"
+        " z errs independently by disparity_sigma z^2 / (focal_length baseline)",
+        choices=("range", "stereo"),
+    )
+    disparity_sigma: float = _p(
+        0.1, "standard deviation of a disparity, with noise_model stereo", (0.0, 10.0), "px"
+    )
+    focal_length: float = _p(380.0, "of the camera in pixels of its full image", (1.0, 1e5), "px")
+    baseline: float = _p(0.05, "between the two cameras", (1e-3, 100.0), "m")
     beam_divergence: float = _p(
         0.0,
         "standard deviation of the beam across its axis: on inclined ground its footprint is deep",
@@ -53,6 +77,12 @@ class LidarConfig:
     deskew: bool = _p(
         True, "a cloud with a time for each point is taken point by point, each at its own pose"
     )
+
+    @property
+    def stereo(self) -> float:
+        """Deviation of a depth z over z^2, 1/m; 0 with another noise model."""
+        share = self.disparity_sigma / (self.focal_length * self.baseline)
+        return share if self.noise_model == "stereo" else 0.0
 
 
 @dataclass(frozen=True)

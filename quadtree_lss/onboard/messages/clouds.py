@@ -92,7 +92,7 @@ def points_from_cloud(msg: Any) -> Points:
     ``layout``, ``too_large``, ``units`` or ``absurd``.
     """
     height, width = _count(msg, "height"), _count(msg, "width")
-    data = _bytes(msg.data)
+    data = bytes_of(msg.data)
     if height * width == 0:
         if data.size:
             text = f"cloud of {width} x {height} points carries {data.size} bytes"
@@ -126,7 +126,7 @@ def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
     return np.ndarray(
         (msg.height, msg.width),
         (">" if msg.is_bigendian else "<") + kind,
-        _bytes(msg.data),
+        bytes_of(msg.data),
         int(field.offset),
         (msg.row_step, msg.point_step),
     )
@@ -150,7 +150,7 @@ def _count(msg: Any, name: str) -> int:
     return value
 
 
-def _bytes(data: Any) -> Bytes:
+def bytes_of(data: Any) -> Bytes:
     """The bytes without a copy where the type allows it: array.array, bytes, NumPy."""
     try:
         return np.frombuffer(data, dtype=np.uint8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from quadtree_lss.onboard.core.sensing.scan_queue import Drop, ScanQueue
 from quadtree_lss.onboard.core.sensing.sweep import Sweep, poses_during, sweep
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.onboard.messages.depth import DepthCamera
 from quadtree_lss.onboard.messages.extrinsics import Extrinsics
 from quadtree_lss.onboard.messages.poses import (
     has_unknown_covariance,
@@ -46,13 +48,21 @@ class Notice(NamedTuple):
 class ReadyScan(NamedTuple):
     """A scan and the pose of the lidar at its stamp; points as of `points_from_cloud`.
 
-    ``sweep`` is how the lidar moved while it took the scan, None if that was at once.
+    ``sweep`` is how the lidar moved while it took the scan, None if that was at once; ``edges`` how
+    many pixels of a depth image are no returns for lying at the edge of something.
     """
 
     stamp_ns: int
     points_lidar: Points
     pose: Pose
     sweep: Sweep | None = None
+    edges: int = 0
+
+    def lost(self, dropped: Mapping[str, int]) -> dict[str, int]:
+        """Points of the scan that are not in the map, by reason, from ``ScanReport.dropped``."""
+        if not self.edges:
+            return dict(dropped)
+        return {**dropped, "no_return": dropped["no_return"] - self.edges, "edge": self.edges}
 
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.points_lidar.shape[:-1]))
@@ -64,6 +74,7 @@ class _Cloud(NamedTuple):
 
     points: Points
     times: tuple[NDArray[np.int32], tuple[int, int]] | None
+    edges: int = 0
 
 
 class Intake:
@@ -88,6 +99,7 @@ class Intake:
         self._pose_config = config.pose
         self._map_frame = config.frames.map
         self._deskew = config.lidar.deskew
+        self.camera = DepthCamera(config.lidar)
         self._body = self._buffer()
         self._gate = PoseGate(round(config.pose.max_gap * SECOND_NS))
         self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
@@ -177,20 +189,31 @@ class Intake:
         if self._extrinsics.tf and self._mounted is not None:
             self._mounted.mount = self._extrinsics.mount
 
-    def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
-        """Takes a ``PointCloud2``; ``arrival_ns`` is of any steady clock, see `ready`. Returns the
-        scan's stamp, or None if it cannot be used."""
+    def on_camera_info(self, msg: Any) -> None:
+        """Takes the ``CameraInfo`` of the depth images to come."""
         try:
-            points, stamp = points_from_cloud(msg), stamp_ns(msg.header)
+            if text := self.camera.on_info(msg):
+                self._notices.append(Notice("focal_length", text))
+        except MessageError as error:
+            self.reject("cloud", error)
+
+    def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
+        """Takes a ``PointCloud2``, or a depth ``Image``; ``arrival_ns`` is of any steady clock, see
+        `ready`. Returns the scan's stamp, or None if it cannot be used."""
+        depth = hasattr(msg, "encoding")
+        try:
+            points = self.camera.points(msg) if depth else points_from_cloud(msg)
+            stamp = stamp_ns(msg.header)
             self._extrinsics.check_lidar(msg.header.frame_id)
         except MessageError as error:
             self.reject("cloud", error)
             return None
+        edges = self.camera.edges if depth else 0
         if points.size == 0:
             self.reject("cloud", MessageError("empty", "cloud has no points"))
             return None
         times = None
-        if self._deskew:
+        if self._deskew and not depth:
             try:
                 times = offsets_from_cloud(msg, stamp, points)
             except MessageError as error:
@@ -199,7 +222,7 @@ class Intake:
         self._mount()
         jumps = self.queue.jumps
         span_ns = (0, 0) if times is None else times[1]
-        self.queue.push_scan(stamp, _Cloud(points, times), arrival_ns, span_ns)
+        self.queue.push_scan(stamp, _Cloud(points, times, edges), arrival_ns, span_ns)
         if self.queue.jumps != jumps:
             text = "scan stamps jumped back (a looping bag?): waiting scans dropped, map kept"
             self._notices.append(Notice("time_jump", text))
@@ -218,7 +241,7 @@ class Intake:
 
     def _with_sweep(self, stamp: int, cloud: _Cloud, pose: Pose) -> ReadyScan:
         if cloud.times is None:
-            return ReadyScan(stamp, cloud.points, pose)
+            return ReadyScan(stamp, cloud.points, pose, edges=cloud.edges)
         offsets, (first, last) = cloud.times
         poses = poses_during(self.queue.poses, stamp + first, stamp + last)
         return ReadyScan(stamp, cloud.points, pose, sweep(offsets, pose, poses))
@@ -273,7 +296,7 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
     )
     text = (
         f"points scatter about flat cells by {ratio * configured:.3g} m, but lidar.range_noise is"
-        f" {configured:g} m: {cause}"
+        f" {configured:g} m{' and what stereo adds' * bool(config.lidar.stereo)}: {cause}"
     )
     return Notice("range_noise", text)
 

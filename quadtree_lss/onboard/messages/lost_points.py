@@ -27,6 +27,7 @@ MAP_OVERRULED = "map_overruled"
 REASONS = {
     "no_return": "without a return",
     "range": "out of range (lidar.min_range, lidar.max_range)",
+    "edge": "at edges, between near and far (depth images)",
     "isolated": "isolated (lidar.outlier_gate)",
     "outside": "outside the domain",
     "above": "of scans above the lidar (poses or mount upside down)",

@@ -6,6 +6,7 @@
 | Ouster | `t` | uint32 | ns after the stamp |
 | Velodyne | `time` | float32 | s from the stamp, negative if that is of the last packet |
 | Hesai | `timestamp` | float64 | s since the epoch |
+| Nebula | `time_stamp` | uint32 | ns after the stamp |
 | Livox | `timestamp` | float64 | ns since the epoch |
 | Livox | `offset_time` | uint32 | ns after the stamp |
 """
@@ -21,7 +22,7 @@ from quadtree_lss.onboard.arrays import Points
 from quadtree_lss.onboard.messages.clouds import MessageError, column
 
 #: Fields that may hold the times; the first that is there does.
-FIELDS = ("t", "time", "timestamp", "time_offset", "offset_time")
+FIELDS = ("t", "time", "timestamp", "time_stamp", "time_offset", "offset_time")
 #: `sensor_msgs/PointField` datatypes of a time: integers count nanoseconds.
 TYPES = {5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 #: Times farther from the stamp than this are taken for wrong, ns.

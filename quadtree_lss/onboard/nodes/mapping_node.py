@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
@@ -54,6 +54,7 @@ from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
 from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
+DEPTH, CAMERA = "depth/image", "depth/camera_info"
 ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"
 MAP_LATE = "by the scans' stamps and this node's clock, maps are sent after"
 SCAN_DEPTH, POSE_DEPTH = 50, 200
@@ -73,7 +74,9 @@ class MappingNode(Node):
         self._mapper = Mapper(config)
         odometry = config.pose.source == "odometry"
         self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
-        names = {SCANS: SCANS, POSES: ODOMETRY if odometry else POSES, GIMBAL: GIMBAL}
+        self._scan_kind = Image if config.lidar.source == "depth" else PointCloud2
+        scans = DEPTH if config.lidar.source == "depth" else SCANS
+        names = {SCANS: scans, POSES: ODOMETRY if odometry else POSES, GIMBAL: GIMBAL}
         self._topics = {name: self.resolve_topic_name(topic) for name, topic in names.items()}
         self._intake = Intake(
             config,
@@ -138,7 +141,12 @@ class MappingNode(Node):
         qos = self._settings.config.qos
         scan_qos = stream(SCAN_DEPTH, reliable=qos.scan_reliability == "reliable")
         pose_qos = stream(POSE_DEPTH, reliable=True)
-        subscribe(self, PointCloud2, SCANS, self._on_scan, scan_qos, self._gaps.on_publishers)
+        topic, told = self._topics[SCANS], self._gaps.on_publishers
+        subscribe(self, self._scan_kind, topic, self._on_scan, scan_qos, told)
+        if self._scan_kind is Image:
+            subscribe(
+                self, CameraInfo, CAMERA, self._intake.on_camera_info, stream(1, reliable=False)
+            )
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
         poses = self._topics[POSES]
         pose = subscribe(self, self._pose_kind, poses, self._on_pose, pose_qos, group=ahead)
@@ -271,7 +279,7 @@ class MappingNode(Node):
                 f" {report.points} points, {report.leaves} leaves"
             )
         self._divisions_refused += report.refused_divisions
-        self._points_dropped.update(report.dropped)
+        self._points_dropped.update(scan.lost(report.dropped))
         config = self._settings.config
         wrong = misplaced(report)
         why = likely_reason(scan.points_lidar, scan.pose, config) if wrong else ""

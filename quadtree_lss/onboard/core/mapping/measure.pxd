@@ -29,7 +29,8 @@ cdef struct Run:
     double bias[3]
 
 cdef class Rules:
-    cdef readonly double range_noise, noise_per_metre, divergence
+    cdef readonly double range_noise, noise_per_metre, divergence, stereo
+    cdef readonly double ahead_x, ahead_y, ahead_z
     cdef readonly bint ml, independent, mahalanobis
     cdef readonly double division_factor, division_confidence, min_residuals
     cdef readonly double divide_exceptions, divide_area

@@ -90,6 +90,8 @@ class Rules:
         lidar, mapping, lengths = config.lidar, config.mapping, config.vehicle.lengths
         self.range_noise = lidar.range_noise
         self.noise_per_metre = lidar.range_noise_per_metre
+        self.stereo = lidar.stereo
+        self.look(np.zeros(3))
         self.divergence = lidar.beam_divergence
         self.ml = mapping.fit == "ml"
         self.independent = mapping.covariance == "independent"
@@ -112,6 +114,10 @@ class Rules:
         self.feature_points = FEATURE_POINTS
         self.rock_height = max(lengths.rock_height, 3.0 * lidar.range_noise)
         self.rock_sigma = lengths.rock_sigma
+
+    def look(self, boresight: Array) -> None:
+        """The scan to come looks along this unit vector (3,) of the map's axes."""
+        self.ahead_x, self.ahead_y, self.ahead_z = boresight.tolist()
 
 
 def record(runs: NDArray[np.void], at: cython.Py_ssize_t) -> Record:
@@ -271,13 +277,19 @@ def measure(
     ray_y = run.centroid[1] / distance
     ray_z = run.centroid[2] / distance
     run.sloped = 1.0
+    noise = rules.range_noise
+    if rules.stereo > 0.0:
+        # The depth z errs by c z^2, the range r by as much times r / z.
+        depth = rules.ahead_x * run.centroid[0] + rules.ahead_y * run.centroid[1]
+        depth = rules.stereo * distance * (depth + rules.ahead_z * run.centroid[2])
+        noise = sqrt(noise * noise + depth * depth)
     if partial(run):
         # The slope across the thinner width of what was seen: of noise, and of what that turns it
         # by.
         half = 0.5 * (xx + yy) / count
         least = half * half - (xx * yy - xy * xy) / (count * count)
         least = max(half - sqrt(max(least, 0.0)), 1e-12)
-        square = rules.range_noise * rules.range_noise
+        square = noise * noise
         if sqrt(square / (count * least)) + 0.5 * square / least > UNSEEN_TILT:
             run.sloped = 0.0
     if run.sloped == 0.0 or count < rules.min_points:
@@ -286,7 +298,7 @@ def measure(
             run.normal[i] = prior[i]
     else:
         tilt = run.unseen * UNSEEN_TILT
-        spread = rules.range_noise * rules.range_noise
+        spread = noise * noise
         height_normal(run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, run.normal)
         if rules.ml and count > 3.0:
             first = run.normal[0]
@@ -300,9 +312,7 @@ def measure(
     up = run.normal[2]
     cosine = fabs(run.normal[0] * ray_x + run.normal[1] * ray_y + up * ray_z)
     cosine = max(cosine, MIN_COSINE)
-    along = range_variance(
-        rules.range_noise, rules.noise_per_metre, rules.divergence, distance, cosine
-    )
+    along = range_variance(noise, rules.noise_per_metre, rules.divergence, distance, cosine)
     run.cosine = cosine
     run.variance = variance = along * cosine * cosine
     if rules.independent:

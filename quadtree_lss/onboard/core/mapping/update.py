@@ -67,6 +67,7 @@ class ScanUpdate:
         count = len(scan.key)
         self.table = table
         self.rules = rules
+        rules.look(scan.pose.rotation_map_lidar[:, 2])
         self.points = scan.points
         self.key = scan.key
         x, y, z = scan.origin.tolist()

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth images to points: units, rays, distortion undone, decimation, edges, what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from quadtree_lss.lab.simulation.recording import Messages
+from quadtree_lss.onboard.config.sections import LidarConfig
+from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.depth import DepthCamera, distorted
+from quadtree_lss.onboard.messages.intake import Intake
+
+H, W, F = 48, 64, 50.0
+MAKE = Messages()
+
+
+def camera(**values):
+    lidar = LidarConfig(**{"depth_step": 1, "range_noise": 0.01, **values})
+    found = DepthCamera(lidar)
+    found.on_info(MAKE.camera(1, H, W, F))
+    return found
+
+
+def plane():
+    """Depths of a tilted plane, and its points."""
+    u, v = np.meshgrid(np.arange(W), np.arange(H))
+    x, y = (u - 31.5) / F, (v - 23.5) / F
+    z = 5.0 / (1.0 - 0.3 * x + 0.2 * y)
+    return z, np.stack([x * z, y * z, z], axis=-1)
+
+
+def test_millimetres_and_metres_are_the_same_points():
+    z, points = plane()
+    np.testing.assert_allclose(camera().points(MAKE.depth(1, z)), points, atol=7e-4)
+    image = MAKE.depth(1, z)
+    for order, big in (("<f4", 0), (">f4", 1)):
+        padded = np.zeros((H, W + 3), order)
+        padded[:, :W] = z
+        floats = dataclasses.replace(
+            image, encoding="32FC1", is_bigendian=big, step=4 * (W + 3),
+            data=np.frombuffer(padded.tobytes(), np.uint8),
+        )  # fmt: skip
+        np.testing.assert_allclose(camera().points(floats), points, atol=1e-5)
+
+
+def test_every_so_manieth_pixel_is_taken_with_its_own_ray():
+    z, points = plane()
+    few = camera(depth_step=4).points(MAKE.depth(1, z))
+    np.testing.assert_allclose(few, points[2::4, 2::4], atol=7e-4)
+
+
+def test_distortion_is_undone():
+    """Points of a plane seen through a lens: each lies on the plane again."""
+    d = np.array([-0.28, 0.07, 1e-3, -5e-4, 0.01])
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 21), np.linspace(-0.4, 0.4, 17))
+    seen = DepthCamera(LidarConfig(depth_step=1, depth_raw=True))
+    seen.on_info(MAKE.camera(1, H, W, F, d))
+    points = seen.points(MAKE.depth(1, np.full((H, W), 2.0)))
+    back = distorted(*(points[..., k].astype(float) / points[..., 2] for k in (0, 1)), d)
+    u, v = np.meshgrid(np.arange(W), np.arange(H))
+    np.testing.assert_allclose(back[0] * F + 31.5, u, atol=2e-3)
+    np.testing.assert_allclose(back[1] * F + 23.5, v, atol=2e-3)
+    assert np.abs(points[0, 0, :2]).max() > 2.0 * 31.5 / F, "a barrel's corner lies farther out"
+    # Rectified is the default: the same numbers mean nothing then.
+    plain = DepthCamera(LidarConfig(depth_step=1))
+    plain.on_info(MAKE.camera(1, H, W, F, d))
+    assert plain.points(MAKE.depth(1, np.full((H, W), 2.0)))[0, 0, 0] == pytest.approx(-1.26)
+    assert np.hypot(*(np.array(distorted(x, y, 0.0 * d)) - [x, y])).max() == 0.0
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_pixels_between_near_and_far_are_dropped_and_counted(step):
+    z = np.full((H, W), 5.0)
+    z[:, 31:] = 3.0
+    z[:, 30] = 4.0  # on neither
+    z[10, 50] = np.nan
+    seen = camera(depth_step=step)
+    points = seen.points(MAKE.depth(1, z))
+    column = np.arange(step // 2, W, step)
+    gone = np.isnan(points[..., 2])
+    assert seen.edges == (H if step == 1 else 0) == np.count_nonzero(gone[:, column == 30])
+    assert np.count_nonzero(gone) == seen.edges + (step == 1)
+    z[:, 30], z[:, 29] = 3.0, 4.0
+    seen.points(MAKE.depth(1, z))
+    assert seen.edges == H // step
+
+
+def test_noise_of_stereo_is_no_edge():
+    """At 10 m neighbours differ by decimetres; a plane seen at 20 degrees is one, too."""
+    stereo = {"noise_model": "stereo", "disparity_sigma": 0.1, "focal_length": F, "baseline": 0.5}
+    rng = np.random.default_rng(1)
+    z = np.full((H, W), 10.0) + rng.normal(0.0, 0.1 * 100.0 / (F * 0.5), (H, W))
+    seen = camera(**stereo)
+    seen.points(MAKE.depth(1, z))
+    assert seen.edges < 3
+    plain = camera()
+    plain.points(MAKE.depth(1, z))
+    assert plain.edges < 3, "pixels are wide at 10 m"
+    x = (np.arange(W) - 31.5) / F
+    inclined = np.broadcast_to(4.0 / (1.0 - np.tan(np.radians(55.0)) * x[::-1] * 0.5), (H, W))
+    plain.points(MAKE.depth(1, inclined))
+    assert plain.edges == 0
+
+
+def test_what_cannot_be_used_is_told():
+    z, _ = plane()
+    image = MAKE.depth(1, z)
+    with pytest.raises(MessageError, match="before any depth/camera_info"):
+        DepthCamera(LidarConfig()).points(image)
+    for change, text in (
+        ({"encoding": "rgb8"}, "encoding 'rgb8'"),
+        ({"data": image.data[:-1]}, "bytes"),
+        ({"height": H - 1}, "camera_info of"),
+        ({"step": 2 * W - 1}, "a row"),
+    ):
+        with pytest.raises(MessageError, match=text):
+            camera().points(dataclasses.replace(image, **change))
+    with pytest.raises(MessageError, match="no focal length"):
+        camera().on_info(MAKE.camera(1, H, W, 0.0))
+    raw = DepthCamera(LidarConfig(depth_raw=True))
+    wrong = dataclasses.replace(MAKE.camera(1, H, W, F, np.ones(5)), distortion_model="equidistant")
+    with pytest.raises(MessageError, match="equidistant"):
+        raw.on_info(wrong)
+    stereo = DepthCamera(LidarConfig(noise_model="stereo"))
+    assert "lidar.focal_length is 380" in stereo.on_info(MAKE.camera(1, H, W, F))
+    assert stereo.on_info(MAKE.camera(2, H, W, F)) == "", "told once"
+
+
+def test_intake_takes_images_as_scans_and_tells_edges_apart():
+    intake = Intake(config_from_values({"lidar.depth_step": 1}))
+    z, _ = plane()
+    z[20, 20] *= 0.8
+    z[20, 21] *= 0.6
+    intake.on_camera_info(MAKE.camera(1, H, W, F))
+    rng = np.eye(6) * 1e-4
+    for stamp in (0, 200_000_000):
+        pose = MAKE.pose(stamp, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), rng)
+        intake.on_pose(pose)
+    assert intake.on_cloud(MAKE.depth(100_000_000, z), 0) == 100_000_000
+    (scan,) = intake.ready(0)
+    assert scan.points_lidar.shape == (H, W, 3) and scan.edges == 1
+    lost = scan.lost({"no_return": 1, "range": 0, "isolated": 0, "outside": 4})
+    assert lost == {"no_return": 0, "range": 0, "isolated": 0, "outside": 4, "edge": 1}
+    intake.on_cloud(dataclasses.replace(MAKE.depth(1, z), encoding="bgr8"), 0)
+    assert intake.rejected["cloud_encoding"] == 1

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A depth camera instead of a lidar: images and CameraInfo of a running mapping_node."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ros_scene import POSITION, SCAN_NS, START_NS, Sensors, pose
+from sensor_msgs.msg import CameraInfo, Image
+
+from quadtree_lss.lab.simulation.recording import Messages
+from quadtree_lss.onboard.nodes.qos import stream
+from quadtree_lss.onboard.nodes.ros_messages import packed, time_message
+
+pytestmark = pytest.mark.xdist_group("ros")
+
+
+class CameraSensors(Sensors):
+    """As Sensors, with depth images of level ground 100 m below."""
+
+    def __init__(self, listener) -> None:
+        super().__init__(listener)
+        node, profile = listener.node, stream(100, reliable=True)
+        node.destroy_publisher(self.scans)
+        self.scans = node.create_publisher(Image, "depth/image", profile)
+        self.camera = node.create_publisher(CameraInfo, "depth/camera_info", profile)
+        self._make = Messages()
+
+    def image(self, stamp_ns, points_lidar):
+        height, width, f = 48, 64, 200.0
+        made = self._make.camera(stamp_ns, height, width, f)
+        info = CameraInfo(height=height, width=width, distortion_model="plumb_bob")
+        info.d, info.k, info.p = made.d.tolist(), made.k, made.p
+        self.camera.publish(info)
+        message = Image(height=height, width=width, encoding="32FC1", step=4 * width)
+        message.header.stamp, message.header.frame_id = time_message(stamp_ns), "camera"
+        depth = np.full((height, width), POSITION[2], dtype="<f4")
+        message.data = packed(depth.view(np.uint8).reshape(-1))
+        return message
+
+
+def test_a_depth_camera_is_mapped_live(ros):
+    options = ("-p", "lidar.source:=depth", "-p", "lidar.depth_step:=1")
+    mapping = ros.start("mapping_node", *options)
+    with ros.listen() as listener:
+        sensors = CameraSensors(listener)
+        sensors.matched()
+        # The first image may come before its CameraInfo, on another topic, and is not used then.
+        sensors.map(mapping, 4, make_cloud=sensors.image, make_pose=pose)
+        assert listener.stamp("map/cells") == START_NS + 3 * SCAN_NS
+    assert "Traceback" not in mapping.output()
