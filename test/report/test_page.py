@@ -45,7 +45,9 @@ def test_it_is_one_well_formed_file_that_loads_nothing(text):
         )
     policies = [a["content"] for t, a in found.found if t == "meta" and "http-equiv" in a]
     assert policies and policies[0].startswith("default-src 'none'")
-    assert len(text) < 3e6
+    assert len(text) < 2e6 and len(found.scripts["library-3d"]) < 2e5
+    (picture,) = (a for t, a in found.found if t == "img")
+    assert len(picture["src"]) < 1.5e5
     identifiers = [a["id"] for _, a in found.found if "id" in a]
     assert len(set(identifiers)) == len(identifiers)
     for name in re.findall(r'byId\("([a-z0-9-]+)"\)', own):

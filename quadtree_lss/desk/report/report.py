@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.report.content import Content, read
-from quadtree_lss.desk.report.drawing import png
+from quadtree_lss.desk.report.drawing import png, small
 from quadtree_lss.desk.report.figures import figures, hazard_figure
 from quadtree_lss.desk.report.headline import (
     headline,
@@ -79,7 +79,7 @@ def page(
         "answer": answer,
         "level": level,
         "facts": facts,
-        "picture_of_map": png(hazard_figure(content), dpi=75),
+        "picture_of_map": small(png(hazard_figure(content), dpi=75)),
         "ground": ground,
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
         "head": [(word, unit, meaning) for word, unit, _, _, meaning in shown_columns],

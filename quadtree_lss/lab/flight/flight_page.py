@@ -206,7 +206,7 @@ def _page(out: Path, flown: Flown, picture: bytes) -> str:
         answer=f"{words[:1].upper()}{words[1:]}.",
         ground=f"After {ground}.{note}",
         level="good" if down and figures["safe"] else "none",
-        picture_of_map=picture,
+        picture_of_map=drawing.small(picture),
         decisions=[
             (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
             for d in flight.pilot.decisions
