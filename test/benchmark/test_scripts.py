@@ -21,6 +21,7 @@ SMALL = {
     ),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "depth": (["--seeds", "9421", "--duration", "2"], ["unsafe called safe", "scan update"]),
+    "land_now": (["--seeds", "9431"], ["a place is named", "the lander stands there"]),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),

@@ -62,17 +62,10 @@ def within_reach(
     """The best that there is now. ``motion``, ``descent``: of the vehicle; without its place all of
     the map is within reach."""
     ground, x, y = aims.candidates, aims.at.x, aims.at.y
-    near, later = (_reached(x, y, motion, descent, wait) for wait in (0.0, WAIT_S))
     bad = ground.cost if ground.unsafe is None else ground.unsafe
-    cost = np.where(near & np.isfinite(ground.cost), bad, np.nan)
-    after = np.where(later & np.isfinite(ground.cost), bad, np.nan)
-    if not np.isfinite(cost).any() and ground.unsafe is not None:
-        step = max(len(x) // COARSE, 1)
-        coarse = np.full(cost.shape, np.nan)
-        part = np.where(aims.hazard & UNSEEN, np.nan, ground.unsafe)[::step, ::step]
-        replace(wanted, target=None).apply(part, x[::step], y[::step], lss)
-        coarse[::step, ::step] = np.where(part < 1.0, part, np.nan)
-        cost, after = (np.where(reached, coarse, np.nan) for reached in (near, later))
+    cost, after = (
+        _choices(aims, wanted, lss, _reached(x, y, motion, descent, wait)) for wait in (0.0, WAIT_S)
+    )
     if not np.isfinite(cost).any():
         return Now(cost)
     if motion is not None and ground.unsafe is not None:
@@ -83,6 +76,19 @@ def within_reach(
         return Now(cost, (row, column))
     places = best_points(after, x, y, CHOICES, lss.separation)
     return Now(cost, (row, column), float(bad[row, column]) - least_later(bad[places]))
+
+
+def _choices(aims: Aims, wanted: Restrictions, lss: LssConfig, reached: Mask) -> Array:
+    """(ny, nx) how bad the grid points are that are a choice of those within reach, else NaN."""
+    ground, x, y = aims.candidates, aims.at.x, aims.at.y
+    safe = reached & np.isfinite(ground.cost)
+    if safe.any() or ground.unsafe is None:
+        return np.where(safe, ground.cost if ground.unsafe is None else ground.unsafe, np.nan)
+    step, cost = max(len(x) // COARSE, 1), np.full(ground.cost.shape, np.nan)
+    part = np.where(aims.hazard & UNSEEN, np.nan, ground.unsafe)[::step, ::step]
+    replace(wanted, target=None).apply(part, x[::step], y[::step], lss)
+    cost[::step, ::step] = np.where(part < 1.0, part, np.nan)
+    return np.where(reached, cost, np.nan)
 
 
 def least_later(risks: Array) -> float:
