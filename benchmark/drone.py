@@ -49,13 +49,14 @@ def main() -> None:
         flights.append((ground, judged(ground, seed, config)))
         print(f"seed {seed}, {ground}: {', '.join(row(flights[-1][1], config))}", flush=True)
     every = np.concatenate([of for _, of in flights], axis=1)
-    well = [of for _, of in flights if np.median(of[2][np.isfinite(of[2])]) >= WELL]
+    well = [of for _, of in flights if np.mean(of[2] >= WELL) > 0.5 * np.mean(of[2] > -np.inf)]
     rows = [
         [name, *row(np.concatenate([of for kind, of in flights if kind == name], axis=1), config)]
         for name in dict.fromkeys(kind for kind, _ in flights)
     ]
     rows.append([f"{len(flights)} flights", *row(every, config)])
-    rows.append([f"{len(well)} that see well", *row(np.concatenate(well, axis=1), config)])
+    if well:
+        rows.append([f"{len(well)} that see well", *row(np.concatenate(well, axis=1), config)])
     table(f"max_risk {config.lss.max_risk:g}", ["ground", *HEADER], rows)
     header = ["max_risk", *HEADER[2:]]
     table("All flights", header, [[f"{t:g}", *row(every, config, t)[2:]] for t in LIMITS])
@@ -80,15 +81,9 @@ def row(points: Array, config: Config, limit: float | None = None) -> list[str]:
     some = points[:, np.isfinite(points[0])]
     unsafe, told = some[1] > 0.0, some[0] <= (config.lss.max_risk if limit is None else limit)
     missed = told & unsafe
-    shares = (
-        (np.isfinite(points[0]).mean(), 1),
-        (unsafe.mean() if unsafe.size else np.nan, 1),
-        (told[~unsafe].mean() if (~unsafe).any() else np.nan, 1),
-        (told[unsafe].mean() if unsafe.any() else np.nan, 2),
-        (unsafe[told].mean() if told.any() else np.nan, 3),
-    )
+    shares = (np.isfinite(points[0]), unsafe, told[~unsafe], told[unsafe], unsafe[told])
     deepest = some[1][missed].max() if missed.any() else 0.0
-    return [*(f"{100.0 * value:.{digits}f}" for value, digits in shares), f"{deepest:.2f}"]
+    return [*(f"{100.0 * of.mean():.2f}" if of.size else "-" for of in shares), f"{deepest:.2f}"]
 
 
 if __name__ == "__main__":

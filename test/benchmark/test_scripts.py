@@ -30,6 +30,7 @@ SMALL = {
         ["--seeds", "21000", "--cases", "default", "--draws", "2", "--figure", "p.png"],
         ["predicted", "Brier", "unsafe first sites", "terrains drawn"],
     ),
+    "drone": (["--seeds", "201-202"], ["2 flights", "max_risk"]),
     "partly_seen": (
         ["--quick", "--seeds", "201"],
         [
