@@ -35,7 +35,7 @@ desk.bags: onboard.config onboard.messages desk.exchange
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
 desk.replay: plot desk.bags
 desk.player: onboard.messages onboard.nodes desk.bags desk.replay
-desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.player
+desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report desk.player
 lab.simulation: build desk.exchange
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
 lab.flight: desk.exchange lab.simulation
