@@ -17,7 +17,10 @@ from quadtree_lss.onboard.nodes.ros_messages import GridMap
 pytestmark = pytest.mark.xdist_group("ros_landing")
 
 POLICY = Path(__file__).parents[2] / "security" / "policy.xml"
-WAYS = ({"mount.gimbal": "true", "use_sim_time": "true"}, {"pose.source": "odometry"})
+WAYS = (
+    {"mount.gimbal": "true", "use_sim_time": "true"},
+    {"pose.source": "odometry", "lidar.source": "depth"},
+)
 """Parameters by which a node subscribes to something else."""
 UNSEEN = {("subscribe", "/tf_static")}
 if GridMap is None:

@@ -7,7 +7,7 @@ import argparse
 import webbrowser
 from pathlib import Path
 
-from quadtree_lss.desk.commands.common import DONE, add_command, add_json, named, print_json
+from quadtree_lss.desk.commands.common import DONE, add_command, named, print_json
 from quadtree_lss.desk.commands.console import show
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -34,7 +34,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser.add_argument("--no-open", action="store_true", help="only print where the page is")
     text = "write results as a recording of Rerun (.rrd) instead (extra 'rerun')"
     parser.add_argument("--rerun", type=named, metavar="FILE", help=text)
-    add_json(parser)
 
 
 def page_in(folder: Path) -> Path:
