@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 
 import shares
 
+pytestmark = pytest.mark.xdist_group("shares")  # drawn once
+
 
 @pytest.fixture(scope="module")
 def leaves() -> list[shares.Draw]:

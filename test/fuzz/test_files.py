@@ -185,7 +185,6 @@ conditions:
   range_noise: {uniform: [0.05, 0.1]}
 parameters:
   lss.margin: [0.0, 1.0]
-until: {quantity: safe_found, half_width: 0.5}
 """
 
 
