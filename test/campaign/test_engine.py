@@ -307,7 +307,7 @@ def test_one_folder_has_one_campaign_at_a_time(first, study):
 @pytest.mark.parametrize(
     "where",
     [
-        Where(scheduler_address="tcp://127.0.0.1:9"),
+        pytest.param(Where(scheduler_address="tcp://127.0.0.1:9"), marks=pytest.mark.slow),
         Where(scheduler_file="nowhere.json"),
         Where(workers=1, scheduler_file="nowhere.json"),
     ],

@@ -167,7 +167,7 @@ def test_config_prints_a_file_that_it_reads_again(tmp_path, capsys):
 
 def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     place = tmp_path / "flight" / "bag"
-    arguments = ["simulate", "parabola", "--seed", 3, "--duration", 4, "--out", place]
+    arguments = ["simulate", "parabola", "--seed", 3, "--duration", 2, "--out", place]
     code, out, _ = run(capsys, *arguments)
     assert code == 0 and (tmp_path / "flight" / "truth.npz").exists() and "truth.npz" in out
     code, _, err = run(capsys, *arguments)

@@ -168,7 +168,9 @@ def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
     assert sigma == pytest.approx(math.hypot(0.1, math.sqrt(variances[0])), abs=1e-3)
 
 
-@pytest.mark.parametrize("fault", ["withdrawn", "lss_node killed", "switched"])
+@pytest.mark.parametrize(
+    "fault", ["withdrawn", "lss_node killed", pytest.param("switched", marks=pytest.mark.slow)]
+)
 def test_what_happens_to_the_target_on_the_way_down(scene, fault):
     flight = scene().handed_over().below(2.5)
     if fault == "switched":
