@@ -245,6 +245,8 @@ def draw(file: Path, judged: dict[str, list[Judged]], told: dict[str, list[Array
     left, right = figure.subplots(1, 2)
     edges = np.geomspace(3e-4, 0.9, 12)
     for name, maps in judged.items():
+        if not maps:
+            continue
         risk, failed = np.concatenate(told[name]), np.concatenate([one.failed for one in maps])
         at = [(risk >= a) & (risk < b) for a, b in zip(edges, edges[1:], strict=False)]
         at = [here for here in at if here.sum() >= 300]
@@ -252,7 +254,7 @@ def draw(file: Path, judged: dict[str, list[Judged]], told: dict[str, list[Array
         left.plot(x, y, "-" if name in FAMILIES else "--", marker=".", label=name, linewidth=1.0)
     left.plot(edges, edges, "k", linewidth=0.8)
     left.fill_between(edges, edges / 2.0, edges * 2.0, color="0.9", label="within a factor of 2")
-    left.set(xscale="log", yscale="log", xlabel="risk told", ylabel="truly unsafe share")
+    left.set(xscale="log", yscale="log", xlabel="risk given", ylabel="truly unsafe share")
     left.set(ylim=(1e-4, 1.0))
     left.legend(fontsize=7)
     of = found_kept(judged["whole"], told["whole"])

@@ -27,8 +27,8 @@ SMALL = {
     "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),
     "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),
     "probability": (
-        ["--seeds", "21000", "--cases", "default", "--draws", "2", "--figure", "p.png"],
-        ["predicted", "Brier", "unsafe first sites", "terrains drawn"],
+        ["--shipped", "--seeds", "90000-90001", "--figure", "p.png"],
+        ["the shipped model", "Brier", "Operating points"],
     ),
     "drone": (["--seeds", "201-202"], ["2 flights", "max_risk"]),
     "partly_seen": (
