@@ -74,8 +74,9 @@ class FlashLidar:
         self, surface: Surface, position_map: Array, rotation_map_lidar: Array
     ) -> Array:
         """Noise-free ranges (pixels, pixels) from a pose; NaN = no return."""
-        directions_map = self.directions().reshape(-1, 3) @ rotation_map_lidar.T
-        return surface.cast(position_map, directions_map).reshape(self.pixels, self.pixels)
+        directions = self.directions()
+        directions_map = directions.reshape(-1, 3) @ rotation_map_lidar.T
+        return surface.cast(position_map, directions_map).reshape(directions.shape[:2])
 
     def scan(
         self,
@@ -123,13 +124,6 @@ class StereoCamera(FlashLidar):
         f, middle = self.focal_length, (0.5 * (self.columns - 1), 0.5 * (self.rows - 1))
         rays = np.stack([(u - middle[0]) / f, (v - middle[1]) / f, np.ones_like(u)], axis=-1)
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-
-    def true_ranges(
-        self, surface: Surface, position_map: Array, rotation_map_lidar: Array
-    ) -> Array:
-        """Noise-free ranges (rows, columns) from a pose; NaN = no return."""
-        directions_map = self.directions().reshape(-1, 3) @ rotation_map_lidar.T
-        return surface.cast(position_map, directions_map).reshape(self.rows, self.columns)
 
     def scan(
         self,
