@@ -13,6 +13,7 @@ cdef void shift_origin(double* c, double first, double second) noexcept nogil
 cdef void moments(double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* mean, double* scatter) noexcept nogil
 cdef void height_normal(double* scatter, double slope_x, double slope_y, double spread, double* normal) noexcept nogil
 cdef void orthogonal_normal(double* scatter, double* normal) noexcept nogil
+cdef void line_normal(double* scatter, double* prior, double along, double spread, double* normal, double* line) noexcept nogil
 cdef void keep_up(double* normal) noexcept nogil
 cdef void slope_covariance(double* scatter, double* normal, double variance, double tilt, double* out) noexcept nogil
 cdef void covariance_about(double* slope, double offset_variance, double first, double second, double* out) noexcept nogil

@@ -178,6 +178,40 @@ def height_normal(
     keep_up(normal)
 
 
+def line_normal(
+    scatter: Vector, prior: Vector, along: float, spread: float, normal: Vector, line: Vector
+) -> None:
+    """Normal (3) of a plane of which points on a line tell the slope along it; across, the prior's.
+
+    With l the unit vector of the longer spread in (x, y) and (a, b) the slope, the regression of
+    height on place along l, with a weak prior: the change of l.(a, b) from the prior's is
+    (S_lz - S_ll l.(a, b)_prior) / (S_ll + s).
+
+    Args:
+        scatter: (6), m^2.
+        prior: (3) normal.
+        along: S_ll, the greater eigenvalue of the scatter's (x, y), m^2.
+        spread: s, m^2.
+        line: (6) the scatter with nothing across l.
+    """
+    # The longer of two forms of the eigenvector: neither is lost to round-off.
+    x = along - scatter[3] if scatter[0] >= scatter[3] else scatter[1]
+    y = scatter[1] if scatter[0] >= scatter[3] else along - scatter[0]
+    share = 1.0 / max(length(x, y), 1e-300)
+    x *= share
+    y *= share
+    a = -prior[0] / prior[2]
+    b = -prior[1] / prior[2]
+    change = x * scatter[2] + y * scatter[4] - along * (x * a + y * b)
+    change /= along + spread
+    a += change * x
+    b += change * y
+    up = 1.0 / sqrt(a * a + b * b + 1.0)
+    normal[0], normal[1], normal[2] = -a * up, -b * up, up
+    keep_up(normal)
+    line[0], line[1], line[3] = along * x * x, along * x * y, along * y * y
+
+
 def keep_up(normal: Vector) -> None:
     """A unit normal (3) in place, turned up (Eq. 9: (n, d) and (-n, -d) are one plane) and off the
     horizon to n_z of ``MIN_UP`` at least."""

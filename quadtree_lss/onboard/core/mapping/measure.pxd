@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport NAN as nan, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport (
-    covariance_about, height_normal, moments, orthogonal_normal, pose_part, slope_covariance
+    covariance_about, height_normal, line_normal, moments, orthogonal_normal, pose_part, slope_covariance
 )
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 

@@ -23,6 +23,7 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.plane import (
         covariance_about,
         height_normal,
+        line_normal,
         moments,
         orthogonal_normal,
         pose_part,
@@ -41,6 +42,10 @@ OVERTURNED = cython.declare(cython.double, 0.5)
 PARTIAL = cython.declare(cython.double, 0.5)
 #: How a strip as thin as noise may be lifted: see `_bias`.
 TAIL = cython.declare(cython.double, 12.0)
+#: A view is a line where noise along the ray may make so much of its thinner variance, and that is
+#: below such a share of the cell's square (a full cell's is 1 / 12).
+LINE_NOISE = cython.declare(cython.double, 0.3)
+LINE_WIDTH = cython.declare(cython.double, 1.0 / 48.0)
 #: What is not known of a slope, rad.
 UNKNOWN_TILT = cython.declare(cython.double, 10.0)
 #: By how much a cell's slope may differ from that of the part of it which was seen, rad.
@@ -253,7 +258,8 @@ def measure(
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
     arm = cython.declare(cython.double[3])
-    i: cython.int
+    scatter = cython.declare(cython.double[6])
+    cython.declare(i=cython.int, line=cython.bint)
     moments(points, begin, end, run.centroid, run.scatter)
     count: cython.double = end - begin
     run.points = count
@@ -283,23 +289,32 @@ def measure(
         depth = rules.ahead_x * run.centroid[0] + rules.ahead_y * run.centroid[1]
         depth = rules.stereo * distance * (depth + rules.ahead_z * run.centroid[2])
         noise = sqrt(noise * noise + depth * depth)
+    # Variances of the points along the longer and the thinner width of what was seen.
+    half = 0.5 * (xx + yy) / count
+    root = sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0))
+    least = max(half - root, 1e-12)
+    square = noise * noise
+    line = False
     if partial(run):
-        # The slope across the thinner width of what was seen: of noise, and of what that turns it
-        # by.
-        half = 0.5 * (xx + yy) / count
-        least = half * half - (xx * yy - xy * xy) / (count * count)
-        least = max(half - sqrt(max(least, 0.0)), 1e-12)
-        square = noise * noise
+        # The slope across the thinner width: of noise, and of what that turns it by.
         if sqrt(square / (count * least)) + 0.5 * square / least > UNSEEN_TILT:
             run.sloped = 0.0
-    if run.sloped == 0.0 or count < rules.min_points:
+    else:
+        level = ray_x * ray_x + ray_y * ray_y
+        line = square * level > LINE_NOISE * least and least < LINE_WIDTH * side * side
+        line = line and square * level < LINE_NOISE * (half + root)
+    for i in range(6):
+        scatter[i] = run.scatter[i]
+    if run.sloped == 0.0 or (count < rules.min_points and not line):
         tilt = UNKNOWN_TILT
         for i in range(3):
             run.normal[i] = prior[i]
+    elif line:
+        tilt = 0.0
+        line_normal(run.scatter, prior, count * (half + root), square, run.normal, scatter)
     else:
         tilt = run.unseen * UNSEEN_TILT
-        spread = noise * noise
-        height_normal(run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], spread, run.normal)
+        height_normal(run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], square, run.normal)
         if rules.ml and count > 3.0:
             first = run.normal[0]
             second = run.normal[1]
@@ -312,6 +327,8 @@ def measure(
     up = run.normal[2]
     cosine = fabs(run.normal[0] * ray_x + run.normal[1] * ray_y + up * ray_z)
     cosine = max(cosine, MIN_COSINE)
+    if line or count < rules.min_points:
+        cosine = max(cosine, -ray_z)
     along = range_variance(noise, rules.noise_per_metre, rules.divergence, distance, cosine)
     run.cosine = cosine
     run.variance = variance = along * cosine * cosine
@@ -330,7 +347,7 @@ def measure(
     run.square = max(quadratic, 0.0) / free
     doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
     uneven = max(run.square - doubt, 0.0) + rules.uneven * (1.0 / (seen * seen) - 1.0)
-    _bias(run, ray_x, ray_y, sqrt(along), cosine / up, tilt < UNKNOWN_TILT)
+    _bias(run, ray_x, ray_y, sqrt(along), cosine / up, tilt < UNKNOWN_TILT and not line)
     if run.sloped == 0.0 and z == z:
         # Of a strip that is as wide as the noise, place and height err together, along the ray u:
         # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.
@@ -341,7 +358,7 @@ def measure(
         off_x += gap * ray_x
         off_y += gap * ray_y
         rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
-    slope_covariance(run.scatter, run.normal, variance, tilt * tilt, slope)
+    slope_covariance(scatter, run.normal, variance, tilt * tilt, slope)
     basis_at(run.normal, basis)
     covariance_about(
         slope,
