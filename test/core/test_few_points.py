@@ -71,14 +71,44 @@ def test_points_on_a_line_tell_no_plane_however_many():
     assert mapper.snapshot().measured.sum() == 1
 
 
-def test_a_scan_of_two_points_tells_no_slope():
+@pytest.mark.parametrize("crossed", [False, True])
+def test_two_points_tell_the_slope_along_their_line(crossed):
+    """On one diagonal, scan by scan, no plane; on both of them in turn, one."""
     config = configured(domain=CELLS_4M, lidar={"range_noise": 0.05})
     rng, mapper = np.random.default_rng(2), Mapper(config)
     for k in range(30):
+        y = np.array([3.0, 1.0] if crossed and k % 2 else [1.0, 3.0])
         pose = make_pose(ABOVE, stamp_ns=k + 1)
-        x, y = np.array([1.0, 3.0]), np.array([1.0, 3.0] if k % 2 else [3.0, 1.0])
-        mapper.update(scan(flat(), x, y, pose, 0.05, rng), pose)
-    assert not mapper.snapshot().measured.any()
+        mapper.update(scan(flat(), np.array([1.0, 3.0]), y, pose, 0.05, rng), pose)
+    cells = mapper.snapshot()
+    assert np.count_nonzero(cells.measured) == crossed
+    error = plane_errors(cells, np.array([0.0, 0.0, 1.0]), flat())[cells.measured]
+    assert np.abs(error).max(initial=0.0) < 0.05
+
+
+@pytest.mark.parametrize("ground", [flat(), slope(0.1, 0.05, 30.0)], ids=["level", "inclined"])
+@pytest.mark.parametrize("aside", [0.1, 0.4])
+@pytest.mark.parametrize("spacing", [1.4, 0.7, 0.22])
+def test_single_lines_that_sweep_over_cells_tell_their_planes(spacing, aside, ground):
+    """As of a spinning lidar: every third cell has a line of a scan, of one to five points.
+
+    Noise moves points along the ray, by more than what a line is wide; it is no width.
+    """
+    noise, rng = 0.16, np.random.default_rng(3)
+    mapper = Mapper(configured(domain=FINEST_1M, lidar={"range_noise": noise}))
+    for k in range(150):
+        y = np.arange(-1.0, 17.0, spacing) + spacing * rng.random()
+        x, y = np.meshgrid(np.arange(-3.0, 19.0, 3.0) + (0.16 * k) % 3.0, y)
+        pose = make_pose((8.0 - 100.0 * aside, 8.0, 130.0), stamp_ns=100_000_000 * (k + 1))
+        look(mapper, ground, x.ravel(), y.ravel(), rng, noise, pose)
+    cells = mapper.snapshot()
+    inner = cells.measured & (abs(cells.x - 8.0) < 6.0) & (abs(cells.y - 8.0) < 6.0)
+    assert np.count_nonzero(inner) == 144
+    x, y = cells.x[inner], cells.y[inner]
+    true = [(ground(x + d, y + e) - ground(x - d, y - e)) / 2.0 for d, e in np.eye(2)]
+    error = -(cells.normal[inner, :2] / cells.normal[inner, 2:]).T - true
+    assert np.median(np.abs(error), axis=1).max() < 0.11
+    assert np.quantile(np.abs(error), 0.98) < 0.4
 
 
 @pytest.mark.parametrize("seed", range(10))
