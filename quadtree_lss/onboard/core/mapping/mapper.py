@@ -142,8 +142,8 @@ class Mapper:
         """Map one scan of points (H, W, 3) organised or (N, 3), lidar axes (z boresight), m, of
         which rows that are not finite are no returns, from the lidar's pose at its stamp; ``sweep``
         is how the lidar moved while it took the scan, None if at once."""
-        if not self.stamp_ns:  # there is nothing to drop
-            self._follow(pose)
+        if not self.stamp_ns or self.config.domain.follow == "area":
+            self._follow(pose)  # there is nothing to drop yet, or no pose decides
         scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain, sweep)
         used = len(scan.key)
         divisions = refused = 0
@@ -246,13 +246,16 @@ class Mapper:
         offset: Offset | None = offset_of(cells, now, time, metre)
         if offset is None:
             return 0.0
-        self._owed += offset.map
-        self._lifted += offset.map
+        # Cells are summed up in an order that follows from where the square lies: it is to change
+        # no bit.
+        of_scan, of_map, since = (round(x, 9) for x in (offset.scan, offset.map, offset.since))
+        self._owed += of_map
+        self._lifted += of_map
         if abs(self._owed) >= LEAST_LIFT * metre:
-            lift(self.leaves, self._owed, offset.since)
+            lift(self.leaves, self._owed, since)
             self._owed = 0.0
-        self._offset = (offset.height - offset.map + self._owed, offset.variance)
-        change.align(offset.scan + self._owed)
+        self._offset = (offset.height - of_map + self._owed, offset.variance)
+        change.align(of_scan + self._owed)
         return offset.height
 
     def pose_errors(self) -> PoseErrors | None:
