@@ -2,10 +2,10 @@
 """A square that follows, over a kilometre of fields with rocks: 25 m up, 6 m/s, the drone's preset.
 
 A flash lidar of 128 x 128 beams, 45 degrees wide, at 20 Hz: 21 m that the square always holds, and
-about forty returns to a leaf while it passes over it. Printed are: memory; by how much map and sites are behind
-the vehicle, in CPU seconds from a scan's stamp, as one core for each node would have it; leaves
-that stayed inside, beside a map whose fixed domain lay there; and at even moments the place that
-``~/land_now`` would take, by the true ground.
+about forty returns to a leaf while it passes over it. Printed are: memory; by how much map and
+sites are behind the vehicle, in CPU seconds from a scan's stamp, as one core for each node would
+have it; leaves that stayed inside, beside a map whose fixed domain lay there; and at even moments
+the place that ``~/land_now`` would take, by the true ground.
 
 The ground is 105 m wide and there and back again, but the way leads across it, so that no place is
 flown over twice. A fixed map sees other parts of the scans than one that follows, and so aligns
@@ -41,7 +41,7 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF
-from quadtree_lss.onboard.messages.maps import decode_cells, encode_cells
+from quadtree_lss.onboard.messages.maps import decode_cells, encode_cells, round_trip
 
 HEIGHT, SPEED, RATE, FIELD_OF_VIEW = 25.0, 6.0, 20.0, 45.0
 SCALE, SIDE, ROOM = 0.35, 300.0, 30.0
@@ -49,6 +49,8 @@ SCALE, SIDE, ROOM = 0.35, 300.0, 30.0
 NEAR, EVERY = 15.0, 0.5
 #: Scans that a place may have been seen by, and of which the compared maps are made.
 KEPT, COMPARED = 200, 8
+#: Scans from one landing pass to the next, as ``publish.lss_rate`` has it.
+PASS = 5
 
 
 class Fields:
@@ -119,6 +121,8 @@ def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str
             moves, longest = moves + 1, max(longest, taken)
         kept.append((points, pose, beside.domain))
         beside.update(points, pose)
+        if k + PASS in moments:  # the pass before: what did not change since is kept
+            selector.assess(round_trip(mapper.snapshot()))
         if k in moments:
             began = time.thread_time()
             cells = mapper.snapshot()

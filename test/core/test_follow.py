@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A square that follows: what stays inside is that of a map that lay there all along, to the bit."""
+"""A square that follows: what stays inside is as if it had always lain there, to the bit."""
 
 from __future__ import annotations
 
@@ -123,7 +123,9 @@ def test_a_wrong_pose_does_not_drop_the_map():
     away = make_pose((9e3, 8.0, 30.0), pose_covariance(0.03, 1e-3), stamp_ns=7 * 10**8)
     for k in range(AGREEING):
         assert mapper.domain == domain
-        look(mapper, flat(), *scattered(np.random.default_rng(k), 8995.0, 3.0, 10.0, 500), pose=away)
+        look(
+            mapper, flat(), *scattered(np.random.default_rng(k), 8995.0, 3.0, 10.0, 500), pose=away
+        )
         if k == 0:
             assert np.array_equal(before.z, mapper.snapshot().z, equal_nan=True)
     assert mapper.domain.steps_to(9e3, 8.0) == (0, 0), "nor does it stay behind for ever"
@@ -174,7 +176,7 @@ def test_a_target_is_never_moved_by_a_move(ranking):
     x, y, _ = chosen.selected.position
     # The vehicle goes round it, looking at nothing new.
     kept, domains = [], set()
-    for number, (east, north) in enumerate(((2.5, 0.0), (0.0, 2.5), (-2.5, -2.5), (0.0, 0.0))):
+    for east, north in ((2.5, 0.0), (0.0, 2.5), (-2.5, -2.5), (0.0, 0.0)):
         mapper.leaves.follow(*mapper.domain.steps_to(x + east, y + north))
         domains.add(mapper.domain)
         kept.append(selector.assess(round_trip(mapper.snapshot())))

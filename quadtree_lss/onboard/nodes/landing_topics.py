@@ -52,8 +52,9 @@ LOOK_S = 0.05
 class LandingTopics:
     """Subscribes to the topics and holds what came last, `LandingWishes` for the map's frame.
 
-    Each is subscribed to twice (`qos.subscribe_twice`). ``changed`` is called after each change, and when `settled` has become true, which it is not
-    before those of ``required`` (``lss.required_input``) came.
+    Each is subscribed to twice (`qos.subscribe_twice`). ``changed`` is called after each change,
+    and when `settled` has become true, which it is not before those of ``required``
+    (``lss.required_input``) came.
     """
 
     def __init__(

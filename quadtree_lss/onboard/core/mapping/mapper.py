@@ -92,8 +92,9 @@ class Mapper:
     Not thread-safe. A scan either enters whole or, if none of its points is sound or it contradicts
     the map, changes nothing. With ``domain.follow`` the square is then moved, if what it follows is
     no longer near its middle (`Domain.steps_to`); scans that no point entered of move it only as
-    the tenth in a row, so that a wrong pose does not drop the map. ``stamp_ns`` is that of the newest scan since time last jumped back (a
-    looping bag, a clock set right; leaves may then be of later stamps), 0 if nothing is mapped.
+    the tenth in a row, so that a wrong pose does not drop the map. ``stamp_ns`` is that of the
+    newest scan since time last jumped back (a looping bag, a clock set right; leaves may then be of
+    later stamps), 0 if nothing is mapped.
     """
 
     def __init__(self, config: Config) -> None:

@@ -15,8 +15,8 @@ from quadtree_lss.onboard.config.settings import DomainConfig
 
 Kind = TypeVar("Kind", bound=np.generic)
 
-#: A square that follows is moved, by cells of `STEP_LEVEL` or by coarsest ones, once what it follows
-#: is farther from its middle than this share of its side, along x or along y.
+#: A square that follows is moved, by cells of `STEP_LEVEL` or by coarsest ones, once what it
+#: follows is farther from its middle than this share of its side, along x or along y.
 ASTRAY = 1.0 / 8.0
 #: No corner is farther from the map's origin, m (``domain.xmin``).
 FARTHEST = 1e8

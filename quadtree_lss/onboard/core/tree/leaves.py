@@ -343,7 +343,11 @@ def unfold(values: Bytes, out: Bytes) -> None:
 @cython.boundscheck(False)
 @cython.locals(values=cython.uchar[::1], out=cython.uchar[::1])
 def shift(
-    values: Bytes, out: Bytes, n: cython.Py_ssize_t, east: cython.Py_ssize_t, north: cython.Py_ssize_t
+    values: Bytes,
+    out: Bytes,
+    n: cython.Py_ssize_t,
+    east: cython.Py_ssize_t,
+    north: cython.Py_ssize_t,
 ) -> None:
     """Values (n^2,) of finest cells in Morton order to those of the square that lies so many cells
     east and north; 0 where that is new."""
