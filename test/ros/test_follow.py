@@ -17,6 +17,7 @@ from quadtree_lss.onboard.nodes.qos import stream
 pytestmark = pytest.mark.xdist_group("ros_faults")
 
 
+@pytest.mark.slow
 def test_the_nodes_follow_the_vehicle_as_a_replay_does(ros):
     params = ros.params.read_text().replace("max_level: 6", "max_level: 6, follow: vehicle")
     ros.params.write_text(params)
