@@ -18,8 +18,10 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import tempfile
 import time
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -36,12 +38,18 @@ from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.lab.simulation.trajectory import NORTH, look_at
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.core.geometry.rotations import quaternion_from_rotation
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF
-from quadtree_lss.onboard.messages.maps import decode_cells, encode_cells, round_trip
+from quadtree_lss.onboard.messages.maps import (
+    decode_cells,
+    encode_cells,
+    record_dtype,
+    round_trip,
+)
 
 HEIGHT, SPEED, RATE, FIELD_OF_VIEW = 25.0, 6.0, 20.0, 45.0
 SCALE, SIDE, ROOM = 0.35, 300.0, 30.0
@@ -81,20 +89,22 @@ def main() -> None:
     parser.add_argument("--seeds", default="9481-9482", help="first-last")
     parser.add_argument("--length", type=float, default=1000.0, help="of the way, m")
     parser.add_argument("--moments", type=int, default=100)
+    parser.add_argument("--live", type=float, help="the nodes as processes, so many seconds of it")
     parser.add_argument("--field", default="default", choices=tuple(FIELDS))
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")
     print(machine())
     config = configuration("drone", domain__follow="vehicle")
+    if options.live:
+        return live(int(first), options.field, options.live)
     for seed in range(int(first), int(last or first) + 1):
         rows = fly(seed, options, config)
         table(f"{options.length:g} m over {options.field} ground, seed {seed}", ["", ""], rows)
 
 
-def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str]]:
-    """Rows of the table of one flight."""
-    fields, noise = Fields(options.field, seed), np.random.default_rng([seed, 1])
-    count = int(options.length / SPEED * RATE)
+def scans(seed: int, field: str, count: int) -> Iterator[tuple[Array, Terrain, Array, Pose]]:
+    """True place, ground, points and pose of each."""
+    fields, noise = Fields(field, seed), np.random.default_rng([seed, 1])
     times = np.arange(count) / RATE
     away = np.linspace(-25.0, 25.0, count)
     true = np.column_stack([SPEED * times, away, np.full(count, HEIGHT)])
@@ -102,18 +112,24 @@ def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str
     navigation = DriftingNavigation(attitude_bias_deg=0.02, attitude_drift_deg=0.005)
     told = navigation.estimate(np.random.default_rng([seed, 2]), times, true, down)
     lidar = FlashLidar(FIELD_OF_VIEW, range_noise=0.02)
+    for k in range(count):
+        ground = fields.about(*true[k, :2])
+        points = lidar.scan(ground, true[k], down[k], noise).astype(np.float32)
+        stamp_ns = 10**9 + round(1e9 * times[k])
+        pose = Pose(stamp_ns, told.positions[k], told.rotations[k], told.covariance)
+        yield true[k], ground, points, pose
+
+
+def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str]]:
+    """Rows of the table of one flight."""
+    count = int(options.length / SPEED * RATE)
     plain = config_from_values({"mapping.align": False}, config)
     mapper, beside, selector = Mapper(config), Mapper(plain), LandingSiteSelector(config)
     kept: deque[tuple[Array, Pose, Domain]] = deque(maxlen=KEPT)
     moments = set(np.linspace(50, count - 1, options.moments).astype(int).tolist())
     compared = set(np.linspace(KEPT, count - 1, COMPARED).astype(int).tolist())
     memory, late, places, same, moves, longest = [], [], [], np.zeros(2, int), 0, 0.0
-    for k in range(count):
-        ground = fields.about(*true[k, :2])
-        points = lidar.scan(ground, true[k], down[k], noise).astype(np.float32)
-        pose = Pose(
-            10**9 + round(1e9 * times[k]), told.positions[k], told.rotations[k], told.covariance
-        )
+    for k, (true, ground, points, pose) in enumerate(scans(seed, options.field, count)):
         before, began = mapper.domain, time.thread_time()
         mapper.update(points, pose)
         taken = time.thread_time() - began
@@ -135,11 +151,41 @@ def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str
             x, y, z = pose.position.tolist()
             found = selector.assess(heard, vehicle=(z, 0.0, x, y, SPEED, 0.0))
             late.append((mapped, mapped + time.thread_time() - began))
-            places.append(judge(found.now, true[k], ground, config))
+            places.append(judge(found.now, true, ground, config))
             memory.append((resident(), mapper.leaves.count, mapper.leaves.capacity))
         if k in compared:
             same += alike(beside, kept, plain)
     return told_of(np.array(memory), np.array(late), np.array(places), same, moves, longest)
+
+
+def live(seed: int, field: str, seconds: float) -> None:
+    """Print the latencies of both nodes as processes."""
+    from live import CELLS, SITES, Script, fly, latencies_ms
+    from rclpy.serialization import serialize_message
+
+    from quadtree_lss.onboard.nodes.ros_messages import message_maker
+
+    make, offsets, content = message_maker("map"), [], []
+    names = tuple((name, "f4") for name in "xyz")
+    for _, _, points, pose in scans(seed, field, int(seconds * RATE) + 1):
+        turn = quaternion_from_rotation(pose.rotation_map_lidar)
+        said = make.pose(0, pose.position, turn, pose.covariance.ravel())
+        cloud = make.cloud(points.view(record_dtype(names))[..., 0], names, 0)
+        offsets += [pose.stamp_ns - 10**9] * 2
+        content += [bytearray(serialize_message(message)) for message in (said, cloud)]
+    script = Script(offsets, [False, True] * (len(offsets) // 2), content, offsets[-1])
+    extra = ("-p", "domain.follow:=vehicle")
+    with tempfile.TemporaryDirectory() as folder:
+        flown = fly(script, seconds, Path(folder), config="drone", extra=extra)
+    rows = []
+    for topic in (CELLS, SITES):
+        late, _ = latencies_ms(flown.sent, flown.observed.received[topic])
+        rows.append([topic, *(f"{of:.0f}" for of in np.percentile(late, (50, 95, 100)))])
+    rows += [[name, f"{of.share():.0f} %", "", ""] for name, of in flown.usage.items()]
+    title = (
+        f"{seconds:g} s: from the stamp of a message's newest scan to its arrival, ms; of a core"
+    )
+    table(title, ["", "median", "95 %", "most"], rows)
 
 
 def judge(now: Array, at: Array, ground: Terrain, config: Config) -> tuple[float, ...]:

@@ -252,3 +252,5 @@ def test_what_cannot_follow_is_refused_in_one_line():
         with pytest.raises(ConfigError, match=why):
             config_from_values(values, FOLLOWING)
         config_from_values({**values, "domain.follow": "none"}, FOLLOWING)
+    # In YAML `off` is no text.
+    assert config_from_values({"domain.follow": False}, FOLLOWING).domain.follow == "none"
