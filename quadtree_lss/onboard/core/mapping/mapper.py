@@ -7,6 +7,7 @@ import math
 from dataclasses import astuple, dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Points
 from quadtree_lss.onboard.config.settings import Config
@@ -117,11 +118,14 @@ class Mapper:
         domain: Domain = self.leaves.domain
         return domain
 
-    def look_at(self, area: Array | None) -> None:
+    def look_at(self, area: ArrayLike | None) -> None:
         """The landing area (V, 2), m, or None for none: where ``domain.follow: area`` goes to, with
-        the next scan."""
-        middle = None if area is None else 0.5 * (area.min(axis=0) + area.max(axis=0))
-        self._area = None if middle is None else (float(middle[0]), float(middle[1]))
+        the next scan. Raises `ValueError`: it is asked for, and is no polygon."""
+        self._area = None
+        if area is not None and self.config.domain.follow == "area":
+            corners = np.asarray(area, dtype=np.float64).reshape(-1, 2)
+            x, y = (0.5 * (corners.min(axis=0) + corners.max(axis=0))).tolist()
+            self._area = x, y
 
     def reset(self) -> None:
         """Forget everything that was mapped."""
