@@ -84,7 +84,7 @@ class Fields:
 
 
 def main() -> None:
-    """Print one table for each seed, and one for all."""
+    """Print one table, a column for each seed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="9481-9482", help="first-last")
     parser.add_argument("--length", type=float, default=1000.0, help="of the way, m")
@@ -97,9 +97,11 @@ def main() -> None:
     config = configuration("drone", domain__follow="vehicle")
     if options.live:
         return live(int(first), options.field, options.live)
-    for seed in range(int(first), int(last or first) + 1):
-        rows = fly(seed, options, config)
-        table(f"{options.length:g} m over {options.field} ground, seed {seed}", ["", ""], rows)
+    seeds = range(int(first), int(last or first) + 1)
+    flown = [fly(seed, options, config) for seed in seeds]
+    rows = [[name, *(of[k][1] for of in flown)] for k, (name, _) in enumerate(flown[0])]
+    title = f"{options.length:g} m over {options.field} ground"
+    table(title, ["", *(f"seed {seed}" for seed in seeds)], rows)
 
 
 def scans(seed: int, field: str, count: int) -> Iterator[tuple[Array, Terrain, Array, Pose]]:
