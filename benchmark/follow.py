@@ -272,7 +272,7 @@ def told_of(
         [f"moments, with truly safe ground within {NEAR:g} m", f"{len(places)}, {near.sum()}"],
         ["of these a place is named", f"{int(places[near, 1].sum())}"],
         ["and the lander stands there", f"{int(stands.sum())}"],
-        ["told on average, %", f"{100.0 * np.nanmean(places[near, 3]):.2f}"],
+        ["probability given on average, %", f"{100.0 * np.nanmean(places[near, 3]):.2f}"],
         ["distance from the vehicle, median and most, m",
          f"{np.nanmedian(places[:, 4]):.1f}, {np.nanmax(places[:, 4]):.1f}"],
     ]  # fmt: skip
