@@ -86,7 +86,7 @@ class Fields:
 def main() -> None:
     """Print one table, a column for each seed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", default="9481", help="first-last")
+    parser.add_argument("--seeds", default="9481-9482", help="first-last")
     parser.add_argument("--length", type=float, default=1000.0, help="of the way, m")
     parser.add_argument("--moments", type=int, default=100)
     parser.add_argument("--live", type=float, help="the nodes as processes, so many seconds of it")
