@@ -191,16 +191,18 @@ def fly(
     seconds: float,
     folder: Path,
     *,
+    config: str = "morpheus",
     extra: Sequence[str] = (),
     kill_every: float = 0.0,
 ) -> Flight:
     """Starts the nodes, plays the script for some time, watches.
 
     Args:
+        config: Of both nodes.
         extra: ROS arguments for both nodes.
         kill_every: Kill the nodes in turn and start them again, s; 0 for never.
     """
-    args = ["--params-file", str(find_config("morpheus"))]
+    args = ["--params-file", str(find_config(config))]
     args += ["-p", "qos.scan_reliability:=reliable", *extra]
     spawn = multiprocessing.get_context("spawn")
     ready, stop, out = spawn.Event(), spawn.Event(), spawn.Queue()

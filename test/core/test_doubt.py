@@ -57,7 +57,7 @@ def test_few_places_say_nothing():
 def test_another_map_or_one_begun_anew_is_not_held_against_the_last():
     assert judged_again(0.01, 0.04, stamps=(2, 1)) == ""
     hindsight = Hindsight(1.0)
-    hindsight.take(dataclasses.replace(DOMAIN, xmin=1.0), 1, np.full(ALL.shape, 0.01), ALL)
+    hindsight.take(dataclasses.replace(DOMAIN, xmin=0.1), 1, np.full(ALL.shape, 0.01), ALL)
     hindsight.take(DOMAIN, 2, np.full(ALL.shape, 0.04), ALL)
     assert hindsight.words() == ""
 

@@ -56,6 +56,14 @@ def test_the_pose_of_a_level_body_is_told():
     assert "mount.roll_deg 180" in text
 
 
+def test_a_square_that_follows_is_where_the_vehicle_is():
+    down, place = np.diag([1.0, -1.0, -1.0]), np.array([5.0, 3.0, 80.0])
+    points, away = optical_points(down, place), place + (4000.0, -900.0, 0.0)
+    assert "mount" not in reason(points, np.eye(3), away)
+    values = {"domain.follow": "vehicle", "lss.grid_spacing": 0.5}
+    assert "mount.roll_deg 180" in reason(points, np.eye(3), away, **values)
+
+
 def test_poses_in_ned_are_told():
     ned = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     assert "x east, y north, z up" in reason(optical_points(), ned @ ROTATION, ned @ PLACE)

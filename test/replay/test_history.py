@@ -9,6 +9,7 @@ from replay.recordings import GROUND, write_ros2
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.history import Thinned
 from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.desk.report.content import read
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 
@@ -47,6 +48,25 @@ def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
         last = history["site_answer"] == len(history["answer_stamp_ns"]) - 1
         np.testing.assert_allclose(history["site_position"][last], result.assessment.sites.position)
         assert history["target"][-1, 0] == result.assessment.selected.id
+
+
+def test_passes_are_laid_on_the_last_square_wherever_they_lay(tmp_path):
+    config = config_from_values({**GROUND, "domain.follow": "vehicle", "lss.grid_spacing": 0.5})
+    result = replay(write_ros2(tmp_path / "bag", scans=60), tmp_path / "out", config)
+    content = read(tmp_path / "out")
+    corner, last = content.history["answer_corner"], result.cells.domain
+    assert last.xmin > 0.0 and corner[0, 0] < 0.0
+    np.testing.assert_array_equal(corner[-1], (last.xmin, last.ymin))
+    every, (ny, nx) = np.arange(len(corner)), result.assessment.hazard.shape
+    for name, empty in (("seen", 0), ("probability", 255)):
+        laid = content.then(name, every)
+        for k, east in enumerate(np.rint((last.xmin - corner[:, 0]) / 0.5).astype(int).tolist()):
+            own = content.history[name][k]
+            own = np.unpackbits(own, count=ny * nx) if name == "seen" else own
+            own = own.reshape(ny, nx)
+            np.testing.assert_array_equal(laid[k, :, : nx - east], own[:, east:])
+            assert (laid[k, :, nx - east :] == empty).all()
+        assert (laid[0] != empty).any()
 
 
 def test_what_does_not_pack_is_stored(tmp_path):

@@ -68,6 +68,17 @@ def test_a_keep_out_an_area_and_a_target_of_the_bag_hold(tmp_path, free):
     assert west <= 0.0 < east_most and east_most - west > 5.0
 
 
+def test_a_square_that_follows_goes_to_the_area_of_the_bag(tmp_path):
+    def say(recorder):
+        recorder.polygon("/landing/area", WEST, START)
+
+    bag = write(tmp_path / "area", say)
+    config = config_from_values({"domain.follow": "area", "lss.grid_spacing": 0.5}, CONFIG)
+    for options, corner in (({}, (-24.0, -16.0)), ({"landing": {"area": KEEP_OUT}}, (-8.0, -16.0))):
+        domain = replay(bag, None, config, report=False, **options).cells.domain
+        assert (domain.xmin, domain.ymin) == corner
+
+
 def test_the_last_word_counts_and_options_outrank_it(tmp_path):
     def say(recorder):
         recorder.polygon("/landing/keep_out", KEEP_OUT, START)

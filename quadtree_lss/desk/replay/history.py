@@ -66,6 +66,7 @@ class History:
         self._answers.add(
             {
                 "stamp_ns": found.stamp_ns,
+                "corner": (found.x[0], found.y[0]),
                 "seen": np.packbits(found.hazard & UNSEEN == 0),
                 "allowed": np.packbits(found.safe),
                 "probability": _percent(known_probability(found)),
@@ -96,6 +97,7 @@ class History:
                 -1, len(_DIRECTIONS), 2
             ),
             "answer_stamp_ns": np.array([a["stamp_ns"] for a in answers], dtype=np.int64),
+            "answer_corner": np.array([a["corner"] for a in answers]).reshape(-1, 2),
             "seen": np.array([a["seen"] for a in answers], dtype=np.uint8),
             "allowed": np.array([a["allowed"] for a in answers], dtype=np.uint8),
             **(

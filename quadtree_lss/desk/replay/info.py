@@ -165,8 +165,7 @@ def _read(
     info: BagInfo, bag: Bag, stream: Stream, config: Config, progress: Progress | None
 ) -> None:
     intake, heard = stream.intake(config), Heard()
-    d = config.domain
-    domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
+    domain = Domain.of(config.domain)
     dropped: Counter[str] = Counter()
     missed_at: tuple[float, float] | None = None
     why = ""
@@ -179,6 +178,8 @@ def _read(
         stream.take(bag, intake, message)
         for ready in intake.ready(message.received_ns):
             info.scans_with_pose += 1
+            if config.domain.follow == "vehicle":
+                domain = domain.moved(*domain.steps_to(*ready.pose.position[:2].tolist()))
             scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
             info.points += ready.points_lidar.size // 3
             dropped.update(ready.lost(lost))

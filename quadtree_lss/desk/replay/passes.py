@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
-from math import inf
+from math import hypot, inf
 from typing import Any, NamedTuple, Protocol
 
 from quadtree_lss.onboard.config.settings import Config
@@ -14,6 +14,9 @@ from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSi
 from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip
+
+ROUNDING = 1e-6
+"""A target is the same to so many m: grid points of a domain that follows are but for rounding."""
 
 
 class TargetChange(NamedTuple):
@@ -138,9 +141,10 @@ class Passes:
         x, y, z = found.selected.position.tolist()
         row = TargetChange(found.stamp_ns, found.selected.id, x, y, z, found.selected.reason.key)
         last = self.changes[-1] if self.changes else None
-        if row.id and (last is None or (row.id, row.x, row.y) != (last.id, last.x, last.y)):
-            self.changes.append(row)
-        elif not row.id and last is not None and last.id:
+        same = last is not None and row.id == last.id
+        if last is not None and row.id and same:
+            same = hypot(row.x - last.x, row.y - last.y) < ROUNDING
+        if not same and (row.id or last is not None):
             self.changes.append(row)
 
 

@@ -23,6 +23,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.landing_inputs import AREA
 from quadtree_lss.onboard.messages.lost_points import (
     MAP_OVERRULED,
     likely_reason,
@@ -147,9 +148,7 @@ class Run:
 
     def _lost_points(self) -> str | None:
         """Why less than half of the points entered the map; None if more did."""
-        d = self.config.domain
-        domain = Domain(d.xmin, d.ymin, d.size, d.min_level, d.max_level)
-        lost = self.points_dropped
+        lost, domain = self.points_dropped, Domain.of(self.config.domain)
         return points_warning(self.points, lost, domain, self._missed_at, self._missed_why)
 
     def warnings(self) -> list[str]:
@@ -182,6 +181,7 @@ class Run:
         return self.interrupted
 
     def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
+        mapper.look_at(self.landing.wishes.values[AREA])
         began = time.perf_counter()
         report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config, config_from_values, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
+from quadtree_lss.onboard.core.tree.domain import carried
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -55,6 +56,22 @@ class Content:
         """Of the grid points, m."""
         x = self.grid["x"]
         return float(x[1] - x[0]) if len(x) > 1 else self.config.lss.spacing
+
+    def then(self, name: str, answers: NDArray[np.intp]) -> NDArray[np.uint8]:
+        """(A, ny, nx) of the history at some answers, bits or per cent, on the grid of the last: a
+        domain that follows lay elsewhere. What was not in it was not seen."""
+        shape, rows = self.grid["hazard"].shape, self.history[name][answers]
+        fill = 255 if name == "probability" else 0
+        if not fill:
+            rows = np.unpackbits(rows, axis=1, count=shape[0] * shape[1])
+        found: NDArray[np.uint8] = rows.reshape(-1, *shape)
+        corners = self.history.get("answer_corner")
+        if corners is not None:  # else it is a file from before
+            last = np.array([self.grid["x"][0], self.grid["y"][0]])
+            steps = np.rint((last - corners[answers]) / self.spacing).astype(int)
+            for k in np.flatnonzero(steps.any(axis=1)):
+                found[k] = carried(found[k], *steps[k].tolist(), fill)
+        return found
 
     @property
     def zone(self) -> float:

@@ -195,14 +195,10 @@ def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] 
         return None
     first = int(min(scans.min(initial=answers[mapped[0]]), answers[mapped].min()))
     shown = mapped[np.unique(np.linspace(0, len(mapped) - 1, MAX_ANSWERS).round().astype(int))]
-    shape = content.grid["hazard"].shape
-
-    def bits(name: str) -> NDArray[Any]:
-        rows = np.unpackbits(history[name][shown], axis=1, count=shape[0] * shape[1])
-        return rows.reshape(-1, *shape)[:, ::stride, ::stride]
 
     def packed(name: str) -> NDArray[Any]:
-        return np.packbits(bits(name).reshape(len(shown), -1), axis=1)
+        bits = content.then(name, shown)[:, ::stride, ::stride]
+        return np.packbits(bits.reshape(len(shown), -1), axis=1)
 
     # Of what is seen hardly anything changes from one answer to the next.
     seen = packed("seen")
@@ -210,7 +206,7 @@ def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] 
     place = {answer: k for k, answer in enumerate(shown.tolist())}
     likely = {}
     if "probability" in history:
-        found = history["probability"][shown].reshape(-1, *shape)[:, ::stride, ::stride]
+        found = content.then("probability", shown)[:, ::stride, ::stride]
         # Changes from one answer to the next, modulo 256, are nearly all zero.
         likely["probability"] = columns.whole(np.diff(found, axis=0, prepend=np.uint8(0)), "u1")
     sites: list[list[list[float | None]]] = [[] for _ in shown]

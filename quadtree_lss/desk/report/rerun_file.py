@@ -38,13 +38,12 @@ def write_rerun(content: Content, path: Path) -> None:
     out.log(
         "map/ground", rr.Mesh3D(vertex_positions=places, triangle_indices=triangles), static=True
     )
-    shape = grid["hazard"].shape
     stamps = history["answer_stamp_ns"]
     mapped = np.flatnonzero(stamps > 0)
     for answer in mapped[np.unique(np.linspace(0, len(mapped) - 1, MOST).round().astype(int))]:
         out.set_time("bag", timestamp=np.datetime64(int(stamps[answer]), "ns"))
         seen, allowed = (
-            np.unpackbits(history[name][answer], count=shape[0] * shape[1]).astype(bool)
+            content.then(name, np.array([answer])).ravel().astype(bool)
             for name in ("seen", "allowed")
         )
         out.log("map/ground", rr.Mesh3D.from_fields(vertex_colors=colours(seen, allowed)))

@@ -22,7 +22,7 @@ from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.intake import Intake
-from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
 
 REPEAT_NS = 400_000_000
 """``landing/selected`` is said again so often, as by lss_node."""
@@ -93,6 +93,7 @@ class LockstepNodes:
     def work(self, now_ns: int) -> Target | None:
         """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
         if "mapping" not in self._down:
+            self._mapper.look_at(self._wishes.values[AREA])
             for scan in self._intake.ready(now_ns):
                 report = self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
                 self._noise_ratio = report.noise_ratio

@@ -67,6 +67,8 @@ live = functools.partial(declared, live=True)
 def checked_value(row: Parameter, value: object) -> Value:
     """``value`` converted to the row's type. Raises `ConfigError`: wrong type, out of range, not
     finite or not among the choices."""
+    if value is False and "none" in row.choices:  # what YAML makes of `off`
+        value = "none"
     kinds = {bool: bool, str: str, int: numbers.Integral, float: numbers.Real}
     if not isinstance(value, kinds[row.type]) or (row.type is not bool and isinstance(value, bool)):
         msg = f"{row.name} must be {row.type.__name__}, got {value!r}"

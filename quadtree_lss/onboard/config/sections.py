@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS
+from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, STEP_LEVEL
 from quadtree_lss.onboard.config.parameter import declared as _p
 from quadtree_lss.onboard.config.parameter import live as _live
 from quadtree_lss.onboard.config.vehicle import VehicleConfig
@@ -18,6 +18,12 @@ class DomainConfig:
     xmin: float = _p(-60.0, "western edge of the square domain", (-1e8, 1e8), "m")
     ymin: float = _p(-60.0, "southern edge of the square domain", (-1e8, 1e8), "m")
     size: float = _p(120.0, "side of the square domain", (0.01, 1e5), "m")
+    follow: str = _p(
+        "none",
+        "the square moves by whole coarsest cells, so that this stays near its middle: vehicle (the"
+        " lidar), or area (the middle of landing/area); what it leaves behind is dropped",
+        choices=("none", "vehicle", "area"),
+    )
     min_level: int = _p(4, "level to which the tree is divided at start", (0, MOST_LEVELS))
     max_level: int = _p(
         8,
@@ -25,6 +31,11 @@ class DomainConfig:
         " would take five",
         (0, MOST_LEVELS),
     )
+
+    @property
+    def step(self) -> float:
+        """A domain that follows is moved by multiples of this, m."""
+        return self.size / (1 << min(self.min_level, STEP_LEVEL))
 
 
 @dataclass(frozen=True)

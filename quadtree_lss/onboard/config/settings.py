@@ -32,6 +32,10 @@ RENAMED = {
     "lss.pad_radius": "vehicle.pad_radius",
 }
 
+#: Least level of the coarsest cells of a domain that follows: moved by one it is within a sixteenth
+#: of its side of where it is to be, half of what moves it (`Domain.steps_to`).
+LEAST_STEPS = 3
+
 #: What were parameters once, and what holds now.
 REMOVED = {
     "pose.buffer": "poses are kept for 30 s",
@@ -206,6 +210,8 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
             f"mapping.max_cells = {mapping.max_cells} is less than the {4**domain.min_level}"
             f" cells of domain.min_level = {domain.min_level}"
         )
+    if domain.follow != "none":
+        yield from _lame(config)
     if lidar.min_range >= lidar.max_range:
         yield (
             f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
@@ -224,3 +230,20 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     reason = why_too_much(domain.size, 1 << domain.max_level, lss)
     if reason is not None:
         yield f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"
+
+
+def _lame(config: Config | SimpleNamespace) -> Iterator[str]:
+    """Why a square cannot follow."""
+    domain, step = config.domain, config.domain.step
+    spacing = dataclasses.replace(config.lss, vehicle=config.vehicle).spacing
+    parts = max(round(step / spacing), 1)
+    if domain.min_level < LEAST_STEPS:
+        yield (
+            f"domain.follow moves the domain by coarsest cells, of {step:g} m, too much at once for"
+            f" {domain.size:g} m: domain.min_level is to be {LEAST_STEPS} or more"
+        )
+    elif abs(step - parts * spacing) > 1e-6 * spacing:
+        yield (
+            f"domain.follow moves the domain by {step:g} m, which is no multiple of"
+            f" lss.grid_spacing = {spacing:g} m: set that to {step / parts:g}"
+        )

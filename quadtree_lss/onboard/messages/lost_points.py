@@ -119,7 +119,7 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
              NED_FROM_ENU @ r, NED_FROM_ENU @ p)  # fmt: skip
     tries.insert(0 if p[2] < 0.0 else len(tries), north)
     shares = [
-        _share_inside(points @ turn.T + place, config, place[2] if place.any() else p[2])
+        _share_inside(points @ turn.T + place, config, place if place.any() else p)
         for _, turn, place in tries
     ]
     best = int(np.argmax(shares))
@@ -129,9 +129,12 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
     return f"it would lie inside, below the lidar, with {tries[best][0]} ({share})"
 
 
-def _share_inside(points_map: Array, config: Config, lidar_z: float) -> float:
-    """Share of the points over the domain and below the lidar."""
+def _share_inside(points_map: Array, config: Config, lidar: Array) -> float:
+    """Share of the points over the domain, which may follow the lidar, and below that."""
     d = config.domain
+    west, south = d.xmin, d.ymin
+    if d.follow == "vehicle":
+        west, south = lidar[:2] - 0.5 * d.size
     x, y, z = points_map.T
-    inside = (x >= d.xmin) & (x < d.xmin + d.size) & (y >= d.ymin) & (y < d.ymin + d.size)
-    return float(np.mean(inside & (z < lidar_z)))
+    inside = (x >= west) & (x < west + d.size) & (y >= south) & (y < south + d.size)
+    return float(np.mean(inside & (z < lidar[2])))

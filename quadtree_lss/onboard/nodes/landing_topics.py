@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.timer import Timer
 
@@ -28,7 +27,7 @@ from quadtree_lss.onboard.messages.landing_inputs import (
     topic_of,
 )
 from quadtree_lss.onboard.nodes.diagnostics import Problems
-from quadtree_lss.onboard.nodes.qos import latched, stream, subscribe
+from quadtree_lss.onboard.nodes.qos import subscribe_twice
 from quadtree_lss.onboard.nodes.ros_messages import TYPES as ROS_TYPES
 
 JOIN_S = 3.0
@@ -53,10 +52,9 @@ LOOK_S = 0.05
 class LandingTopics:
     """Subscribes to the topics and holds what came last, `LandingWishes` for the map's frame.
 
-    Each is subscribed to twice: latched, to get back after a restart what was sent before, and
-    volatile, which matches publishers that keep nothing. Both ways end with the newest message.
-    ``changed`` is called after each change, and when `settled` has become true, which it is not
-    before those of ``required`` (``lss.required_input``) came.
+    Each is subscribed to twice (`qos.subscribe_twice`). ``changed`` is called after each change,
+    and when `settled` has become true, which it is not before those of ``required``
+    (``lss.required_input``) came.
     """
 
     def __init__(
@@ -76,11 +74,7 @@ class LandingTopics:
             kind, topic = ROS_TYPES[kind], f"landing/{name}"
             kept = MAX_KEEP_OUTS if name == KEEP_OUTS else 1
             self._samples[name] = deque(maxlen=2 * kept)
-            subscribe(node, kind, topic, take, stream(max(kept, 5), reliable=True))
-            quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-            self._latched[name] = node.create_subscription(
-                kind, topic, take, latched(kept), event_callbacks=quiet
-            )
+            self._latched[name] = subscribe_twice(node, kind, topic, take, kept)
 
     def states(self) -> dict[str, object]:
         """Whether each is set, for the diagnostics."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -20,7 +20,9 @@ from visualization_msgs.msg import MarkerArray
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError
+from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.landing_inputs import AREA, polygon_from_message
 from quadtree_lss.onboard.messages.lost_points import (
     MAP_OVERRULED,
     NO_POINTS_USED,
@@ -50,7 +52,13 @@ from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
-from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
+from quadtree_lss.onboard.nodes.qos import (
+    advertise,
+    latched,
+    stream,
+    subscribe,
+    subscribe_twice,
+)
 from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
@@ -147,6 +155,8 @@ class MappingNode(Node):
             subscribe(
                 self, CameraInfo, CAMERA, self._intake.on_camera_info, stream(1, reliable=False)
             )
+        if self._settings.config.domain.follow == "area":
+            subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
         poses = self._topics[POSES]
         pose = subscribe(self, self._pose_kind, poses, self._on_pose, pose_qos, group=ahead)
@@ -193,6 +203,13 @@ class MappingNode(Node):
     def _on_transforms(self, message: Any) -> None:
         self._intake.on_transforms(message)
         self._work()
+
+    def _on_area(self, message: Any) -> None:
+        try:
+            self._mapper.look_at(polygon_from_message(message, self._frame))
+        except MessageError as error:
+            text = f"landing/{AREA}: {error}; the domain lies as the one before asked for"
+            self._problems.report(f"{AREA}_{error.reason}", text)
 
     def _take_pose(self, message: Any) -> None:
         self._arrived["pose"].add()

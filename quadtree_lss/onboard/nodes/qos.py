@@ -95,6 +95,16 @@ def subscribe(
     )
 
 
+def subscribe_twice(
+    node: Node, kind: Any, topic: str, callback: Any, kept: int = 1
+) -> Subscription:
+    """Latched, to get what was sent before, which is returned; and volatile, which matches
+    publishers that keep nothing. Both ways end with the newest message, of ``kept``."""
+    subscribe(node, kind, topic, callback, stream(max(kept, 5), reliable=True))
+    quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+    return node.create_subscription(kind, topic, callback, latched(kept), event_callbacks=quiet)
+
+
 def advertise(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Publisher:
     """Publisher whose QoS can be overridden; rclpy tells of subscribers that it cannot serve."""
     return node.create_publisher(kind, topic, profile, qos_overriding_options=OVERRIDABLE)

@@ -14,7 +14,7 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
-from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.domain import Domain, carried
 
 #: Greatest share of the judged ground without a return: flights that were fitted have up to 0.02.
 MOST_BRIDGED = 0.05
@@ -72,17 +72,31 @@ class Hindsight:
         self._of: Domain | None = None
         self._stamp_ns = 0
         self._first = self._last = np.zeros((0, 0))
+        # By how many finest cells the square was moved since the first assessment.
+        self._at = (0, 0)
 
     def take(self, domain: Domain, stamp_ns: int, risk: Array, judged: Mask) -> None:
-        """Take one more assessment; one of another map, or of one begun anew, begins anew."""
+        """Take one more assessment; one of another map, or of one begun anew, begins anew.
+        A domain that was moved is the same map."""
         step = ceil(self._step / domain.finest_size)
-        every = slice(None, None, step)
-        now = np.where(judged[every, every], risk[every, every], np.nan)
-        if domain != self._of or stamp_ns < self._stamp_ns:
-            self._first = np.full(now.shape, np.nan)
+        count = (domain.finest_count + 1) // step
+        moved = None if self._of is None else self._of.cells_to(domain)
+        if moved is None or stamp_ns < self._stamp_ns:
+            moved, self._at = (0, 0), (0, 0)
+            self._first = np.full((count, count), np.nan)
         self._of, self._stamp_ns = domain, stamp_ns
-        self._first = np.where(np.isnan(self._first), now, self._first)
-        self._last = now
+        # The same places, wherever the square lies: multiples of the step from where it lay first.
+        before = [ceil(at / step) for at in self._at]
+        self._at = self._at[0] + moved[0], self._at[1] + moved[1]
+        now = [ceil(at / step) for at in self._at]
+        self._first = carried(self._first, now[0] - before[0], now[1] - before[1], np.nan)
+        columns, rows = (
+            step * (first + np.arange(count)) - at for first, at in zip(now, self._at, strict=True)
+        )
+        every = np.ix_(rows, columns)
+        risks = np.where(judged[every], risk[every], np.nan)
+        self._first = np.where(np.isnan(self._first), risks, self._first)
+        self._last = risks
 
     def words(self) -> str:
         """As in "of the ground told 1 % of risk, 4 % is unsafe by the grown map"; or nothing."""

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Mask, Numbers
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
+from quadtree_lss.onboard.core.tree.domain import carried
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.now import Now
@@ -48,6 +49,8 @@ TARGET_SCORE = 20.0
 #: How a vehicle gets aside on its way down: acceleration, m/s^2, and the least speed downwards that
 #: its time is reckoned with, m/s.
 ASIDE, SLOWEST = 1.0, 0.5
+#: Places are the same to so much of the grid's spacing: one that follows is not moved to the bit.
+SAME = 1e-6
 #: Waiting is reckoned with so long, s.
 WAIT_S = 5.0
 
@@ -255,9 +258,20 @@ class Candidates:
         """Row and column of the grid point at a place, None if there is none."""
         return grid_point(self.x, self.y, x, y)
 
-    def same_grid(self, other: Candidates) -> bool:
-        """Whether the grid points are the same."""
-        return np.array_equal(self.x, other.x) and np.array_equal(self.y, other.y)
+    def safe_on(self, other: Candidates) -> Mask:
+        """`safe` at the grid points of another, whose grid may be this one moved by whole steps;
+        False where there was none."""
+        if np.array_equal(self.x, other.x) and np.array_equal(self.y, other.y):
+            return self.safe
+        nowhere = np.zeros_like(other.safe)
+        if self.safe.shape != other.safe.shape or min(nowhere.shape) < 2:
+            return nowhere
+        axes, steps = ((self.x, other.x), (self.y, other.y)), []
+        for of, to in axes:
+            steps.append(round((to[0] - of[0]) / (of[1] - of[0])))
+            if np.abs(to[0] - of[0] - steps[-1] * (of[1] - of[0])) > SAME * (of[1] - of[0]):
+                return nowhere
+        return carried(self.safe, steps[0], steps[1], False)
 
 
 @dataclass(frozen=True)
@@ -396,8 +410,7 @@ class TargetKeeper:
             likely = permitted & ~(ground.unsafe > 1.0 - least)
         best = _least(np.where(permitted, ground.cost, inf)) if permitted.any() else None
         before, self._before = self._before, ground
-        again = before is not None and ground.same_grid(before)
-        seen_again = likely & before.safe if before and again else np.zeros_like(likely)
+        seen_again = likely & before.safe_on(ground) if before else np.zeros_like(likely)
         held, released = self._held, self._released
         self._held, self._released = None, False
         committed = descent is not None and descent.height <= lss.commit_height
@@ -511,7 +524,9 @@ def _least(values: Array) -> tuple[int, int]:
 
 
 def grid_point(x: Array, y: Array, place_x: float, place_y: float) -> tuple[int, int] | None:
-    """Row and column of the grid point at a place, None if there is none."""
-    row, column = bisect_left(y, place_y), bisect_left(x, place_x)
-    found = row < len(y) and column < len(x) and y[row] == place_y and x[column] == place_x
+    """Row and column of the grid point at a place, but for rounding; None if there is none."""
+    slack = SAME * float(x[1] - x[0]) if len(x) > 1 else 0.0
+    row, column = bisect_left(y, place_y - slack), bisect_left(x, place_x - slack)
+    found = row < len(y) and column < len(x)
+    found = found and y[row] <= place_y + slack and x[column] <= place_x + slack
     return (row, column) if found else None

@@ -34,7 +34,7 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry import feature
 from quadtree_lss.onboard.core.landing.lattice import disc
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
-from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.domain import Domain, carried
 
 if cython.compiled:
     from cython.cimports.cpython.exc import PyErr_CheckSignals
@@ -86,7 +86,7 @@ class TouchdownCheck:
         self.steepest = tan(radians(config.vehicle.lengths.touchdown_slope_deg))
         within = (config.vehicle.lengths.touchdown_roughness,) * 2, (self.steepest,) * 2
         self.limits = limits or Limits(*within)
-        self._set_for: tuple[object, ...] = ()
+        self._set_for: tuple[Domain, float | None] | None = None
 
     def worst(
         self, raster: TerrainRaster, candidates: Mask, heading: float | None = None
@@ -102,15 +102,28 @@ class TouchdownCheck:
         """
         if not candidates.any():  # of a lander wider than the domain the window would be wider, too
             return WorstContact(*np.full((2, *candidates.shape), np.nan, dtype=np.float32))
-        if self._set_for != (raster.domain, heading):
-            self._set_for = raster.domain, heading
-            self._blocks = Blocks(self.config, self.limits, raster.domain, heading)
-            self._worst = np.full((2, *candidates.shape), np.nan, dtype=np.float32)
+        self._set(raster.domain, heading, candidates.shape)
         changed = np.zeros(raster.leaf.shape, dtype=np.uint8)
         layers = raster.elevation, raster.slope_x, raster.slope_y, raster.subscale
         self._blocks.take(*layers, changed)
         self._blocks.judge(candidates.view(np.uint8), changed, self._worst)
         return WorstContact(*self._worst)
+
+    def _set(self, domain: Domain, heading: float | None, shape: tuple[int, ...]) -> None:
+        """Be ready for a domain: what was found on one that was moved is still there."""
+        if self._set_for == (domain, heading):
+            return
+        moved = None
+        if self._set_for is not None and self._set_for[1] == heading:
+            moved = self._set_for[0].cells_to(domain)
+        self._set_for = domain, heading
+        if moved is None or moved[0] % BLOCK or moved[1] % BLOCK:
+            self._blocks = Blocks(self.config, self.limits, domain, heading)
+            self._worst = np.full((2, *shape), np.nan, dtype=np.float32)
+            return
+        rim = self._blocks.follow(*moved)
+        self._worst = carried(self._worst, *moved, np.nan)
+        self._worst[..., :rim] = self._worst[..., -rim:] = np.nan
 
     def over(self, worst: WorstContact) -> Mask:
         """Where a contact is over the touchdown limits."""
@@ -203,6 +216,13 @@ class Blocks:
         self.worst_rise = self.worst_slope = 0.0
         self.least_x = self.most_x = self.least_y = self.most_y = self.least_z = 0.0
         self.base_x = self.base_y = 0.0
+
+    def follow(self, east: int, north: int) -> int:
+        """The ground of the domain that lies so many finest cells farther, whole blocks. Grid
+        points so near to the first and last column are to be judged anew, for `take` does not
+        compare what is repeated beside these."""
+        self.ground = carried(np.asarray(self.ground), east, north, NAN)
+        return self.reach + BLOCK
 
     @cython.locals(elevation=cython.double[:, ::1], slope_x=cython.double[:, ::1])
     @cython.locals(slope_y=cython.double[:, ::1], subscale=cython.double[:, ::1])

@@ -155,7 +155,8 @@ def lower(points: Array, found: Departure) -> None:
     That is done to a scan that departs by more than is claimed (`JUMP`), and which is not refused:
     fused, it would tilt the map by its share, for pose errors in common decide nothing there.
     """
-    (along_x, along_y), (x, y) = found.tilt, found.centre
+    # As the offsets (`Mapper`), so that the order of the cells changes no bit.
+    along_x, along_y, x, y = (round(of, 9) for of in (*found.tilt, *found.centre))
     points[:, 2] -= along_x * (points[:, 0] - x) + along_y * (points[:, 1] - y)
 
 

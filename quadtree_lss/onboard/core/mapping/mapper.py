@@ -7,6 +7,7 @@ import math
 from dataclasses import astuple, dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Points
 from quadtree_lss.onboard.config.settings import Config
@@ -20,6 +21,7 @@ from quadtree_lss.onboard.core.mapping.alignment import (
     weighted_median,
 )
 from quadtree_lss.onboard.core.mapping.contradiction import (
+    AGREEING,
     DEVIATIONS,
     SHARE,
     Contradiction,
@@ -89,14 +91,17 @@ class Mapper:
     """Keeps the quadtree; ``update`` takes a scan and its pose, ``snapshot`` gives the map.
 
     Not thread-safe. A scan either enters whole or, if none of its points is sound or it contradicts
-    the map, changes nothing. ``stamp_ns`` is that of the newest scan since time last jumped back (a
-    looping bag, a clock set right; leaves may then be of later stamps), 0 if nothing is mapped.
+    the map, changes nothing. With ``domain.follow`` the square is then moved, if what it follows is
+    no longer near its middle (`Domain.steps_to`); scans that no point entered of move it only as
+    the tenth in a row, so that a wrong pose does not drop the map. ``stamp_ns`` is that of the
+    newest scan since time last jumped back (a looping bag, a clock set right; leaves may then be of
+    later stamps), 0 if nothing is mapped.
     """
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        self.domain = Domain.of(config.domain)
-        self.leaves = LeafTable(self.domain, config.mapping.max_cells)
+        self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
+        self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
         self.reset()
 
@@ -106,6 +111,21 @@ class Mapper:
             f"<Mapper: {self.leaves.count} leaves on {d.size:g} x {d.size:g} m;"
             f" newest scan at {self.stamp_ns} ns>"
         )
+
+    @property
+    def domain(self) -> Domain:
+        """The square as it lies now."""
+        domain: Domain = self.leaves.domain
+        return domain
+
+    def look_at(self, area: ArrayLike | None) -> None:
+        """The landing area (V, 2), m, or None for none: where ``domain.follow: area`` goes to, with
+        the next scan. Raises `ValueError`: it is asked for, and is no polygon."""
+        self._area = None
+        if area is not None and self.config.domain.follow == "area":
+            corners = np.asarray(area, dtype=np.float64).reshape(-1, 2)
+            x, y = (0.5 * (corners.min(axis=0) + corners.max(axis=0))).tolist()
+            self._area = x, y
 
     def reset(self) -> None:
         """Forget everything that was mapped."""
@@ -119,13 +139,17 @@ class Mapper:
         self._owed = 0.0
         # By how much it was, or ought to be.
         self._lifted = 0.0
+        # Scans in a row that no point entered of.
+        self._missed = 0
         self._steps = Steps()
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan of points (H, W, 3) organised or (N, 3), lidar axes (z boresight), m, of
         which rows that are not finite are no returns, from the lidar's pose at its stamp; ``sweep``
         is how the lidar moved while it took the scan, None if at once."""
-        scan, dropped = register(points_lidar, pose, self.config.lidar, self.config.domain, sweep)
+        if not self.stamp_ns or self.config.domain.follow == "area":
+            self._follow(pose)  # there is nothing to drop yet, or no pose decides
+        scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain, sweep)
         used = len(scan.key)
         divisions = refused = 0
         offset, verdict = 0.0, Verdict.SOUND
@@ -144,6 +168,9 @@ class Mapper:
                 change.settle()
                 self._check_noise(change.ratio)
                 divisions, refused = change.divisions, change.refused
+        self._missed = 0 if used else self._missed + 1
+        if used or self._missed >= AGREEING:
+            self._follow(pose)
         return ScanReport(
             stamp_ns=pose.stamp_ns,
             points=points_lidar.size // 3,
@@ -157,6 +184,14 @@ class Mapper:
             offset=offset,
             overruled=verdict is Verdict.OVERRULES,
         )
+
+    def _follow(self, pose: Pose) -> None:
+        """Move the square after what it follows."""
+        at = self._area if self.config.domain.follow == "area" else pose.position[:2].tolist()
+        if self.config.domain.follow != "none" and at is not None:
+            east, north = self.domain.steps_to(*at)
+            if east or north:
+                self.leaves.follow(east, north)
 
     def _confront(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Array, Verdict]:
         """A scan fitted to the leaves, how it compares with them, and what is to become of it.
@@ -216,13 +251,16 @@ class Mapper:
         offset: Offset | None = offset_of(cells, now, time, metre)
         if offset is None:
             return 0.0
-        self._owed += offset.map
-        self._lifted += offset.map
+        # Cells are summed up in an order that follows from where the square lies: it is to change
+        # no bit.
+        of_scan, of_map, since = (round(x, 9) for x in (offset.scan, offset.map, offset.since))
+        self._owed += of_map
+        self._lifted += of_map
         if abs(self._owed) >= LEAST_LIFT * metre:
-            lift(self.leaves, self._owed, offset.since)
+            lift(self.leaves, self._owed, since)
             self._owed = 0.0
-        self._offset = (offset.height - offset.map + self._owed, offset.variance)
-        change.align(offset.scan + self._owed)
+        self._offset = (offset.height - of_map + self._owed, offset.variance)
+        change.align(of_scan + self._owed)
         return offset.height
 
     def pose_errors(self) -> PoseErrors | None:
@@ -276,11 +314,13 @@ class Mapper:
         return checkpoint.identified(state, self.domain)
 
     def import_state(self, state: State) -> None:
-        """Go on from `export_state` of a mapper of the same domain. Raises `CheckpointError`: it is
-        none; the mapper is then unchanged."""
-        like = self.export_state()
-        checkpoint.check(state, like, self.domain, self.config.mapping.max_cells)
+        """Go on from `export_state` of a mapper of the same domain, or, if it follows, of one that
+        was moved. Raises `CheckpointError`: it is none; the mapper is then unchanged."""
+        like, follows = self.export_state(), self.config.domain.follow != "none"
+        most = self.config.mapping.max_cells
+        domain = checkpoint.check(state, like, self.domain, most, follows=follows)
         leaves = state["leaves"]
+        self.leaves.lie_on(domain)
         self.leaves.take_up({name: leaves[name] for name in leaves.dtype.names or ()})
         self.leaves.observed[:] = state["observed"]
         self.stamp_ns = int(state["stamp_ns"])

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Keys, Points
-from quadtree_lss.onboard.config.settings import DomainConfig, LidarConfig
+from quadtree_lss.onboard.config.settings import LidarConfig
 from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
 from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.onboard.core.sensing.points import arrange, find_runs, turn
 from quadtree_lss.onboard.core.sensing.sweep import Sweep, still
+from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: Of larger scans no memory is kept.
 KEPT_POINTS = 1 << 20
@@ -50,7 +51,7 @@ def register(
     points_lidar: Points,
     pose: Pose,
     lidar: LidarConfig,
-    domain: DomainConfig,
+    domain: Domain,
     sweep: Sweep | None = None,
 ) -> tuple[RegisteredScan, dict[str, int]]:
     """Keep the sound returns, apply Eq. 15 and bring them into the order of the cells.

@@ -33,14 +33,14 @@ def sound_planes(z: Array, normal: Array, covariances: Sequence[Array], feature:
     with np.errstate(invalid="ignore", over="ignore"):
         sound = np.abs(np.sum(normal**2, axis=1) - 1.0) < 1e-6
         sound &= (normal[:, 2] >= LEAST_UP) & (np.abs(z) < MOST_HEIGHT)
-        for part in covariances:
-            sound &= (np.diagonal(part, axis1=1, axis2=2) >= 0.0).all(axis=1)
-            sound &= (np.abs(part) < MOST).all(axis=(1, 2))
+        # (9, M) each: NumPy is slow along short axes.
+        parts = [np.ascontiguousarray(part.reshape(-1, 9).T) for part in covariances]
+        for part in parts:
+            sound &= (part[::4] >= 0.0).all(axis=0) & (np.abs(part) < MOST).all(axis=0)
         # As far as round-off leaves that of each part: none is surer than certain anywhere.
-        whole = np.sum(covariances, axis=0)
-        deviation = np.sqrt(np.diagonal(whole, axis1=1, axis2=2))
-        limit = 1.1 * deviation[:, :, None] * deviation[:, None, :]
-        sound &= np.all([(np.abs(part) <= limit).all(axis=(1, 2)) for part in covariances], axis=0)
+        deviation = np.sqrt(np.sum(parts, axis=0)[::4])
+        limit = (1.1 * deviation[:, None] * deviation).reshape(9, -1)
+        sound &= np.all([(np.abs(part) <= limit).all(axis=0) for part in parts], axis=0)
         bell = (np.abs(feature) < MOST_HEIGHT).all(axis=1) & (feature[:, 4] >= LEAST_SIGMA)
     return np.asarray(sound & (bell | np.isnan(feature).all(axis=1)))
 

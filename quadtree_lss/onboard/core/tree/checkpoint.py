@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import math
 import zipfile
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -86,16 +87,24 @@ def identified(state: State, domain: Domain) -> State:
     return {"format": np.array(FORMAT), "domain": _identity(domain), **state}
 
 
-def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
-    """See that a mapper of this domain can go on from a state from outside. ``like`` is an
-    `identified` state of such a mapper, for the names, types and shapes of its arrays. Raises
+def check(
+    state: State, like: State, domain: Domain, max_cells: int, *, follows: bool = False
+) -> Domain:
+    """See that a mapper of this domain can go on from a state from outside; the domain of that.
+    ``like`` is an `identified` state of such a mapper, for the names, types and shapes of its
+    arrays. With ``follows`` the domain may be another one moved by whole coarsest cells. Raises
     `CheckpointError`: another format or domain, too many leaves, arrays missing or inconsistent."""
     wanted, found = like["domain"], state.get("domain", np.empty(0))
     alike = found.dtype == wanted.dtype and found.shape == wanted.shape
     if not alike or not np.array_equal(state.get("format", ""), FORMAT):
         msg = "is not a checkpoint of this version"
         raise CheckpointError(msg)
-    if not np.array_equal(found, wanted):
+    xmin, ymin, *_ = found.tolist()
+    there = replace(domain, xmin=xmin, ymin=ymin)
+    off = domain.cells_to(there) if follows and np.isfinite(found).all() else None
+    whole = 1 << (domain.max_level - domain.min_level)
+    moved = off is not None and not any(cells % whole for cells in off)
+    if not np.array_equal(found, wanted) and not (moved and np.array_equal(found[2:], wanted[2:])):
         msg = (
             f"is of another domain: xmin, ymin, size, min_level, max_level are"
             f" {_listed(found)}, here {_listed(wanted)}"
@@ -133,6 +142,7 @@ def check(state: State, like: State, domain: Domain, max_cells: int) -> None:
     if not sound or not (math.isnan(ratio) or 0.0 <= ratio < MOST):
         msg = "has impossible times, heights or ratios"
         raise CheckpointError(msg)
+    return there
 
 
 def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:

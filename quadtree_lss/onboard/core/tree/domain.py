@@ -3,13 +3,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.limits import STEP_LEVEL
 from quadtree_lss.onboard.config.settings import DomainConfig
+
+Kind = TypeVar("Kind", bound=np.generic)
+
+#: A square that follows is moved, by cells of `STEP_LEVEL` or by coarsest ones, once what it
+#: follows is farther from its middle than this share of its side, along x or along y.
+ASTRAY = 1.0 / 8.0
+#: No corner is farther from the map's origin, m (``domain.xmin``).
+FARTHEST = 1e8
+#: Corners lie on one lattice if they are off by no more than this share of its cells.
+SLACK = 1e-6
 
 
 @dataclass(frozen=True)
@@ -38,6 +50,48 @@ class Domain:
         """Side of the finest cell, m."""
         return self.size / self.finest_count
 
+    def steps_to(self, x: float, y: float) -> tuple[int, int]:
+        """By how many coarsest cells, along x and along y, the square is to be moved to follow a
+        place x, y, m; 0 while that is near its middle, or is none."""
+        level = min(self.min_level, STEP_LEVEL)
+        step, steps = self.size / (1 << level), []
+        for corner, place in ((self.xmin, x), (self.ymin, y)):
+            off = place - corner - 0.5 * self.size
+            astray = ASTRAY * self.size < abs(off) and abs(place) < FARTHEST - self.size
+            steps.append(round(off / step) << (self.min_level - level) if astray else 0)
+        return steps[0], steps[1]
+
+    def moved(self, east: int, north: int) -> Domain:
+        """The square so many coarsest cells farther along x and along y."""
+        step = self.size / (1 << self.min_level)
+        return replace(self, xmin=self.xmin + east * step, ymin=self.ymin + north * step)
+
+    def cells_to(self, other: Domain) -> tuple[int, int] | None:
+        """By how many finest cells, along x and along y, another square is farther; None if it is
+        not this one moved by whole cells."""
+        if replace(other, xmin=self.xmin, ymin=self.ymin) != self:
+            return None
+        off = (other.xmin - self.xmin, other.ymin - self.ymin)
+        cells = [round(part / self.finest_size) for part in off]
+        side = self.finest_size
+        if any(abs(a - n * side) > SLACK * side for a, n in zip(off, cells, strict=True)):
+            return None
+        return cells[0], cells[1]
+
     def cell_size(self, level: NDArray[np.integer] | int) -> Array:
         """Side in m of cells of ``level``, any shape."""
         return self.size / np.exp2(np.asarray(level, dtype=np.float64))
+
+
+def carried(values: NDArray[Kind], east: int, north: int, fill: Any) -> NDArray[Kind]:
+    """Values (..., ny, nx) at the places of a square, for the square that lies so many of them
+    farther along x and along y; ``fill`` where that is new."""
+    out = np.full_like(values, fill)
+    ny, nx = values.shape[-2:]
+    if abs(east) < nx and abs(north) < ny:
+        rows, columns = (
+            (slice(max(-by, 0), n - max(by, 0)), slice(max(by, 0), n + min(by, 0)))
+            for by, n in ((north, ny), (east, nx))
+        )
+        out[..., rows[0], columns[0]] = values[..., rows[1], columns[1]]
+    return out

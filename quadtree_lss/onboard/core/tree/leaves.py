@@ -92,6 +92,14 @@ def clear(leaf: Record) -> None:
         leaf.feature[i] = NAN
 
 
+def blank() -> NDArray[np.void]:
+    """(1,) a leaf of which nothing is known, nowhere yet."""
+    leaf = np.zeros(1, dtype=LEAF)
+    leaf["feature"] = np.nan
+    leaf["low"], leaf["high"] = np.inf, -np.inf
+    return leaf
+
+
 class LeafTable:
     """The leaves of a map, divided to the minimum level at the start.
 
@@ -131,13 +139,52 @@ class LeafTable:
         row: cython.Py_ssize_t
         count = len(columns["level"])
         self._allocate(count)
-        self.rows["feature"] = np.nan
-        self.rows["low"], self.rows["high"] = np.inf, -np.inf
+        self.rows[:] = blank()
         for name, column in columns.items():
             self.rows[name][:count] = column
         self.count = count
         for row in range(count):
             self._place(row, self.leaf[row].level, self.leaf[row].ix, self.leaf[row].iy)
+
+    def lie_on(self, domain: Domain) -> None:
+        """The leaves are those of this square, of the same size and levels: `take_up` follows."""
+        self.domain = domain
+        self.xmin, self.ymin = domain.xmin, domain.ymin
+
+    def follow(self, east: cython.int, north: cython.int) -> None:
+        """Move the square by so many coarsest cells along x and along y.
+
+        Leaves that come to lie outside are dropped; the others keep all that they know, to the bit.
+        """
+        cython.declare(row=cython.Py_ssize_t, kept=cython.Py_ssize_t, new=cython.Py_ssize_t)
+        cython.declare(ix=cython.int, iy=cython.int, parts=cython.int)
+        least: cython.int = self.domain.min_level
+        side: cython.int = 1 << least
+        self.lie_on(self.domain.moved(east, north))
+        observed = self.observed.copy()
+        self.observed[:] = 0
+        kept = 0
+        for row in range(self.count):
+            leaf = self.at(row)
+            parts = 1 << (leaf.level - least)
+            ix = leaf.ix - east * parts
+            iy = leaf.iy - north * parts
+            if 0 <= ix < side * parts and 0 <= iy < side * parts:
+                if kept != row:
+                    self.leaf[kept] = self.leaf[row]
+                self._place(kept, self.at(kept).level, ix, iy)
+                kept += 1
+        # Each coarsest cell that was dropped had a leaf: there is room for as many.
+        new = side * side - max(side - abs(east), 0) * max(side - abs(north), 0)
+        self.rows[kept : kept + new] = blank()
+        for iy in range(side):
+            for ix in range(side):
+                if not (0 <= ix + east < side and 0 <= iy + north < side):
+                    self._place(kept, least, ix, iy)
+                    kept += 1
+        self.count = kept
+        parts = 1 << (self.max_level - least)
+        shift(observed, self.observed, side * parts, east * parts, north * parts)
 
     def _allocate(self, rows: int) -> None:
         self.capacity = rows
@@ -291,6 +338,26 @@ def unfold(values: Bytes, out: Bytes) -> None:
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
             out[row, column] = values[places[column] | places[row] << 1]
+
+
+@cython.boundscheck(False)
+@cython.locals(values=cython.uchar[::1], out=cython.uchar[::1])
+def shift(
+    values: Bytes,
+    out: Bytes,
+    n: cython.Py_ssize_t,
+    east: cython.Py_ssize_t,
+    north: cython.Py_ssize_t,
+) -> None:
+    """Values (n^2,) of finest cells in Morton order to those of the square that lies so many cells
+    east and north; 0 where that is new."""
+    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    places = cython.declare(cython.longlong[::1], SPREAD)
+    for row in range(max(0, -north), min(n, n - north)):
+        for column in range(max(0, -east), min(n, n - east)):
+            out[places[column] | places[row] << 1] = values[
+                places[column + east] | places[row + north] << 1
+            ]
 
 
 @cython.boundscheck(False)

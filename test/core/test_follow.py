@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A square that follows: what stays inside is as if it had always lain there, to the bit."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from core.builders import configured, flat, look, make_pose, pose_covariance, scattered
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
+from quadtree_lss.onboard.core.landing.doubt import Hindsight
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
+from quadtree_lss.onboard.core.tree.domain import ASTRAY, Domain, carried
+from quadtree_lss.onboard.core.tree.leaves import LEAF
+from quadtree_lss.onboard.messages.maps import round_trip
+
+SQUARE = Domain(0.0, 0.0, 16.0, 4, 7)
+FOLLOWING = configured(
+    domain={"min_level": 4, "max_level": 7, "follow": "vehicle"}, lss={"grid_spacing": 0.25}
+)
+FIXED = configured(
+    domain={"xmin": -64.0, "ymin": -64.0, "size": 128.0, "min_level": 7, "max_level": 10}
+)
+
+
+def ground(x, y):
+    """Waves, with a block of 0.4 m every 4 m."""
+    block = (np.hypot((x + 1.0) % 4.0 - 2.0, (y + 1.0) % 4.0 - 2.0) < 0.4) * 0.4
+    return 0.2 * np.sin(0.5 * x) * np.cos(0.4 * y) + block
+
+
+def fly(mappers, steps, *, wide=5.0, start=0, along=(0.5, 0.2)):
+    """Scans of what lies within ``wide`` metres under a vehicle that errs in height."""
+    for number in range(start, start + steps):
+        rng = np.random.default_rng(1000 + number)
+        x, y = 8.0 + along[0] * number, 8.0 + along[1] * number
+        told = make_pose((x, y, 30.0), pose_covariance(0.03, 1e-3), stamp_ns=10**8 * (number + 1))
+        places = scattered(rng, x - wide, y - wide, 2.0 * wide, 3000)
+        high, state = 0.02 * rng.standard_normal(), rng.bit_generator.state
+        for mapper in mappers:
+            rng.bit_generator.state = state
+            look(mapper, ground, *places, rng, 0.02, told, high)
+    return mappers
+
+
+def by_place(mapper, inside):
+    """Leaves by level and centre, those that lie in a domain, and the observed cells under it."""
+    leaves = mapper.leaves.rows[: mapper.leaves.count]
+    half = 0.5 * mapper.domain.cell_size(leaves.level)
+    within = (leaves.x - half >= inside.xmin) & (leaves.x + half <= inside.xmin + inside.size)
+    within &= (leaves.y - half >= inside.ymin) & (leaves.y + half <= inside.ymin + inside.size)
+    rows = leaves[within]
+    return rows[np.lexsort((rows.x, rows.y))]
+
+
+def assert_same_bits(one, other):
+    """But for what tells where in its own tree a leaf is."""
+    assert len(one) == len(other)
+    for name in set(LEAF.names) - {"level", "ix", "iy"}:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+@given(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.integers(3, 9))
+def test_moved_once_it_is_near_the_middle_and_stays(x, y, level):
+    square = dataclasses.replace(SQUARE, min_level=level, max_level=9)
+    moved = square.moved(*square.steps_to(x, y))
+    for corner, place in ((moved.xmin, x), (moved.ymin, y)):
+        assert abs(place - corner - 8.0) <= ASTRAY * 16.0
+    assert moved.steps_to(x, y) == (0, 0)
+    # A vehicle that turns back at once does not take it back.
+    far = 0.9 * (ASTRAY - 1.0 / 16.0) * 16.0
+    back = [c + 8.0 + far if abs(p - c - 8.0) < 1.0 else p
+            for c, p in ((moved.xmin, x), (moved.ymin, y))]  # fmt: skip
+    assert moved.steps_to(*back) == (0, 0)
+    cells = square.cells_to(moved)
+    assert cells is not None and cells[0] % 2 ** (9 - level) == cells[1] % 2 ** (9 - level) == 0
+
+
+def test_places_that_are_none_move_nothing():
+    for place in (np.nan, np.inf, -1e12):
+        assert SQUARE.steps_to(place, 8.0) == (0, 0)
+
+
+def test_ground_that_stays_inside_has_the_bits_of_a_fixed_map():
+    following, fixed = fly((Mapper(FOLLOWING), Mapper(FIXED)), 40)
+    assert following.domain.xmin >= 16.0, "the vehicle left the first square altogether"
+    one = by_place(following, following.domain)
+    assert np.count_nonzero(one.known == 3) > 300 and len(set(one.level)) > 1
+    assert_same_bits(one, by_place(fixed, following.domain))
+    east, north = round(8 * (following.domain.xmin + 64)), round(8 * (following.domain.ymin + 64))
+    own, whole = following.snapshot(), fixed.snapshot()
+    for name in ("observed", "known"):
+        part = getattr(whole, name)[north : north + 128, east : east + 128]
+        np.testing.assert_array_equal(getattr(own, name), part)
+
+
+def test_what_leaves_is_dropped_and_forgotten():
+    (mapper,) = fly((Mapper(FOLLOWING),), 12)
+    east, north = mapper.domain.steps_to(40.0, 8.0)
+    mapper.leaves.follow(east, north)
+    mapper.leaves.follow(-east, -north)
+    mapper.stamp_ns = 0  # all the rest is of the scans, not of the ground
+    cells, new = mapper.snapshot(), Mapper(FOLLOWING)
+    new.leaves.follow(int(cells.domain.xmin), int(cells.domain.ymin))
+    for item in dataclasses.fields(CellMap):
+        if not item.name.startswith("offset"):
+            one, other = (getattr(of, item.name) for of in (cells, new.snapshot()))
+            np.testing.assert_array_equal(one, other, err_msg=item.name)
+
+
+@pytest.mark.survives(
+    "a pose far away, with `domain.follow`",
+    "the square stays and so does the map: scans that no point enters of move it only as the tenth "
+    "in a row",
+)
+def test_a_wrong_pose_does_not_drop_the_map():
+    (mapper,) = fly((Mapper(FOLLOWING),), 6)
+    before, domain = mapper.snapshot(), mapper.domain
+    away = make_pose((9e3, 8.0, 30.0), pose_covariance(0.03, 1e-3), stamp_ns=7 * 10**8)
+    for k in range(AGREEING):
+        assert mapper.domain == domain
+        look(
+            mapper, flat(), *scattered(np.random.default_rng(k), 8995.0, 3.0, 10.0, 500), pose=away
+        )
+        if k == 0:
+            assert np.array_equal(before.z, mapper.snapshot().z, equal_nan=True)
+    assert mapper.domain.steps_to(9e3, 8.0) == (0, 0), "nor does it stay behind for ever"
+
+
+def test_it_follows_the_area_alone_where_that_is_asked_for():
+    config = config_from_values({"domain.follow": "area"}, FOLLOWING)
+    (mapper,) = fly((Mapper(config),), 30)
+    assert mapper.domain == Domain.of(config.domain)
+    mapper.look_at(np.array([[20.0, 8.0], [26.0, 8.0], [26.0, 14.0]]))
+    fly((mapper,), 1, start=30)
+    assert (mapper.domain.xmin, mapper.domain.ymin) == (15.0, 3.0)
+    mapper.look_at(None)
+    fly((mapper,), 1, start=31)
+    assert mapper.domain.xmin == 15.0
+
+
+def test_a_checkpoint_carries_the_origin():
+    (mapper,) = fly((Mapper(FOLLOWING),), 20)
+    content = to_bytes(mapper.export_state())
+    restored = Mapper(FOLLOWING)
+    restored.import_state(from_bytes(content))
+    assert restored.domain == mapper.domain
+    assert to_bytes(restored.export_state()) == content
+    one, other = fly((mapper, restored), 20, start=20)
+    assert_same_bits(by_place(one, one.domain), by_place(other, one.domain))
+    for values in ({"domain.follow": "none"}, {"domain.xmin": 0.5}, {"domain.max_level": 6}):
+        stranger = Mapper(config_from_values(values, FOLLOWING))
+        with pytest.raises(CheckpointError, match="another domain|version"):
+            stranger.import_state(from_bytes(content))
+        assert stranger.domain == Domain.of(stranger.config.domain)
+
+
+def test_a_message_carries_the_origin():
+    (mapper,) = fly((Mapper(FOLLOWING),), 40)
+    assert round_trip(mapper.snapshot()).domain == mapper.domain
+
+
+@pytest.mark.parametrize("ranking", ["score", "probability"])
+def test_a_target_is_never_moved_by_a_move(ranking):
+    values = {"lss.ranking": ranking, "vehicle.diameter": 2.0, "lss.hysteresis": 0.1,
+              "lss.dispersion": 0.1, "lss.max_risk": 0.1, "lss.settle_share": 0.0}  # fmt: skip
+    config = config_from_values(values, FOLLOWING)
+    mapper, selector = Mapper(config), LandingSiteSelector(config)
+    fly((mapper,), 12, along=(0.0, 0.0))
+    chosen = [selector.assess(round_trip(mapper.snapshot())) for _ in range(2)][-1]
+    assert chosen.selected.id and chosen.selected.reason is Reason.FIRST
+    x, y, _ = chosen.selected.position
+    # The vehicle goes round it, looking at nothing new.
+    kept, domains = [], set()
+    for east, north in ((2.5, 0.0), (0.0, 2.5), (-2.5, -2.5), (0.0, 0.0)):
+        mapper.leaves.follow(*mapper.domain.steps_to(x + east, y + north))
+        domains.add(mapper.domain)
+        kept.append(selector.assess(round_trip(mapper.snapshot())))
+    assert len(domains) > 2
+    for found in kept:
+        assert found.selected.reason is Reason.HOLDS and found.selected.id == chosen.selected.id
+        np.testing.assert_array_equal(found.selected.position[:2], (x, y))
+        new = LandingSiteSelector(config).assess(round_trip(mapper.snapshot()))
+    np.testing.assert_array_equal(kept[-1].hazard, new.hazard)
+
+
+def test_ground_found_safe_before_a_move_was_found_safe():
+    """The first target is one that the assessment before found safe, too: on the same ground."""
+    config = config_from_values({"vehicle.diameter": 2.0, "lss.settle_share": 0.0}, FOLLOWING)
+    mapper, selector = Mapper(config), LandingSiteSelector(config)
+    fly((mapper,), 12, along=(0.0, 0.0))
+    assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.UNCONFIRMED
+    mapper.leaves.follow(3, -2)
+    assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.FIRST
+
+
+def test_what_a_pass_keeps_over_a_move_is_what_a_new_one_finds():
+    base = configured(domain={"size": 32.0, "min_level": 5, "max_level": 7, "follow": "vehicle"})
+    config = config_from_values({"lss.grid_spacing": 0.25, "vehicle.diameter": 3.0}, base)
+    mapper, follower = Mapper(config), LandingSiteSelector(config)
+    for number, (east, north) in enumerate(((0, 0), (2, 0), (2, -4), (-6, 2), (1, 0), (40, 0))):
+        mapper.leaves.follow(east, north)
+        d, rng = mapper.domain, np.random.default_rng(number)
+        pose = make_pose((d.xmin + 16.0, d.ymin + 16.0, 300.0), stamp_ns=number + 1)
+        look(mapper, ground, *scattered(rng, d.xmin, d.ymin + 8.0, 24.0, 30000), rng, 0.05, pose)
+        cells = round_trip(mapper.snapshot())
+        followed, anew = follower.assess(cells), LandingSiteSelector(config).assess(cells)
+        np.testing.assert_array_equal(followed.hazard, anew.hazard)
+        np.testing.assert_array_equal(followed.score, anew.score)
+        assert ((anew.hazard & 8) > 0).any()
+
+
+def test_risks_told_before_a_move_are_held_against_the_same_places():
+    square, every = Domain(0.0, 0.0, 64.0, 2, 8), np.ones((257, 257), dtype=bool)
+    x, y = np.meshgrid(*[0.25 * np.arange(257)] * 2)
+    told = np.where((x > 30.0) & (y < 20.0), 0.01, 0.2)
+
+    def later(moved):
+        """As told, where that is another place by what lies in it."""
+        hindsight = Hindsight(3.0)
+        hindsight.take(square, 1, told, every)
+        hindsight.take(moved, 2, carried(told, *square.cells_to(moved), 0.2), every)
+        return hindsight
+
+    for moved in (square.moved(1, 0), square.moved(0, -1), square.moved(-1, 1)):
+        found = later(moved)
+        both = np.isfinite(found._first) & np.isfinite(found._last)
+        assert both.sum() > 900
+        np.testing.assert_array_equal(found._first[both], found._last[both])
+
+
+@given(st.integers(-5, 5), st.integers(-7, 7))
+def test_carried_by_hand(east, north):
+    values = np.arange(12).reshape(3, 4)
+    out = carried(values, east, north, -1)
+    for row in range(3):
+        for column in range(4):
+            inside = 0 <= row + north < 3 and 0 <= column + east < 4
+            want = values[row + north, column + east] if inside else -1
+            assert out[row, column] == want
+
+
+def test_what_cannot_follow_is_refused_in_one_line():
+    for values, why in (
+        ({"domain.min_level": 2}, "domain.min_level is to be 3 or more"),
+        ({"lss.grid_spacing": 0.3}, "set that to 0.333333"),
+    ):
+        with pytest.raises(ConfigError, match=why):
+            config_from_values(values, FOLLOWING)
+        config_from_values({**values, "domain.follow": "none"}, FOLLOWING)
+    # In YAML `off` is no text.
+    assert config_from_values({"domain.follow": False}, FOLLOWING).domain.follow == "none"
