@@ -238,10 +238,12 @@ def measure(
 ) -> None:
     """Fit a plane to a run of points; it is written to ``run``, without the statistic.
 
-    A view of less than half of the cell, so thin that its slope is known no better than to
-    `UNSEEN_TILT`, or of fewer than `FIT_POINTS` points, tells its height alone, and the
-    slope is taken to be the one before: a strip at the edge of a scan is as wide as the noise,
-    which moves points along the ray in place as in height and would turn the fit towards it. What
+    Range noise moves points along the ray, in place as in height, and would turn the fit of a thin
+    view towards it. A view of less than half of the cell, so thin that its slope is known no better
+    than to `UNSEEN_TILT`, tells its height alone, and the slope is taken to be the one before: so
+    is a strip at the edge of a scan. Other points on a line, and fewer than `FIT_POINTS`, tell the
+    slope along it (`line_normal`); their variance is not that of a plane at a flatter angle than
+    level ground, or a plane turned towards the ray would take its points for exact. What
     the others leave out may differ in slope by `UNSEEN_TILT`. Residuals beyond
     what noise makes of them are of ground that is no plane: as scans see it from elsewhere, its
     height is as uncertain, however many points there are.
@@ -303,6 +305,7 @@ def measure(
         level = ray_x * ray_x + ray_y * ray_y
         line = square * level > LINE_NOISE * least and least < LINE_WIDTH * side * side
         line = line and square * level < LINE_NOISE * (half + root)
+    # But of a line, all of it counts for the covariance.
     for i in range(6):
         scatter[i] = run.scatter[i]
     if run.sloped == 0.0 or (count < rules.min_points and not line):
