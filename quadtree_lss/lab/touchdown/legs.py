@@ -5,7 +5,8 @@ One rigid body with its centre of mass above the middle of its pads. Under it fe
 body's axis: four pads on a circle, as the static contact has them (`simulation.safety`), or two
 skids that join them in pairs. A strut gives way at its crush force and stays crushed (dry friction
 of its joint), or is a spring with a damper, up to its stroke. Lengths are those of the struts
-uncrushed, and so is the clearance. Only feet and body touch the ground, no strut does.
+uncrushed, and so is the clearance but for `Legs.lift`. Only feet and body touch the ground, no
+strut does.
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ class Legs:
         centre: Height of the centre of mass over the pads.
         gyration: Radii of gyration about the body's axes across (x, y) and along (z).
         body: Radius of the body over that of the pads' circle.
+        lift: Of the body's underside over the clearance: the stroke where that is of crushed
+            struts.
         friction: Of feet and body on the ground.
         crush: Force at which a strut gives way, 0 for springs; of each foot.
         stiffness, damping: Of springs, N/m, N s/m.
@@ -49,11 +52,12 @@ class Legs:
     """
 
     gear: LandingGear = LandingGear()
-    mass: float = 1620.0
+    mass: float = 1760.0
     gravity: float = 1.62
     centre: float = 1.3
     gyration: tuple[float, float] = (1.0, 0.9)
     body: float = 0.7
+    lift: float = 0.0
     friction: float = 0.5
     crush: float = 6000.0
     stiffness: float = 0.0
@@ -65,6 +69,11 @@ class Legs:
     def radius(self) -> float:
         """Of the circle on which the pads stand."""
         return 0.5 * self.gear.diameter
+
+    @property
+    def underside(self) -> float:
+        """Of the body over the pads, struts uncrushed."""
+        return self.gear.max_roughness + self.lift
 
     @property
     def step(self) -> float:
@@ -86,7 +95,7 @@ class Legs:
         feet = [pads[[0, 1]], pads[[2, 3]]] if self.skids else [pads[[k]] for k in range(4)]
         body = self.mass * (1.0 - FOOT * len(feet))
         across, along = (body * k * k for k in self.gyration)
-        clear, top = self.gear.max_roughness, 2.0 * self.centre - self.gear.max_roughness
+        clear, top = self.underside, 2.0 * self.centre - self.gear.max_roughness
         parts = "".join(self._foot(k, ends) for k, ends in enumerate(feet))
         return f"""<mujoco>
  <option timestep="{self.step}" gravity="0 0 {-self.gravity}" integrator="implicitfast"
@@ -127,7 +136,7 @@ class Legs:
 
 
 LANDER = Legs()
-"""The lander of the closed loop (`flight.vehicle`) with its propellant burnt."""
+"""The lander of the closed loop (`flight.vehicle`) with what propellant it comes down with."""
 DRONE = Legs(
     gear=LandingGear(0.6, 0.02, 10.0, 0.08),
     mass=2.5,

@@ -183,7 +183,7 @@ def under(legs: Legs) -> Array:
     if legs.skids:
         along = np.linspace(0.0, 1.0, 9)[:, None]
         pads = along * legs.pads[[1, 3], None] + (1.0 - along) * legs.pads[[0, 2], None]
-    body = shares * legs.body * legs.radius * ring + [0.0, 0.0, legs.gear.max_roughness]
+    body = shares * legs.body * legs.radius * ring + [0.0, 0.0, legs.underside]
     return np.concatenate([pads.reshape(-1, 3), body.reshape(-1, 3)])
 
 
