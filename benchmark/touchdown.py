@@ -67,6 +67,7 @@ class Touched:
     end_tilt_deg: float
     slid: float
     stroke: float
+    gained: float
     risk: float = float("nan")
 
     def safe(self, legs: Legs) -> bool:
@@ -152,8 +153,9 @@ def touched(
     found = touch(legs, terrain, came)
     across, down = float(np.hypot(*came.velocity[:2])), -float(came.velocity[2])
     tilt = float(np.degrees(np.arccos(came.up[2])))
-    stood = float(slope), float(rise), found.outcome, found.tilt_deg, found.slid, found.stroke
-    return Touched(*named, *place.tolist(), across, down, tilt, legs.friction, *stood, risk)
+    stood = found.outcome, found.tilt_deg, found.slid, found.stroke, found.gained, risk
+    came_with = across, down, tilt, legs.friction, float(slope), float(rise)
+    return Touched(*named, *place.tolist(), *came_with, *stood)
 
 
 def arrival(generator: np.random.Generator, place: Array, how: str) -> Arrival:
@@ -204,7 +206,12 @@ def judged(done: Sequence[Touched], legs: Legs, speeds: Sequence[str]) -> None:
             rows.append([ground or "all", how, len(safe), *counts, share(fails(safe), len(safe))])
             rows[-1] += [len(unsafe), share(stand, len(unsafe))]
     header = ["ground", "speeds", "static safe", *OUTCOMES[1:], "do not stand, %"]
-    table(f"{len(done)} touchdowns", [*header, "static unsafe", "stand all the same, %"], rows)
+    gains = f"energy gained at most {100.0 * max(t.gained for t in done):.1f} %"
+    table(
+        f"{len(done)} touchdowns, {gains}",
+        [*header, "static unsafe", "stand all the same, %"],
+        rows,
+    )
 
 
 def by_speed(done: Sequence[Touched], legs: Legs) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="mujoco is not here: pip install 'quadtree_lss[physics]'")
 
+from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.lab.touchdown.legs import DRONE, FOOT, LANDER
 from quadtree_lss.lab.touchdown.touchdown import Arrival, engine, placed, touch
@@ -111,6 +112,15 @@ def test_it_tips_over_feet_that_stop_at_once(share, outcome):
     lift = np.hypot(base, legs.centre) - legs.centre
     limit = np.sqrt(2.0 * about * legs.gravity * lift / legs.mass) / legs.centre
     assert touch(legs, ground(), across(0.0, share * limit)).outcome == outcome
+
+
+def test_a_rough_ground_gives_no_energy():
+    """Rocks, struts at their stops, a turn and a lean."""
+    terrain = hazard_field(np.random.default_rng(5), replace(FIELDS["rough"], size=40.0))
+    for k in range(4):
+        arrival = replace(across(0.0, 1.0), x=3.0 * k, y=-2.0 * k, heading=0.7 * k)
+        arrival = replace(arrival, velocity=np.array([0.6, 0.0, -2.5]), turn=np.array([0.1, 0, 0]))
+        assert touch(LANDER, terrain, arrival).gained < 0.03
 
 
 def test_a_rock_under_the_body_is_a_strike():

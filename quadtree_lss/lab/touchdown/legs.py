@@ -5,8 +5,8 @@ One rigid body with its centre of mass above the middle of its pads. Under it fe
 body's axis: four pads on a circle, as the static contact has them (`simulation.safety`), or two
 skids that join them in pairs. A strut gives way at its crush force and stays crushed (dry friction
 of its joint), or is a spring with a damper, up to its stroke. Lengths are those of the struts
-uncrushed, and so is the clearance but for `Legs.lift`. Only feet and body touch the ground, no
-strut does.
+uncrushed, and so is the clearance but for `Legs.lift`. The ground pushes the feet alone: the judge
+sees that it reaches into the body, and struts pass through it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Legs:
         body: Radius of the body over that of the pads' circle.
         lift: Of the body's underside over the clearance: the stroke where that is of crushed
             struts.
-        friction: Of feet and body on the ground.
+        friction: Of feet on the ground.
         crush: Force at which a strut gives way, 0 for springs; of each foot.
         stiffness, damping: Of springs, N/m, N s/m.
         stroke: That a strut gives way at most.
@@ -95,7 +95,6 @@ class Legs:
         feet = [pads[[0, 1]], pads[[2, 3]]] if self.skids else [pads[[k]] for k in range(4)]
         body = self.mass * (1.0 - FOOT * len(feet))
         across, along = (body * k * k for k in self.gyration)
-        clear, top = self.underside, 2.0 * self.centre - self.gear.max_roughness
         parts = "".join(self._foot(k, ends) for k, ends in enumerate(feet))
         return f"""<mujoco>
  <option timestep="{self.step}" gravity="0 0 {-self.gravity}" integrator="implicitfast"
@@ -107,9 +106,7 @@ class Legs:
  <worldbody><geom name="ground" type="hfield" hfield="ground"/>
   <body name="vehicle"><freejoint/>
    <inertial pos="0 0 {self.centre * self.mass / body}" mass="{body}"
-    diaginertia="{across} {across} {along}"/>
-   <geom name="body" type="cylinder" size="{self.body * self.radius} {0.5 * (top - clear)}"
-    pos="0 0 {0.5 * (top + clear)}"/>{parts}
+    diaginertia="{across} {across} {along}"/>{parts}
   </body></worldbody></mujoco>"""
 
     def _foot(self, number: int, ends: Array) -> str:
@@ -132,7 +129,8 @@ class Legs:
     <inertial pos="0 0 0" mass="{self.mass * FOOT}" diaginertia="{inertia} {inertia} {inertia}"/>
     <joint name="strut{number}" type="slide" axis="0 0 1" limited="true" range="0 {self.stroke}"
      frictionloss="{self.crush}" stiffness="{self.stiffness}" damping="{self.damping}"
-     solreffriction="{STRUT * self.step} 1" solimpfriction="0.99 0.999 0.001"/>{geoms}</body>"""
+     solreflimit="{STRUT * self.step} 1" solreffriction="{STRUT * self.step} 1"
+     solimpfriction="0.99 0.999 0.001"/>{geoms}</body>"""
 
 
 LANDER = Legs()

@@ -73,12 +73,15 @@ class Landed:
 
     Attributes:
         outcome: The worst of `OUTCOMES`: stands; slid farther than `SLID`, or still slides; body
-            strike, it touched the ground before it tipped; tipped, `TIPPED_DEG` and more.
+            strike, the ground reached into it before it tipped; tipped, `TIPPED_DEG` and more.
         tilt_deg, most_tilt_deg: From the vertical at the end; the most there was.
         slid: From where it touched to where it is, horizontally, m.
         stroke: Of the strut that gave way most, m.
-        struck: The body touched the ground.
+        struck: The ground reached into the body.
         seconds: Until it rested.
+        gained: Mechanical energy that it ever gained, over the kinetic energy that it came with and
+            its weight times the clearance. There is none to gain: it says how good the engine's
+            contacts were.
         film: (T, 8) time, place of the middle of the pads' plane in the map, quaternion w, x, y, z.
     """
 
@@ -89,6 +92,7 @@ class Landed:
     stroke: float
     struck: bool
     seconds: float
+    gained: float
     film: Array
 
 
@@ -101,24 +105,27 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival, longest: float = LONGE
     """
     mujoco = engine()
     model, data, corner = placed(legs, terrain, arrival)
-    body, diameter = int(model.geom("body").id), legs.gear.diameter
-    film, struck, most, calm = [], False, 0.0, 0
-    start = data.qpos[:2].copy()
-    stroke = 0.0
+    posts, diameter = ground(legs, terrain, arrival), legs.gear.diameter
+    start, least = data.qpos[:2].copy(), float(data.energy.sum())
+    had = float(data.energy[1]) + legs.mass * legs.gravity * legs.gear.max_roughness
+    film, struck, calm, most, stroke, gained = [], False, 0, 0.0, 0.0, 0.0
     while data.time < longest and calm < CALM:
         if data.time * FILM >= len(film):
             film.append(np.r_[data.time, data.qpos[:7]])
         mujoco.mj_step(model, data, LOOK)
-        upright = float(data.xmat[1][8])
-        tilt = float(np.degrees(np.arccos(np.clip(upright, -1.0, 1.0))))
-        most = max(most, tilt)
+        energy, axes = float(data.energy.sum()), data.xmat[1].reshape(3, 3)
+        least = min(least, energy)
+        gained = max(gained, energy - least)
         stroke = max(stroke, float(data.qpos[7:].max()))
-        if tilt < TIPPED_DEG and data.ncon:
-            struck = struck or bool((data.contact.geom == body).any())
-        if tilt > FALLING_DEG:
-            break
+        tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
+        most = max(most, tilt)
+        struck = struck or (
+            tilt < TIPPED_DEG and strikes(legs, posts, data.qpos[:3] + corner, axes)
+        )
         fastest = np.linalg.norm(data.qvel[:3]) + 0.5 * diameter * np.linalg.norm(data.qvel[3:6])
         calm = calm + 1 if fastest < AT_REST else 0
+        if tilt > FALLING_DEG:
+            break
     film.append(np.r_[data.time, data.qpos[:7]])
     slid = float(np.hypot(*(data.qpos[:2] - start)))
     outcome = OUTCOMES[0]
@@ -130,7 +137,23 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival, longest: float = LONGE
         outcome = OUTCOMES[3]
     poses = np.array(film)
     poses[:, 1:4] += corner
-    return Landed(outcome, tilt, most, slid, stroke, struck, float(data.time), poses)
+    seconds = float(data.time)
+    return Landed(outcome, tilt, most, slid, stroke, struck, seconds, gained / had, poses)
+
+
+def strikes(legs: Legs, posts: tuple[Array, Array, Array], place: Array, axes: Array) -> bool:
+    """Whether a post is inside of the body: as of `ground`, for a vehicle at ``place`` (3,), map
+    frame, whose axes are the columns of ``axes`` (3, 3)."""
+    x, y, elevation = posts
+    (left, right), (low, high) = (
+        np.searchsorted(axis, (at - legs.radius, at + legs.radius))
+        for axis, at in ((x, place[0]), (y, place[1]))
+    )
+    over = elevation[low:high, left:right] - place[2]
+    offsets = x[None, left:right] - place[0], y[low:high, None] - place[1], over
+    along, across, up = (sum(axes[k, n] * offsets[k] for k in range(3)) for n in range(3))
+    inside = np.hypot(along, across) <= legs.body * legs.radius
+    return bool((inside & (up > legs.underside) & (up < 2.0 * legs.centre)).any())
 
 
 def placed(legs: Legs, terrain: Terrain, arrival: Arrival) -> tuple[Any, Any, Array]:
