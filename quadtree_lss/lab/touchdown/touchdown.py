@@ -108,7 +108,8 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival, longest: float = LONGE
     posts, diameter = ground(legs, terrain, arrival), legs.gear.diameter
     start, least = data.qpos[:2].copy(), float(data.energy.sum())
     had = float(data.energy[1]) + legs.mass * legs.gravity * legs.gear.max_roughness
-    film, struck, calm, most, stroke, gained = [], False, 0, 0.0, 0.0, 0.0
+    film: list[Array] = []
+    struck, calm, most, stroke, gained = False, 0, 0.0, 0.0, 0.0
     while data.time < longest and calm < CALM:
         if data.time * FILM >= len(film):
             film.append(np.r_[data.time, data.qpos[:7]])
@@ -178,6 +179,9 @@ def placed(legs: Legs, terrain: Terrain, arrival: Arrival) -> tuple[Any, Any, Ar
     data.qvel[:3] = arrival.velocity - np.cross(spin, arm)
     data.qvel[3:6] = turn.inv().apply(spin)
     mujoco.mj_forward(model, data)
+    while data.ncon and (into := -float(data.contact.dist.min())) > 1e-4:  # of a rim into a rock
+        data.qpos[2] += into
+        mujoco.mj_forward(model, data)
     return model, data, corner
 
 
