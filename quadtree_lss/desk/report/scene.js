@@ -167,7 +167,7 @@ class Space {
   // Four pads on the ground below, on the circle that they stand on, or turned: a quaternion w, x, y, z.
   drawLander(site, ground = heightAt, turned = null) {
     const T = THREE, { radius, pad } = data.lander, [w, ...xyz] = turned || [1, 0, 0, 0];
-    const lean = new T.Quaternion(...xyz, w), up = new T.Vector3(0, 0, 1).applyQuaternion(lean);
+    const lean = new T.Group().quaternion.set(...xyz, w), up = new T.Vector3(0, 0, 1).applyQuaternion(lean);
     const metal = new T.MeshLambertMaterial({ color: 0xd8b030 });
     const body = new T.MeshLambertMaterial({ color: 0xe8e8e8 });
     const feet = [0, 1, 2, 3].map(k => {
