@@ -17,7 +17,7 @@ from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.lab.touchdown.legs import Legs
 from quadtree_lss.onboard.arrays import Array
 
-LONGEST, LOOK, FILM = 12.0, 5, 30
+LONGEST, LOOK, FILM = 30.0, 5, 30
 """s of a touchdown at most; steps between two looks at it; poses a second that are kept."""
 REACH = 2.0
 """Half side of the ground about a touchdown, diameters of the pads' circle."""
