@@ -21,6 +21,7 @@ SMALL = {
     ),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "depth": (["--seeds", "9421", "--duration", "2"], ["unsafe called safe", "scan update"]),
+    "touchdown": (["--touchdowns", "100"], ["100 touchdowns, energy gained", "static unsafe"]),
     "land_now": (["--seeds", "9431"], ["a place is named", "the lander stands there"]),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
@@ -71,6 +72,8 @@ def test_every_script_is_tried():
 def test_script_prints_its_tables(script, tmp_path):
     if script in NEED_ROS:
         pytest.importorskip("rclpy")
+    if script == "touchdown":
+        pytest.importorskip("mujoco")
     arguments, expected = SMALL[script]
     done = subprocess.run(
         [sys.executable, str(FOLDER / f"{script}.py"), *arguments],

@@ -38,7 +38,8 @@ desk.player: onboard.messages onboard.nodes desk.bags desk.replay
 desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report desk.player
 lab.simulation: build desk.exchange
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
-lab.flight: desk.exchange lab.simulation
+lab.flight: desk.exchange lab.simulation lab.touchdown
+lab.touchdown: lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
 lab.live: lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay

@@ -164,13 +164,17 @@ class Space {
     map.colorSpace = THREE.SRGBColorSpace;
     return map;
   }
-  drawLander(site, ground = heightAt) { // four pads on the ground below, on the circle that they stand on
-    const T = THREE, { radius, pad } = data.lander;
+  // Four pads on the ground below, on the circle that they stand on, or turned: a quaternion w, x, y, z.
+  drawLander(site, ground = heightAt, turned = null) {
+    const T = THREE, { radius, pad } = data.lander, [w, ...xyz] = turned || [1, 0, 0, 0];
+    const lean = new T.Group().quaternion.set(...xyz, w), up = new T.Vector3(0, 0, 1).applyQuaternion(lean);
     const metal = new T.MeshLambertMaterial({ color: 0xd8b030 });
     const body = new T.MeshLambertMaterial({ color: 0xe8e8e8 });
     const feet = [0, 1, 2, 3].map(k => {
       const turn = Math.PI * (0.25 + 0.5 * k);
-      const x = site.x + radius * Math.cos(turn), y = site.y + radius * Math.sin(turn);
+      const out = new T.Vector3(radius * Math.cos(turn), radius * Math.sin(turn), 0).applyQuaternion(lean);
+      const x = site.x + out.x, y = site.y + out.y;
+      if (turned) return this.at(x, y, site.z + out.z);
       let z = -Infinity; // the highest ground under the pad carries it
       for (let a = 0; a < 12; a++) for (const r of [0, 0.5, 1]) {
         const h = ground(x + r * pad * Math.cos(a * Math.PI / 6), y + r * pad * Math.sin(a * Math.PI / 6));
@@ -179,7 +183,7 @@ class Space {
       return this.at(x, y, Number.isFinite(z) ? z : site.z);
     });
     const middle = feet.reduce((sum, f) => sum.add(f), new T.Vector3()).multiplyScalar(0.25);
-    middle.z += 0.65 * radius;
+    middle.addScaledVector(up, 0.65 * radius);
     const beam = (from, to, thick) => {
       const along = to.clone().sub(from);
       const mesh = new T.Mesh(new T.CylinderGeometry(thick, thick, along.length(), 8), metal);
@@ -189,17 +193,17 @@ class Space {
     };
     for (const foot of feet) {
       const plate = new T.Mesh(new T.CylinderGeometry(pad, pad, 0.06, 20), metal);
-      plate.rotation.x = Math.PI / 2;
-      plate.position.copy(foot); plate.position.z += 0.03;
+      plate.rotation.x = Math.PI / 2; plate.quaternion.premultiply(lean);
+      plate.position.copy(foot).addScaledVector(up, 0.03);
       this.marks.add(plate);
-      const out = foot.clone().sub(middle).setZ(0).normalize();
+      const off = foot.clone().sub(middle), out = off.addScaledVector(up, -off.dot(up)).normalize();
       const hip = middle.clone().addScaledVector(out, 0.42 * radius);
       beam(foot, hip, 0.03 * radius);
-      beam(foot, hip.setZ(middle.z + 0.45 * radius), 0.02 * radius);
+      beam(foot, hip.addScaledVector(up, 0.45 * radius), 0.02 * radius);
     }
     const hull = new T.Mesh(new T.CylinderGeometry(0.42 * radius, 0.5 * radius, 0.5 * radius, 8), body);
-    hull.rotation.x = Math.PI / 2;
-    hull.position.copy(middle); hull.position.z += 0.22 * radius;
+    hull.rotation.x = Math.PI / 2; hull.quaternion.premultiply(lean);
+    hull.position.copy(middle).addScaledVector(up, 0.22 * radius);
     this.marks.add(hull);
   }
   drawTrack() { // and the scan of the shown time

@@ -91,20 +91,22 @@ function tableOfTheTime() { // what is kept of the shown answer; at the end, all
 }
 const charts_sites = [];
 // What the slider goes over: the answers, or the samples of a flight.
-const frames = { last: 0, step: 1, go: k => setInstant(k), ofAnswer: k => k,
+const frames = { last: 0, step: () => 1, pause: () => 250, go: k => setInstant(k), ofAnswer: k => k,
                  at: () => (view.answer < 0 ? frames.last : view.answer) };
 function player() {
   const slider = byId("instant");
   slider.max = frames.last;
   slider.oninput = () => frames.go(Number(slider.value));
   byId("play").onclick = () => {
-    if (playing) { clearInterval(playing); playing = 0; }
+    if (playing) { clearTimeout(playing); playing = 0; }
     else {
       if (frames.at() >= frames.last) frames.go(0);
-      playing = setInterval(() => {
-        frames.go(Math.min(frames.at() + frames.step, frames.last));
+      const next = () => {
+        frames.go(Math.min(frames.at() + frames.step(), frames.last));
         if (frames.at() >= frames.last) byId("play").onclick();
-      }, 250);
+        else playing = setTimeout(next, frames.pause());
+      };
+      playing = setTimeout(next, frames.pause());
     }
     byId("play").textContent = playing ? "❚❚" : "▶";
   };

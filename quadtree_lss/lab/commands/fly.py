@@ -53,6 +53,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
     text = "compare with the least propellant there could be (extra 'guidance')"
     add("--reference", action="store_true", help=text)
+    add("--physics", action="store_true", help="touch down on legs as well (extra 'physics')")
     add("--no-page", action="store_true", help="no picture and no page")
 
 
@@ -118,6 +119,7 @@ def _values(options: argparse.Namespace) -> dict[str, Any]:
         "dropouts": options.dropouts,
         "faults": tuple(options.fault),
         "config": common.overrides(options),
+        "judge": "physics" if options.physics else "contact",
     }
 
 
@@ -133,5 +135,10 @@ def _print(figures: dict[str, Any]) -> None:
         f"propellant {f['propellant']:.1f} kg, {f['diverts']} diverts after the first target;"
         f" {f['speed_down']:.2f} m/s down, {f['speed_across']:.2f} m/s across"
     )
+    if "physics" in f:
+        print(
+            f"on legs: {f['physics']}, {f['physics_tilt_deg']:.1f} degrees from the vertical, slid"
+            f" {f['physics_slid']:.2f} m, struts gave way by {100.0 * f['physics_stroke']:.1f} cm"
+        )
     if f.get("propellant_ratio") is not None:
         print(f"{f['propellant_ratio']:.3f} of the least propellant, {f['reference']:.1f} kg")

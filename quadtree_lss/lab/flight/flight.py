@@ -8,6 +8,8 @@ come by `hear`. So the same flight runs in lock-step and over DDS.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +23,8 @@ from quadtree_lss.lab.flight.vehicle import VehicleState
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.recording import Messages
+from quadtree_lss.lab.touchdown.legs import LANDER
+from quadtree_lss.lab.touchdown.touchdown import Arrival, Landed, touch
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.loading import load_config
 
@@ -185,6 +189,30 @@ class Flight:
             "last_divert_height": diverts[-1].height if diverts else None,
             "hovered": "hover" in whats,
             "from_planned": float(np.hypot(*(place - self.ground.planned)[:2])),
+            **self._on_legs(),
+        }
+
+    @cached_property
+    def landed(self) -> Landed | None:
+        """The touchdown on legs, where ``physics`` judges and there was one; the pads at 45 degrees
+        to the axes."""
+        if self.outcome != "touchdown" or self.settings.judge != "physics":
+            return None
+        lander = self.lander
+        legs = replace(LANDER, mass=lander.mass, gravity=self.settings.vehicle.gravity)
+        x, y, _ = lander.position.tolist()
+        arrival = Arrival(x, y, lander.velocity, lander.direction, 0.0, lander.turn)
+        return touch(legs, self.ground.terrain, arrival)
+
+    def _on_legs(self) -> dict[str, Any]:
+        found = self.landed
+        if found is None:
+            return {}
+        return {
+            "physics": found.outcome,
+            "physics_tilt_deg": found.tilt_deg,
+            "physics_slid": found.slid,
+            "physics_stroke": found.stroke,
         }
 
     def _errors(self, generator: np.random.Generator) -> None:

@@ -10,11 +10,13 @@ from typing import Any
 from quadtree_lss.lab.flight.gimbal import ScanPlan
 from quadtree_lss.lab.flight.pilot import Rules
 from quadtree_lss.lab.flight.vehicle import Vehicle
+from quadtree_lss.lab.touchdown.touchdown import engine
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 AVOIDANCE = ("package", "paper", "none", "perfect")
 """By the nodes; by them with the paper's rules; straight to the planned point; by the truth."""
 
+JUDGES = ("contact", "physics")
 FAULTS = tuple(
     "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
 )
@@ -81,6 +83,8 @@ class FlightSettings:
         faults: What goes wrong.
         answer_delay: From a pass's begin to its answer at the guidance in lock-step, s.
         longest: Flights are ended after so many seconds.
+        judge: ``contact``, four rigid pads set down, or ``physics`` beside it: legs that come down
+            as the flight does (extra ``physics``).
     """
 
     avoidance: str = "package"
@@ -101,11 +105,16 @@ class FlightSettings:
     faults: tuple[Fault, ...] = ()
     answer_delay: float = 0.06
     longest: float = 150.0
+    judge: str = "contact"
 
     def __post_init__(self) -> None:
         if self.avoidance not in AVOIDANCE:
             msg = f"unknown avoidance {self.avoidance!r}; there are {', '.join(AVOIDANCE)}"
             raise FlightError(msg)
+        if self.judge not in JUDGES:
+            raise FlightError(f"unknown judge {self.judge!r}; there are {', '.join(JUDGES)}")
+        if self.judge == "physics":
+            engine()
 
 
 def flight_settings(values: Mapping[str, Any]) -> FlightSettings:

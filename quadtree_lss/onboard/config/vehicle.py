@@ -17,7 +17,10 @@ class VehicleConfig:
 
     diameter: float = declared(3.7, "diameter of the pads' circle", (0.05, 1000.0), "m")
     clearance: float = declared(
-        0.3, "highest ground over its pads' plane that the lander clears", (0.001, 100.0), "m"
+        0.3,
+        "highest ground over its pads' plane that the lander clears, its struts crushed",
+        (0.001, 100.0),
+        "m",
     )
     max_slope_deg: float = live(
         10.0, "steepest ground that the lander stands on", (0.1, 89.0), "deg"
