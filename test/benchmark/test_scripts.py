@@ -21,6 +21,7 @@ SMALL = {
     ),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "depth": (["--seeds", "9421", "--duration", "2"], ["unsafe called safe", "scan update"]),
+    "follow": (["--help"], ["--live"]),
     "touchdown": (["--touchdowns", "100"], ["100 touchdowns, energy gained", "static unsafe"]),
     "land_now": (["--seeds", "9431"], ["a place is named", "the lander stands there"]),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),

@@ -36,6 +36,7 @@ cdef class ScanUpdate:
     cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _doubt(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
+    cdef bint _apart(self, Leaf* leaf, Run* run) noexcept nogil
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
     cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
     cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil

@@ -37,6 +37,8 @@ MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
 LEVEL_SIGMA = cython.declare(cython.double, 0.5)
 #: ... and this high or low, m.
 HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
+#: Variance of the places of a first plane along the ray, over that of noise, at least.
+APART = cython.declare(cython.double, 4.0)
 #: A run contradicts a plane that is so many deviations off.
 CONTRADICTING = cython.declare(cython.double, 30.0)
 #: Points of a scan in a cell that tell the range noise.
@@ -287,10 +289,38 @@ class ScanUpdate:
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
-            if leaf.points < self.rules.min_points or steep > MAX_SLOPE_SIGMA**2:
+            few: cython.bint = leaf.points < self.rules.min_points
+            if few or steep > MAX_SLOPE_SIGMA**2 or not self._apart(leaf, run):
                 leaf.known = HINTS
                 return
         leaf.known = MEASURED
+
+    def _apart(self, leaf: Record, run: Record) -> cython.bint:
+        """Whether a first plane is of places that lie farther apart along the ray than noise puts
+        them: else it is turned towards the ray.
+
+        A slope of variance v from heights whose mean has the variance h is of places of variance
+        h (1 / v - 1 / v_0), v_0 that of a first estimate; a line that stands on one place seems to
+        have that which noise moves its points by, var(e) (u_x^2 + u_y^2) over their number.
+        """
+        basis = cython.declare(cython.double[6])
+        basis_at(leaf.normal, basis)
+        known = leaf.range_part
+        x = run.centroid[0]
+        y = run.centroid[1]
+        square = x * x + y * y + run.centroid[2] * run.centroid[2]
+        first = basis[0] * x + basis[1] * y
+        second = basis[3] * x + basis[4] * y
+        flat = (first * first + second * second) / square
+        slope = first * first * known[0] + 2.0 * first * second * known[1]
+        slope = (slope + second * second * known[4]) / square
+        told = flat / max(slope, 1e-300) - 1.0 / (LEVEL_SIGMA * LEVEL_SIGMA)
+        x = known[4] * known[2] - known[1] * known[5]
+        y = known[0] * known[5] - known[1] * known[2]
+        share = 1.0 / max(known[0] * known[4] - known[1] * known[1], 1e-300)
+        height = known[8] - share * (x * known[2] + y * known[5])
+        noise = run.variance / (run.cosine * run.cosine * run.points)
+        return height * told >= APART * noise * flat
 
     def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
         """Divide a leaf above the finest level, if there is room.

@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 import threading
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +18,9 @@ from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolat
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.onboard.core.sensing.points import arrange, find_runs, turn
 from quadtree_lss.onboard.core.sensing.sweep import Sweep, still
-from quadtree_lss.onboard.core.tree.domain import Domain
+
+if TYPE_CHECKING:
+    from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: Of larger scans no memory is kept.
 KEPT_POINTS = 1 << 20
