@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from math import cos, floor, inf, isfinite, radians, sin
+from math import cos, inf, isfinite, radians, sin
 
+import cython
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Mask
@@ -16,7 +17,9 @@ from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.target import Descent, Motion, Restrictions
 
 #: m. Ground higher than a ray by less does not stop it.
-GRAZING = 1e-9
+GRAZING = cython.declare(cython.double, 1e-9)
+#: Of a cell: so near to a middle a ray goes through it.
+STRAIGHT = cython.declare(cython.double, 1e-9)
 
 
 def shadow(heights: Array, known: Mask, spacing: float, azimuth: float, elevation: float) -> Mask:
@@ -45,34 +48,70 @@ def shadow(heights: Array, known: Mask, spacing: float, azimuth: float, elevatio
         slice(None, None, -1 if second < 0.0 else 1),
     )
     ground, out = ((of.T if swap else of)[flips] for of in (np.where(known, heights, -inf), dark))
-    span = float(np.ptp(heights[known])) * abs(first)
-    steps, turn = len(ground) - 1, abs(second / first) if first else 0.0
-    if span < steps * spacing * up:
-        steps = floor(span / (spacing * up))
-    for k in range(1, steps + 1):
-        whole = floor(aside := round(k * turn, 9))
-        higher, part = ground[k:, whole:], aside - whole
-        if part > 0.0:
-            higher = (1.0 - part) * higher[:, :-1] + part * higher[:, 1:]
-        at = slice(higher.shape[0]), slice(higher.shape[1])
-        out[at] |= higher > ground[at] + (k * spacing * up / abs(first) + GRAZING)
+    if abs(first) > 0.0:
+        rise, turn = spacing * up / abs(first), abs(second / first)
+        out[...] = sweep(np.ascontiguousarray(ground), turn, rise, float(np.max(heights[known])))
     return dark & known
+
+
+@cython.boundscheck(False)
+@cython.locals(ground=cython.double[:, ::1], dark=cython.uchar[:, ::1])
+@cython.locals(turn=cython.double, rise=cython.double, top=cython.double)
+def sweep(ground: Array, turn: float, rise: float, top: float) -> Mask:
+    """(ny, nx) whether something stops a ray that goes from row to row, the last ones first.
+
+    Args:
+        ground: (ny, nx) heights, m, -inf where unknown.
+        turn: Columns by which the ray goes aside in a row, 0 to 1.
+        rise: By which it rises in a row, m.
+        top: Greatest height, m.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    found = np.zeros((ground.shape[0], ground.shape[1]), dtype=np.uint8)
+    dark = found
+    with cython.nogil:
+        for i in range(ground.shape[0]):
+            for j in range(ground.shape[1]):
+                dark[i, j] = stopped(ground, i, j, turn, rise, top)
+    return found.view(np.bool_)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.boundscheck(False)
+def stopped(
+    ground: cython.double[:, ::1],
+    i: cython.Py_ssize_t,
+    j: cython.Py_ssize_t,
+    turn: cython.double,
+    rise: cython.double,
+    top: cython.double,
+) -> cython.bint:
+    """Of the ray from one place."""
+    cython.declare(k=cython.Py_ssize_t, to=cython.Py_ssize_t)
+    for k in range(1, ground.shape[0] - i):
+        ray = ground[i, j] + k * rise + GRAZING
+        to = j + cython.cast(cython.Py_ssize_t, k * turn + STRAIGHT)
+        part = j + k * turn - to
+        if ray > top or to + (part > STRAIGHT) >= ground.shape[1]:
+            return False
+        higher = ground[i + k, to]
+        if part > STRAIGHT:
+            higher = (1.0 - part) * higher + part * ground[i + k, to + 1]
+        if higher > ray:
+            return True
+    return False
 
 
 def in_shadow(raster: TerrainRaster, light: LightConfig) -> Mask:
     """(n, n) finest cells in shadow at touchdown or an hour later, subscale features included."""
     heights, side = raster.elevation + raster.subscale_peak, raster.domain.finest_size
-    now, later = (
-        shadow(
-            heights,
-            raster.seen,
-            side,
-            light.azimuth + hours * light.azimuth_rate,
-            light.elevation + hours * light.elevation_rate,
-        )
-        for hours in (0.0, 1.0)
-    )
-    return now | later
+    dark = shadow(heights, raster.seen, side, light.azimuth, light.elevation)
+    if light.azimuth_rate or light.elevation_rate:
+        later = light.azimuth + light.azimuth_rate, light.elevation + light.elevation_rate
+        dark |= shadow(heights, raster.seen, side, *later)
+    return dark
 
 
 def within(
