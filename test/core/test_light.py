@@ -10,11 +10,13 @@ import pytest
 from core.builders import mapped
 from core.test_sites import RADIUS, small
 
+from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.results import grid_arrays
 from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
 from quadtree_lss.onboard.core.landing.light import shadow
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.messages.outputs import MessageMaker
 
 
 def hills(x, y):
@@ -136,6 +138,10 @@ def test_reach_is_what_guidance_or_the_poses_say(walled):
     beside = np.min([x - 2.0, 9.0 - x, y - 3.0, 12.0 - y], axis=0)
     np.testing.assert_array_equal(found.reach, beside >= RADIUS)
     found = selector.assess(walled, vehicle=(8.05, 0.5, 5.0, 5.0))
+    grids = MessageMaker(typestore(ros1=False).types, np.asarray, "map").grid_map(found)
+    sent = dict(zip(grids.layers, grids.data, strict=True))
+    for name, values in (("shadow", found.shadow), ("reach", found.reach)):
+        np.testing.assert_array_equal(sent[name].data, values[::-1, ::-1].ravel())
     # 5.05 m over level ground, and not more steeply than 45 degrees.
     np.testing.assert_array_equal(found.reach, np.hypot(x - 5.0, y - 5.0) <= 5.05)
     assert selector.assess(walled, area=[(0.0, 0.0)]).reach is None
