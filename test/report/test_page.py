@@ -113,6 +113,16 @@ def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
     assert "seen, not yet mapped" not in words(hazard_figure(none))
 
 
+def test_shadow_and_reach_are_layers_of_the_page_where_the_run_had_them(content):
+    assert not {"shadow", "reach"} & unpacked(content)[0]["grid"].keys()
+    marks = {"shadow": content.grid["safe"], "reach": ~content.grid["safe"]}
+    data, get = unpacked(dataclasses.replace(content, grid={**content.grid, **marks}))
+    stride = data["grid"]["stride"]
+    for name, values in marks.items():
+        expected = values[::stride, ::stride].ravel()
+        np.testing.assert_array_equal(get(data["grid"][name]) > 0, expected)
+
+
 def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):
     """A map whose leaves lie 7 mm off their planes in the mean, large ones and small ones."""
     cells = {**content.cells, "roughness": 0.007 * content.cells["size"] ** 2}

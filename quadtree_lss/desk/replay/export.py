@@ -21,7 +21,7 @@ from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
 
 NO_DATA = 255
-"""Where ``safe.tif`` is of unseen ground."""
+"""Where a layer of `MASKS` is of unseen ground."""
 LAYERS = {
     "elevation": ("m", "the map's own height"),
     "plane_elevation": ("m", "height of the plane at the lander's scale"),
@@ -32,6 +32,8 @@ LAYERS = {
         " 64 seen but not yet mapped, 128 unseen",
     ),
     "safe": ("", f"1 landing centred here is allowed, 0 it is not, {NO_DATA} unseen"),
+    "shadow": ("", f"1 in shadow at touchdown or an hour later, 0 lit, {NO_DATA} unseen"),
+    "reach": ("", f"1 within reach, 0 beyond, {NO_DATA} unseen"),
     "score": ("1", "Eq. 59, lower is better"),
     "risk": ("1", "that landing right there fails"),
     "probability": ("1", "of a safe touchdown if the lander aims there"),
@@ -39,6 +41,8 @@ LAYERS = {
     "map_deviation": ("m", "standard deviation of map_height"),
 }
 """Unit and meaning."""
+MASKS = ("safe", "shadow", "reach")
+"""Layers that are true or false."""
 
 
 def export_results(
@@ -94,7 +98,7 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     looks = _looks()
     written = []
     for name, values, across, along in layers:
-        if name == "safe":
+        if name in MASKS:
             values = np.where(grid.seen, values, NO_DATA).astype(np.uint8)
         path = folder / f"{name}.tif"
         unit, words = LAYERS.get(name, ("", ""))
@@ -109,10 +113,12 @@ def _looks() -> dict[str, dict[str, Any]]:
     """Colours of whole values, and which of them is no data, by layer; as those of the page."""
     from quadtree_lss.desk.report import palette
 
-    safe = {0: palette.EXCLUDED_COLOUR, 1: palette.SAFE_COLOUR, NO_DATA: palette.UNSEEN_COLOUR}
+    unseen, no, yes = palette.UNSEEN_COLOUR, palette.EXCLUDED_COLOUR, palette.SAFE_COLOUR
+    good = {"colours": {0: no, 1: yes, NO_DATA: unseen}, "nodata": NO_DATA}
+    bad = {"colours": {0: yes, 1: no, NO_DATA: unseen}, "nodata": NO_DATA}
     kinds = (*palette.HAZARDS, (255, "", palette.CLEAR_COLOUR))
     hazard = {v: next(c for bit, _, c in kinds if v & bit or bit == 255) for v in range(256)}
-    return {"safe": {"colours": safe, "nodata": NO_DATA}, "hazard": {"colours": hazard}}
+    return {"safe": good, "shadow": bad, "reach": good, "hazard": {"colours": hazard}}
 
 
 def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:

@@ -107,7 +107,9 @@ def grid_arrays(assessment: LandingAssessment) -> dict[str, NDArray[Any]]:
     """Content of ``grid.npz``: the landing grid's points, arrays (ny, nx)."""
     names = ("x", "y", "elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
     arrays = {name: getattr(assessment, name) for name in (*names, "risk")}
-    return {**arrays, "probability": known_probability(assessment)}
+    layers = {name: getattr(assessment, name) for name in ("shadow", "reach")}
+    more = {name: values for name, values in layers.items() if values is not None}
+    return {**arrays, "probability": known_probability(assessment), **more}
 
 
 @dataclass(frozen=True, repr=False)

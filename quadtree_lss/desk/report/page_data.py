@@ -107,6 +107,9 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         "hazard": columns.whole(part("hazard"), "u1"),
         "safe": columns.whole(part("safe"), "u1"),
     }
+    for name in ("shadow", "reach"):
+        if name in grid:
+            found[name] = columns.whole(part(name), "u1")
     if content.probability is not None:
         found["probability"] = columns.quantised(100.0 * part("probability"))
         found["probability"]["limits"] = (0.0, 100.0)

@@ -45,6 +45,8 @@ def what_if(content: Content, columns: Columns, stride: int) -> dict[str, Any]:
     points, side = found.ground[1], cells.domain.finest_size
     extra = np.zeros(found.safe.shape)
     Restrictions(keep_outs=keep_outs, **wishes).apply(extra, found.x, found.y, lss)
+    if found.shadow is not None:
+        extra += lss.weight_shadow * found.shadow
     excepted = grown(points.hazard & EXCEPTION > 0, 0.5 * lss.vehicle.diameter, side)
     bound = bool(keep_outs) or wishes["area"] is not None
     return {

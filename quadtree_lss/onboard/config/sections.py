@@ -264,6 +264,12 @@ class LssConfig:
         (0.0, 1.0),
         "1/m",
     )
+    weight_shadow: float = _live(
+        0.0,
+        "what light at the aim is worth, as a probability of a safe touchdown; 20 times that in the"
+        " score; needs light.elevation",
+        (0.0, 1.0),
+    )
     sites: int = _live(5, "sites to rank", (1, 1000))
     min_separation: float = _live(
         -1.0,
@@ -342,6 +348,26 @@ class LssConfig:
         """Least distance of ranked sites, m."""
         set_to = self.min_separation
         return self.vehicle.lengths.min_separation if set_to < 0.0 else set_to
+
+
+@dataclass(frozen=True)
+class LightConfig:
+    """Where the sun stands at touchdown, and an hour later."""
+
+    azimuth: float = _live(
+        0.0,
+        "of the sun at touchdown, clockwise from north (the map's y)",
+        (-360.0, 360.0),
+        "deg",
+    )
+    elevation: float = _live(
+        0.0,
+        "of the sun at touchdown, over the map's level; 0 is off: no layers of shadow and reach",
+        (0.0, 90.0),
+        "deg",
+    )
+    azimuth_rate: float = _live(0.0, "by which the azimuth grows", (-360.0, 360.0), "deg/h")
+    elevation_rate: float = _live(0.0, "by which the elevation grows", (-90.0, 90.0), "deg/h")
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,7 @@ class Config:
     mapping: sections.MappingConfig = field(default_factory=sections.MappingConfig)
     features: sections.FeaturesConfig = field(default_factory=sections.FeaturesConfig)
     lss: LssConfig = field(default_factory=LssConfig)
+    light: sections.LightConfig = field(default_factory=sections.LightConfig)
     qos: sections.QosConfig = field(default_factory=sections.QosConfig)
     publish: sections.PublishConfig = field(default_factory=sections.PublishConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
@@ -223,6 +224,8 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     if (mount.gimbal or mount.tf) and mount != elsewhere:
         name, topic = ("gimbal", "lidar/gimbal") if mount.gimbal else ("tf", "/tf_static")
         yield f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
+    if config.lss.weight_shadow > 0.0 and config.light.elevation == 0.0:
+        yield "lss.weight_shadow weighs light: light.elevation is to be above 0"
     gate, commit = config.autopilot.gate_height, config.autopilot.commit_height
     if commit >= gate:
         yield f"autopilot.commit_height = {commit:g} m is not below gate_height = {gate:g} m"

@@ -65,7 +65,9 @@ TOPIC_TYPES = {
 
 GRID_MAP, GRID_MAP_TYPE = "landing/grid_map", "grid_map_msgs/msg/GridMap"
 """Sent live where ``grid_map_msgs`` is installed, and always recorded."""
-GRID_MAP_LAYERS = "elevation plane_elevation slope_deg hazard safe score probability".split()
+GRID_MAP_LAYERS = (
+    "elevation plane_elevation slope_deg hazard safe score probability shadow reach".split()
+)
 """Layers of it, as far as the assessment has them."""
 
 Fields = tuple[tuple[str, str], ...]

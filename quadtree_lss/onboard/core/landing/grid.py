@@ -16,7 +16,7 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.score import PointAssessment
-from quadtree_lss.onboard.core.landing.target import Candidates, Restrictions
+from quadtree_lss.onboard.core.landing.target import TARGET_SCORE, Candidates, Restrictions
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: The most that the score weighs against a probability: it decides where these are the same.
@@ -154,6 +154,7 @@ class Aims:
         hazard: Bits of ``hazards``.
         candidates: What sites are chosen from.
         withheld: Why no site may be given out and all is excluded; empty if that is not so.
+        shadow: In shadow; None if nobody asked for it.
     """
 
     at: GridSampler
@@ -163,6 +164,7 @@ class Aims:
     hazard: Bytes
     candidates: Candidates
     withheld: str
+    shadow: Mask | None = None
 
     def without(self, places: Mask) -> Aims:
         """None of these, (ny, nx), is permitted."""
@@ -179,8 +181,12 @@ def aim(
     spread: Dispersion,
     wanted: Restrictions,
     lss: LssConfig,
+    dark: Mask | None = None,
 ) -> Aims:
-    """The points of the user's grid as aims: the risk over where the lander comes down."""
+    """The points of the user's grid as aims: the risk over where the lander comes down.
+
+    ``dark``: (ny, nx) those in shadow, each of which costs ``lss.weight_shadow``.
+    """
     at_aim, ranks = points.risk, lss.ranking == "probability"
     if ranks or lss.assessment == "probability":
         at_aim = aimed(at_aim, points.raster.domain.finest_size, spread)
@@ -188,11 +194,13 @@ def aim(
     score = np.where(safe, at.nearest(points.score), np.nan)
     cost = probable_first(unsafe, score) if ranks else score
     hazard, risk = at.any(points.hazard), at.linear(points.risk)
+    if dark is not None and lss.weight_shadow:
+        cost += (1.0 if ranks else TARGET_SCORE) * lss.weight_shadow * dark
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks:
         np.copyto(score, np.nan, where=np.isnan(cost))
     candidates = Candidates(at.x, at.y, safe, cost, unsafe if ranks else None)
-    return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld)
+    return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld, dark)
 
 
 def probable_first(unsafe: Array, score: Array) -> Array:

@@ -64,7 +64,7 @@ def within_reach(
     ground, x, y = aims.candidates, aims.at.x, aims.at.y
     bad = ground.cost if ground.unsafe is None else ground.unsafe
     cost, after = (
-        _choices(aims, wanted, lss, _reached(x, y, motion, descent, wait)) for wait in (0.0, WAIT_S)
+        _choices(aims, wanted, lss, reached(x, y, motion, descent, wait)) for wait in (0.0, WAIT_S)
     )
     if not np.isfinite(cost).any():
         return Now(cost)
@@ -101,7 +101,7 @@ def least_later(risks: Array) -> float:
     return float(np.exp(at[0]) + np.sum(0.5 * (greater[1:] + greater[:-1])) * (at[1] - at[0]))
 
 
-def _reached(
+def reached(
     x: Array, y: Array, motion: Motion | None, descent: Descent | None, wait: float
 ) -> Mask:
     """(ny, nx) whether the vehicle gets there, after going on for ``wait`` seconds."""

@@ -26,6 +26,7 @@ from quadtree_lss.onboard.core.landing.assessment import (
 from quadtree_lss.onboard.core.landing.doubt import Doubts
 from quadtree_lss.onboard.core.landing.grid import Aims, GridSampler, aim, best_points, users_grid
 from quadtree_lss.onboard.core.landing.lattice import disc, touching
+from quadtree_lss.onboard.core.landing.light import in_shadow, within
 from quadtree_lss.onboard.core.landing.now import within_reach
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
@@ -155,7 +156,10 @@ class LandingSiteSelector:
             heading = spread.heading if self._table is None else None
             worst = self._check.worst(raster, around.met, heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
-        aims = aim(points, at, spread, wanted, lss)
+        dark = None
+        if self.config.light.elevation:
+            dark = at.any(touching(in_shadow(raster, self.config.light).view(np.uint8))) > 0
+        aims = aim(points, at, spread, wanted, lss, dark)
         motion = None if vehicle is None else Motion(*vehicle)
         return self._choose_sites(points, aims, spread, wanted, (motion, waited))
 
@@ -234,6 +238,9 @@ class LandingSiteSelector:
             settled=settled,
             now=here,
         )
+        reach = None
+        if aims.shadow is not None:
+            reach = within(at.x, at.y, wanted, lss, motion, below)
         ranked = self._rank(cost, at.x, at.y)
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
@@ -263,6 +270,8 @@ class LandingSiteSelector:
             offset_variance=cells.offset_variance,
             ground=(at, points),
             doubts=doubts,
+            shadow=aims.shadow,
+            reach=reach,
         )
 
     def _choose(self, ground: Candidates, **situation: Any) -> Choice:
