@@ -86,6 +86,18 @@ def test_two_points_tell_the_slope_along_their_line(crossed):
     assert np.abs(error).max(initial=0.0) < 0.05
 
 
+def under_lines(ground, spacing: float, aside: float, step: float):
+    """A map of 1 m cells after 150 scans; lines in every third, ``step`` m farther each scan."""
+    noise, rng = 0.16, np.random.default_rng(3)
+    mapper = Mapper(configured(domain=FINEST_1M, lidar={"range_noise": noise}))
+    for k in range(150):
+        y = np.arange(-1.0, 17.0, spacing) + spacing * rng.random()
+        x, y = np.meshgrid(np.arange(-2.7, 19.0, 3.0) + (step * k) % 3.0, y)
+        pose = make_pose((8.0 - 100.0 * aside, 8.0, 130.0), stamp_ns=100_000_000 * (k + 1))
+        look(mapper, ground, x.ravel(), y.ravel(), rng, noise, pose)
+    return mapper.snapshot()
+
+
 @pytest.mark.parametrize("ground", [flat(), slope(0.1, 0.05, 30.0)], ids=["level", "inclined"])
 @pytest.mark.parametrize("aside", [0.1, 0.4])
 @pytest.mark.parametrize("spacing", [1.4, 0.7, 0.22])
@@ -94,14 +106,7 @@ def test_single_lines_that_sweep_over_cells_tell_their_planes(spacing, aside, gr
 
     Noise moves points along the ray, by more than what a line is wide; it is no width.
     """
-    noise, rng = 0.16, np.random.default_rng(3)
-    mapper = Mapper(configured(domain=FINEST_1M, lidar={"range_noise": noise}))
-    for k in range(150):
-        y = np.arange(-1.0, 17.0, spacing) + spacing * rng.random()
-        x, y = np.meshgrid(np.arange(-3.0, 19.0, 3.0) + (0.16 * k) % 3.0, y)
-        pose = make_pose((8.0 - 100.0 * aside, 8.0, 130.0), stamp_ns=100_000_000 * (k + 1))
-        look(mapper, ground, x.ravel(), y.ravel(), rng, noise, pose)
-    cells = mapper.snapshot()
+    cells = under_lines(ground, spacing, aside, step=0.16)
     inner = cells.measured & (abs(cells.x - 8.0) < 6.0) & (abs(cells.y - 8.0) < 6.0)
     assert np.count_nonzero(inner) == 144
     x, y = cells.x[inner], cells.y[inner]
@@ -109,6 +114,13 @@ def test_single_lines_that_sweep_over_cells_tell_their_planes(spacing, aside, gr
     error = -(cells.normal[inner, :2] / cells.normal[inner, 2:]).T - true
     assert np.median(np.abs(error), axis=1).max() < 0.11
     assert np.quantile(np.abs(error), 0.98) < 0.4
+
+
+@pytest.mark.parametrize("aside", [0.1, 0.4])
+def test_lines_that_stand_tell_no_planes(aside):
+    """What lies across them is noise alone."""
+    cells = under_lines(flat(), 0.7, aside, step=0.0)
+    assert not cells.measured.any()
 
 
 @pytest.mark.parametrize("seed", range(10))

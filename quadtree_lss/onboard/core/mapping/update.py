@@ -301,16 +301,15 @@ class ScanUpdate:
 
         A slope of variance v from heights whose mean has the variance h is of places of variance
         h (1 / v - 1 / v_0), v_0 that of a first estimate; a line that stands on one place seems to
-        have that which noise moves its points by, var(e) (u_x^2 + u_y^2) over their number.
+        have that which noise moves its points by along the plane, var(e) |B^T u|^2 over their number.
         """
         basis = cython.declare(cython.double[6])
         basis_at(leaf.normal, basis)
         known = leaf.range_part
-        x = run.centroid[0]
-        y = run.centroid[1]
-        square = x * x + y * y + run.centroid[2] * run.centroid[2]
-        first = basis[0] * x + basis[1] * y
-        second = basis[3] * x + basis[4] * y
+        x, y, z = run.centroid[0], run.centroid[1], run.centroid[2]
+        square = x * x + y * y + z * z
+        first = basis[0] * x + basis[1] * y + basis[2] * z
+        second = basis[3] * x + basis[4] * y + basis[5] * z
         flat = (first * first + second * second) / square
         slope = first * first * known[0] + 2.0 * first * second * known[1]
         slope = (slope + second * second * known[4]) / square
