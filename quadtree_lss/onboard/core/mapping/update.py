@@ -301,7 +301,8 @@ class ScanUpdate:
 
         A slope of variance v from heights whose mean has the variance h is of places of variance
         h (1 / v - 1 / v_0), v_0 that of a first estimate; a line that stands on one place seems to
-        have that which noise moves its points by along the plane, var(e) |B^T u|^2 over their number.
+        have that which noise moves its points by along the plane, var(e) |B^T u|^2 over their
+        number.
         """
         basis = cython.declare(cython.double[6])
         basis_at(leaf.normal, basis)
