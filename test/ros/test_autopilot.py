@@ -169,7 +169,12 @@ def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
 
 
 @pytest.mark.parametrize(
-    "fault", ["withdrawn", "lss_node killed", pytest.param("switched", marks=pytest.mark.slow)]
+    "fault",
+    [
+        "lss_node killed",
+        pytest.param("withdrawn", marks=pytest.mark.slow),
+        pytest.param("switched", marks=pytest.mark.slow),
+    ],
 )
 def test_what_happens_to_the_target_on_the_way_down(scene, fault):
     flight = scene().handed_over().below(2.5)

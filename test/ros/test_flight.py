@@ -42,6 +42,7 @@ def test_it_lands_safely_by_what_the_nodes_say(live):
     assert any(d.what == "target" for d in live.flown.flight.pilot.decisions)
 
 
+@pytest.mark.slow
 def test_with_the_same_answers_at_the_same_time_it_is_the_same_flight(live):
     """To the bit: nothing else came from the transport."""
     again, answers = Flight(SEED, flight_settings(SHORT)), list(live.heard)

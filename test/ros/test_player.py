@@ -39,6 +39,7 @@ def test_player_says_who_is_missing(ros):
         play(ros.folder / "flight", rate=0.0)
 
 
+@pytest.mark.slow
 def test_player_names_what_is_subscribed_and_reaches_it_by_namespace_and_name(ros):
     bag = ros.folder / "flight"
     write_bag(bag, 3)
