@@ -157,6 +157,7 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
         campaign(read_study(study), tmp_path / "c", rerun=[99])
 
 
+@pytest.mark.slow
 def test_the_campaign_killed_and_resumed(first, study, tmp_path):
     """By two workers, with the same files as by one."""
     process = start(study, tmp_path, "--workers", 2)

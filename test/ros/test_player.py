@@ -89,6 +89,7 @@ def test_what_was_asked_of_landing_is_played_latched(ros):
         assert listener.wait_for(lambda: held() == "True"), lss.output()
 
 
+@pytest.mark.slow
 def test_pause_by_keyboard_and_by_service_loses_no_scan(ros):
     bag = ros.folder / "flight"
     write_bag(bag, SCANS)
