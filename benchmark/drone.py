@@ -18,8 +18,9 @@ from common import configuration, machine, table
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.lab.campaign.study import parse_seeds
+from quadtree_lss.lab.evaluation.risk_families import Family
 from quadtree_lss.lab.evaluation.risk_fit import ASKED
-from quadtree_lss.lab.evaluation.risk_flights import Family, fly, land, table_of
+from quadtree_lss.lab.evaluation.risk_flights import fly, land, table_of
 from quadtree_lss.lab.simulation.hazard_field import FIELDS
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import risk_model

@@ -19,10 +19,9 @@ from scipy.interpolate import RectBivariateSpline
 
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.metrics import scores
+from quadtree_lss.lab.evaluation.risk_families import FAMILIES, Family
 from quadtree_lss.lab.evaluation.risk_fit import risks, unfitted
 from quadtree_lss.lab.evaluation.risk_flights import (
-    FAMILIES,
-    Family,
     Mapped,
     Sample,
     fitted,

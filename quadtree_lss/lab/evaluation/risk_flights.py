@@ -10,23 +10,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.results import EvaluationError
+from quadtree_lss.lab.evaluation.risk_families import (
+    FAMILIES,
+    LANDER,
+    VIEWS,
+    Family,
+    Range,
+    even,
+    ground,
+)
 from quadtree_lss.lab.evaluation.risk_fit import fit, risks, unfitted
-from quadtree_lss.lab.simulation.hazard_field import FIELDS, HazardField, hazard_field
-from quadtree_lss.lab.simulation.lidar import pixel_beams
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear, on_dem, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
-from quadtree_lss.lab.simulation.trajectory import NORTH, Sweep, look_at
 from quadtree_lss.onboard.arrays import Array, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import OVERALL, RiskModel
 from quadtree_lss.onboard.config.settings import Config
@@ -39,275 +43,12 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip
 
-Range = tuple[float, float]
-#: The lander that grounds and views are made for, m; half the side of what it looks at.
-LANDER, HALF = 3.7, 30.0
 #: A flight is judged after a part between these, and at its end.
 PARTS: tuple[Range, ...] = ((0.05, 0.33), (0.33, 0.8), (1.0, 1.0))
 #: Landings of a map that a fit takes at most.
 TAKEN = 500
 #: Side of the tiles, diameters, whose failures are taken for independent.
 TILE = 2.2
-
-
-@dataclass(frozen=True)
-class Family:
-    """What flights of a kind draw from; None is as the configuration has it.
-
-    Attributes:
-        grounds: Names in `FIELDS`, or ``any``, ``mixed`` or ``bare``.
-        views: Names in `VIEWS`.
-        diameter: Of the vehicle, m; clearance: over it; slopes: that it stands on, deg.
-        cells: Along the diameter.
-        noise: Of a range over the clearance; told: times that the mapping is told.
-        outliers: Shares of false returns.
-        weight: In a fit, beside others.
-    """
-
-    grounds: tuple[str, ...] = tuple(FIELDS)
-    views: tuple[str, ...] = ("morpheus",)
-    diameter: Range | None = None
-    clearance: Range | None = None
-    slopes: tuple[float, ...] | None = None
-    cells: Range | None = None
-    noise: Range | None = None
-    told: tuple[float, ...] = (1.0,)
-    outliers: tuple[float, ...] = (0.0,)
-    weight: float = 1.0
-
-
-_ANY = (*FIELDS, "any")
-_SIZES: dict[str, Any] = {
-    "diameter": (0.5, 8.0),
-    "clearance": (0.055, 0.17),
-    "slopes": (6.0, 8.0, 10.0, 12.0, 15.0),
-    "cells": (5.0, 16.0),
-}
-FAMILIES: dict[str, Family] = {
-    "whole": Family(weight=2.0),
-    "thin": Family(views=("oblique",), weight=1.5),
-    "mixed": Family(grounds=("mixed",), views=("morpheus", "sweep"), weight=1.5),
-    "bare": Family(grounds=("bare",), views=("morpheus", "sweep", "descent")),
-    "noise": Family(
-        views=("sweep",),
-        noise=(0.1, 0.3),
-        told=(1.0, 0.75, 1.3),
-        outliers=(0.0, 0.02),
-        weight=1.5,
-    ),
-    "few": Family(grounds=(*_ANY, "mixed"), views=("few",), weight=0.7),
-    "views": Family(grounds=_ANY, views=("sweep", "descent", "wide"), weight=0.7),
-    "drone": Family(
-        grounds=(*_ANY, "mixed", "bare"),
-        views=("wide",),
-        diameter=(0.5, 0.8),
-        clearance=(0.09, 0.17),
-        cells=(4.8, 12.0),
-        noise=(0.2, 0.35),
-    ),
-    "large": Family(
-        grounds=_ANY,
-        views=("sweep", "descent"),
-        diameter=(5.0, 8.0),
-        clearance=(0.055, 0.1),
-        cells=(5.0, 16.0),
-        noise=(0.07, 0.25),
-    ),
-    "vehicles": Family(
-        grounds=_ANY, views=("sweep", "descent", "morpheus"), noise=(0.07, 0.35), **_SIZES
-    ),
-    "any": Family(
-        grounds=(*_ANY, "mixed", "bare"),
-        views=("sweep", "descent", "oblique", "wide", "few"),
-        noise=(0.07, 0.4),
-        told=(1.0, 1.0, 0.8, 1.25),
-        outliers=(0.0, 0.0, 0.01),
-        weight=0.7,
-        **_SIZES,
-    ),
-}
-
-
-def ground(rng: np.random.Generator, kind: str) -> Terrain:
-    """80 x 80 m of one of `FIELDS`; or of ``any`` such field, ``plain``, ``cratered``, ``bare`` (an
-    incline), or ``mixed``: two of them, half and half or in patches."""
-    if kind == "mixed":
-        one, two = rng.choice(_PAIRS)
-        first, second = ground(rng, one), ground(rng, two)
-        x, y = np.meshgrid(first.x, first.y)
-        if rng.random() < 0.6:
-            heading = rng.uniform(0.0, 2.0 * np.pi)
-            across = x * np.cos(heading) + y * np.sin(heading) + rng.uniform(-6.0, 6.0)
-        else:
-            across = gaussian_filter(rng.standard_normal(x.shape), rng.uniform(33.0, 60.0))
-            across *= 4.0 / across.std()
-        share = 1.0 / (1.0 + np.exp(-across / rng.uniform(0.2, 1.0)))
-        z = share * first.elevation + (1.0 - share) * second.elevation
-        return Terrain(first.x, first.y, z)
-    field = FIELDS.get(kind, HazardField(rock_abundance=0.0, piles=0.0))
-    if kind == "any":
-        rocks = rng.uniform(0.005, 0.12) if rng.random() < 0.8 else 0.0
-        field = HazardField(
-            rock_abundance=rocks,
-            piles=rng.uniform(0.0, 8e-3) * (rocks > 0.0),
-            craters=rng.uniform(0.0, 15e-3),
-            slope_rms_deg=rng.uniform(0.3, 6.5),
-            texture=rng.uniform(0.003, 0.025),
-        )
-    elif kind == "cratered":
-        craters, depth = rng.uniform(12e-3, 30e-3), rng.uniform(0.08, 0.18)
-        field = replace(field, craters=craters, crater_depth=depth)
-    elif kind not in FIELDS:
-        craters = rng.choice([0.0, 6e-3]) if kind == "bare" else 0.0
-        rocks = rng.choice([0.0, 0.005, 0.02], p=[0.6, 0.2, 0.2]) if kind == "bare" else 0.0
-        slope, texture = rng.uniform(0.3, 3.0), rng.uniform(3e-3, 0.015)
-        field = replace(field, craters=craters, rock_abundance=rocks)
-        field = replace(field, slope_rms_deg=slope, texture=texture)
-    made = hazard_field(rng, replace(field, size=80.0))
-    if kind != "bare":
-        return made
-    rise, heading = np.tan(np.radians(rng.uniform(3.0, 9.5))), rng.uniform(0.0, 2.0 * np.pi)
-    east, north = rise * np.cos(heading), rise * np.sin(heading)
-    return Terrain(made.x, made.y, made.elevation + east * made.x + north * made.y[:, None])
-
-
-_PAIRS = (
-    ("rocky", "bare"),
-    ("any", "any"),
-    ("cratered", "plain"),
-    ("rocky", "smooth"),
-    ("rough", "plain"),
-    ("default", "cratered"),
-)
-
-
-@dataclass(frozen=True)
-class View:
-    """Scans of a lander of 3.7 m: their times (S,), s, true poses (S, 3), (S, 3, 3), and beams."""
-
-    times: Array
-    positions: Array
-    rotations: Array
-    beams: Array
-
-
-def _even(rng: np.random.Generator, low: float, high: float) -> float:
-    """Drawn evenly in the logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
-def _morpheus(rng: np.random.Generator) -> View:
-    """Section VII: 20 s at 20 Hz from 450 m on a glide slope of 30 deg."""
-    return _swept(Sweep((0.0, 0.0, 0.0), HALF, HALF, 20.0, 1.0), 20.0, 128)
-
-
-def _sweep(rng: np.random.Generator) -> View:
-    """Such a sweep from nearer and steeper, with fewer scans."""
-    duration, slant = rng.uniform(5.0, 25.0), rng.uniform(120.0, 450.0)
-    sweep = Sweep(
-        (0.0, 0.0, 0.0),
-        HALF,
-        HALF,
-        duration,
-        _even(rng, 1.0, 5.0),
-        slant_range=slant,
-        glide_slope_deg=rng.uniform(25.0, 80.0),
-        approach_speed=rng.uniform(1.0, 0.4 * slant / duration),
-        reverse=rng.random() < 0.5,
-    )
-    return _swept(sweep, _even(rng, 2.0, 20.0), int(rng.choice([48, 64, 96, 128])))
-
-
-def _oblique(rng: np.random.Generator) -> View:
-    """A fast approach from about 180 m at about 55 deg that misses much of the ground."""
-    duration, slant = rng.uniform(8.0, 16.0), rng.uniform(140.0, 220.0)
-    half = HALF * rng.uniform(0.5, 1.0)
-    sweep = Sweep(
-        (rng.uniform(-10.0, 10.0), rng.uniform(-10.0, 10.0), 0.0),
-        half,
-        half,
-        duration,
-        float(rng.integers(1, 4)),
-        slant_range=slant,
-        glide_slope_deg=rng.uniform(45.0, 65.0),
-        approach_speed=0.4 * slant / duration,
-        overlap=float(rng.choice([-0.6, -0.3, 0.0, 0.2])),
-        reverse=rng.random() < 0.5,
-    )
-    return _swept(sweep, _even(rng, 2.0, 20.0), int(rng.choice([48, 64, 96, 128])))
-
-
-def _swept(sweep: Sweep, rate: float, pixels: int) -> View:
-    times = np.arange(0.05 / rate, sweep.duration, 1.0 / rate)
-    fov = sweep.field_of_view_deg
-    return View(times, *sweep.trajectory().poses(times), pixel_beams(fov, fov, pixels, pixels))
-
-
-def _descent(rng: np.random.Generator) -> View:
-    """Down to a place near the middle that it looks at."""
-    high, fov, pixels = rng.uniform(90.0, 250.0), rng.uniform(8.0, 35.0), rng.choice([48, 64, 128])
-    begin = np.array([*rng.uniform(-45.0, 45.0, 2), high])
-    end = np.array([*rng.uniform(-12.0, 12.0, 2), high * rng.uniform(0.15, 0.8)])
-    times, at = _passed(rng, begin, end)
-    aims = np.tile([*rng.uniform(-10.0, 10.0, 2), 0.0], (len(times), 1))
-    beams = pixel_beams(fov, fov, int(pixels), int(pixels))
-    return View(times, at, look_at(at, aims, NORTH), beams)
-
-
-def _wide(rng: np.random.Generator, rate: float | None = None) -> View:
-    """Over the ground, looking down with a wide or a spinning lidar; at a rate, Hz, or any."""
-    high = rng.uniform(90.0, 190.0)
-    begin = np.array([*rng.uniform(-45.0, 45.0, 2), high])
-    end = np.array([*(-begin[:2] * rng.uniform(0.2, 1.0)), high * rng.uniform(0.5, 1.0)])
-    times, at = _passed(rng, begin, end, rate)
-    aims = np.column_stack([at[:, :2] + rng.uniform(-0.2, 0.2, 2) * high, np.zeros(len(at))])
-    lines = int(rng.choice([16, 32, 64])) if rng.random() < 0.6 else 0
-    pixels, fov = int(rng.choice([64, 96, 128])), rng.uniform(40.0, 80.0)
-    shape = (int(rng.choice([256, 512])), lines) if lines else (pixels, pixels)
-    down = rng.uniform(22.0, 60.0) if lines else fov
-    return View(times, at, look_at(at, aims, NORTH), pixel_beams(fov, down, *shape))
-
-
-def _few(rng: np.random.Generator) -> View:
-    """So few scans that a clearance wide has 0.3 to 40 returns."""
-    fov, high = rng.uniform(12.0, 40.0), rng.uniform(80.0, 220.0)
-    tilt = np.radians(rng.uniform(0.0, 60.0)) * (rng.random() < 0.5)
-    rows, columns = int(rng.choice([16, 32, 48, 64, 128])), int(rng.choice([32, 64, 128]))
-    area = (2.0 * high * np.tan(np.radians(0.5 * fov))) ** 2 / np.cos(tilt)
-    count = int(np.clip(_even(rng, 0.3, 40.0) * area / (0.09 * rows * columns), 4, 200))
-    times = np.sort(rng.uniform(0.0, rng.uniform(5.0, 20.0), count))
-    heading = rng.uniform(0.0, 2.0 * np.pi)
-    ahead = np.array([np.cos(heading), np.sin(heading)])
-    height = high * np.linspace(1.0, rng.uniform(0.55, 1.0), count)[:, None]
-    along = rng.uniform(-15.0, 15.0) * np.linspace(-0.5, 0.5, count)[:, None]
-    aims = rng.uniform(-8.0, 8.0, 2) + along * [-ahead[1], ahead[0]]
-    aims += rng.normal(0.0, 1.5, (count, 2))
-    at = np.hstack([aims - np.tan(tilt) * height * ahead, height])
-    aims = np.column_stack([aims, np.zeros(count)])
-    return View(times, at, look_at(at, aims, NORTH), pixel_beams(fov, fov, columns, rows))
-
-
-def _passed(
-    rng: np.random.Generator, begin: Array, end: Array, rate: float | None = None
-) -> tuple[Array, Array]:
-    """Times, of a rate or 12 to 119 at random, and places between two."""
-    duration = rng.uniform(8.0, 40.0)
-    count = int(rng.integers(12, 120))
-    times = np.sort(rng.uniform(0.0, duration, count))
-    times = times if rate is None else np.arange(0.0, duration, 1.0 / rate)
-    share = (times / duration)[:, None]
-    return times, begin + (end - begin) * share * (1.25 - 0.25 * share)
-
-
-VIEWS: dict[str, Callable[[np.random.Generator], View]] = {
-    "morpheus": _morpheus,
-    "sweep": _sweep,
-    "oblique": _oblique,
-    "descent": _descent,
-    "wide": _wide,
-    "scanning": partial(_wide, rate=10.0),
-    "few": _few,
-}
 
 
 @dataclass(frozen=True)
@@ -358,11 +99,11 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
     name = str(rng.choice(family.views))
     view = VIEWS[name](rng)
     # An attitude is as good as the lidar needs it.
-    error, turn = scale * _even(rng, 0.3, 1.5), 1.0 if name in ("morpheus", "sweep") else 3.0
+    error, turn = scale * even(rng, 0.3, 1.5), 1.0 if name in ("morpheus", "sweep") else 3.0
     navigation = DriftingNavigation(0.03 * error, 0.01 * error, 0.01 * turn, 0.0015 * turn)
     positions = scale * view.positions
     told = navigation.estimate(rng, view.times, positions, view.rotations)
-    parts = [_even(rng, *part) for part in PARTS]
+    parts = [even(rng, *part) for part in PARTS]
     marks = {max(2, round(part * len(view.times))): part for part in parts}
     mapper, found, beams = Mapper(own), [], view.beams.reshape(-1, 3)
     for k, time in enumerate(view.times):
@@ -384,7 +125,7 @@ def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Co
     """The configuration of a flight, the true noise of its ranges, m, and the share of outliers."""
 
     def between(ends: Range | None, usual: float) -> float:
-        return usual if ends is None else _even(rng, *ends)
+        return usual if ends is None else even(rng, *ends)
 
     usual = config.vehicle
     diameter = between(family.diameter, usual.diameter)
