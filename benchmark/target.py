@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well the target holds: its changes over simulated flights, judged by the true ground.
 
-True is the probability of a safe touchdown with the dispersion that the nodes are told, over the
-true ground. A change for a better target is in vain if it gains less than 1 %; a withdrawal is, if
-the lander stands safely there.
+Flights of Morpheus, or with ``--drone`` of a drone that comes down from 25 to 5 m in 20 s with its
+preset. True is the probability of a safe touchdown with the dispersion that the nodes are told,
+over the true ground. A change for a better target is in vain if it gains less than 1 %; a
+withdrawal is, if the lander stands safely there.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -22,7 +23,10 @@ from quadtree_lss.desk.replay.scans import steps
 from quadtree_lss.lab.campaign.mapped import in_memory, lander_of
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
-from quadtree_lss.lab.simulation.simulation import Simulation
+from quadtree_lss.lab.simulation.scenarios import SCENARIOS
+from quadtree_lss.lab.simulation.simulation import Leg, Simulation
+from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.trajectory import descent_trajectory
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
@@ -30,8 +34,10 @@ from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSi
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.messages.maps import round_trip
 
-#: Scans between the maps of a flight: 20 Hz mapped, 4 Hz assessed; seconds of one.
-EVERY, PERIOD = 5, 0.25
+#: Scans between the maps that are assessed, of 20 Hz, or of a drone's 10 Hz; seconds of one.
+MORPHEUS, DRONE = (5, 0.25), (2, 0.2)
+#: Heights of a drone at its start and end, m, and what it takes for that, s.
+HEIGHTS, DURATION = (25.0, 5.0), 20.0
 #: A change over less is none, m; one after so many seconds is late; least gain of true probability.
 FAR, LATE, GAIN = 1.0, 5.0, 0.01
 #: Withdrawals that the ground is the reason for.
@@ -46,18 +52,20 @@ def main() -> None:
     parser.add_argument("--seeds", default="541-547", help="first-last; fields take turns")
     parser.add_argument("--fields", nargs="*", default=list(FIELDS), choices=list(FIELDS))
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="of lss")
+    parser.add_argument("--drone", action="store_true", help="a drone's flights, with its preset")
     parser.add_argument("--told", action="store_true", help="the best places: told, end, truth")
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")
     changes = {
         f"lss__{key}": float(value) for key, _, value in (s.partition("=") for s in options.set)
     }
-    config = configuration("morpheus", **changes)
+    config = configuration("drone" if options.drone else "morpheus", **changes)
     print(machine())
     flights = []
     for seed in range(int(first), int(last or first) + 1):
         name = options.fields[seed % len(options.fields)]
-        flights.append(fly(seed, name, config))
+        flown = drone(seed, name) if options.drone else morpheus(seed, name)
+        flights.append(fly(flown, config, *(DRONE if options.drone else MORPHEUS)))
         print(f"seed {seed}, {name}: {flights[-1].line()}", flush=True)
     n = len(flights)
     moves = [move for flight in flights for move in flight.moves]
@@ -85,17 +93,13 @@ def main() -> None:
 @dataclass(frozen=True)
 class Move:
     """From a target to another, or to none: when, s, how far, m, and what of true probability it
-    gains; ``safe``: the one that is left was truly safe."""
+    gains; ``safe``: the one that is left was truly safe; ``late``: so, and over a diameter."""
 
     time: float
     away: float
     gain: float
     safe: bool
-
-    @property
-    def late(self) -> bool:
-        """Late, and over a diameter."""
-        return self.time > LATE and self.away > 3.7
+    late: bool
 
     @property
     def vain(self) -> bool:
@@ -147,22 +151,41 @@ class Truth:
         return int(np.abs(self.y - place[1]).argmin()), int(np.abs(self.x - place[0]).argmin())
 
 
-def fly(seed: int, name: str, config: Config) -> Tally:
-    """A flight over a field, assessed as it goes."""
+def morpheus(seed: int, name: str) -> Simulation:
+    """A flight over a field."""
     terrain = hazard_field(np.random.default_rng([seed, 1]), FIELDS[name])
-    simulation = Simulation("morpheus", seed, terrain=terrain)
+    return Simulation("morpheus", seed, terrain=terrain)
+
+
+def drone(seed: int, name: str) -> Simulation:
+    """Likewise, of a drone over a field of its size."""
+    made = hazard_field(np.random.default_rng([seed, 1]), FIELDS[name])
+    scale = SCENARIOS["drone"].scale
+    terrain = Terrain(scale * made.x, scale * made.y, scale * made.elevation)
+    simulation = Simulation("drone", seed, terrain=terrain, duration=DURATION)
+    plan, start_ns = simulation.legs[0].plan, simulation.legs[0].start_ns
+    xmin, xmax, ymin, ymax = plan.box
+    x, y = 0.5 * (xmin + xmax), 0.5 * (ymin + ymax)
+    centre = (x, y, float(terrain.elevation_at(x, y)))
+    down = descent_trajectory(centre, DURATION, *HEIGHTS)
+    simulation.legs[0] = Leg(replace(plan, trajectory=down), start_ns)
+    return simulation
+
+
+def fly(simulation: Simulation, config: Config, every: int, period: float) -> Tally:
+    """A flight, assessed after every so many scans, ``period`` s."""
     selector, tally, truth = LandingSiteSelector(config), Tally(), None
     held = None
     before = (float("nan"), float("nan"))
     told: list[tuple[tuple[int, int], float]] = []
     for number, (scan, _, mapper) in enumerate(steps(in_memory(simulation), config), start=1):
-        if number % EVERY:
+        if number % every:
             continue
-        now, height = PERIOD * (number // EVERY), float(scan.pose.position[2])
+        now, height = period * (number // every), float(scan.pose.position[2])
         down = (before[1] - height) / (now - before[0]) if before[0] > 0.0 else 0.0
         before = now, height
         found = selector.assess(
-            round_trip(mapper.snapshot()), vehicle=(height, down), waited=now - PERIOD
+            round_trip(mapper.snapshot()), vehicle=(height, down), waited=now - period
         )
         if truth is None:
             truth = Truth(simulation, found, config)
@@ -173,10 +196,10 @@ def fly(seed: int, name: str, config: Config) -> Tally:
             if held is None:
                 tally.first = now
             elif np.hypot(*(chosen.position - held)[:2]) > FAR:
-                tally.moves.append(_move(now, held, chosen.position, truth))
+                tally.moves.append(_move(now, held, chosen.position, truth, config))
             held = chosen.position
         elif held is not None and chosen.reason in LOST:
-            tally.lost.append(_move(now, held, held, truth))
+            tally.lost.append(_move(now, held, held, truth, config))
     assert truth is not None
     tally.last = 0.0 if held is None else float(truth.probability[truth.at(held)])
     end = 1.0 - found.probability
@@ -184,10 +207,13 @@ def fly(seed: int, name: str, config: Config) -> Tally:
     return tally
 
 
-def _move(now: float, start: Array, end: Array, truth: Truth) -> Move:
+def _move(now: float, start: Array, end: Array, truth: Truth, config: Config) -> Move:
     a, b = truth.at(start), truth.at(end)
-    gain = float(truth.probability[b] - truth.probability[a])
-    return Move(now, float(np.hypot(*(end - start)[:2])), gain, bool(truth.safe[a]))
+    gain, away = (
+        float(truth.probability[b] - truth.probability[a]),
+        float(np.hypot(*(end - start)[:2])),
+    )
+    return Move(now, away, gain, bool(truth.safe[a]), now > LATE and away > config.vehicle.diameter)
 
 
 def _best_places(found: LandingAssessment) -> list[tuple[int, int]]:
