@@ -267,10 +267,15 @@ def test_ground_that_is_no_plane_leaves_its_height_uncertain_however_many_points
         assert found.range_part[2, 2] == pytest.approx(cloud[:, 2].var(), rel=0.15)
 
 
-def test_what_a_view_leaves_out_may_lean_otherwise():
-    """By 0.1 rad times the share of the width that is left out, however sharp the rest is."""
-    x, y = np.random.default_rng(15).uniform(-1.0, 1.0, (2, 4000))
-    found = fitted(rules(noise=1e-4), np.column_stack([x, 0.3 * y, 0.0 * x]))
+def test_what_a_view_leaves_out_may_lean_otherwise_and_lie_elsewhere():
+    """By 0.1 rad times the share of the width that is left out, however sharp the rest is; and the
+    mean height of the rest by that of uneven ground, the more the less is seen."""
+    of, (x, y) = rules(noise=1e-4), np.random.default_rng(15).uniform(-1.0, 1.0, (2, 4000))
+    cloud = np.column_stack([x, 0.3 * y, 0.0 * x])
+    found = fitted(of, cloud)
+    at = shifted(found.range_part, found.normal, cloud.mean(axis=0) - (0.0, 0.0, found.z))
+    expected = of.uneven * (1.0 / (1.0 - found.unseen) ** 2 - 1.0)
+    assert at[2, 2] == pytest.approx(expected, rel=1e-3) and expected > 0.0
     assert found.unseen == pytest.approx(0.7, abs=0.03)
     sigma = 0.1 * found.unseen
     np.testing.assert_allclose(found.range_part[:2, :2], sigma**2 * np.eye(2), atol=1e-3 * sigma**2)
