@@ -57,16 +57,6 @@ def test_foreign_clouds_are_refused(cells):
         cloud_records(short, CELL_FIELDS)
 
 
-def test_halves_in_two_frames_are_no_map(cells):
-    cloud, grid = map_messages(cells, "map")
-    grid.header.frame_id = "/map"
-    assert map_from_messages(cloud, grid).stamp_ns == cells.stamp_ns
-    grid.header.frame_id = "odom"
-    with pytest.raises(MessageError, match="'odom'") as caught:
-        map_from_messages(cloud, grid)
-    assert caught.value.reason == "frame"
-
-
 def test_grid_rows_run_along_y():
     values = np.arange(6, dtype=np.int8).reshape(2, 3)
     grid = message_maker("map").grid(values, (-1.0, 2.0), 0.5, 1_500_000_000)
