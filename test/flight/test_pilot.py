@@ -49,7 +49,7 @@ def whats(pilot):
     [
         (None, None, (8.0, -6.0), ["target", "gate"]),
         (60.0, at(-3.0, 10.0), (-3.0, 10.0), ["target", "divert", "gate"]),
-        (COMMIT - 0.5, at(17.0, -3.0), (8.0, -6.0), ["target", "gate", "too late"]),
+        (COMMIT - 0.5, at(17.0, -3.0), (8.0, -6.0), ["target", "too late", "gate"]),
     ],
     ids=["one target", "another while it is high", "another below the latest height"],
 )

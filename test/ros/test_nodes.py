@@ -208,12 +208,6 @@ def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
     assert "domain.max_levle" in lines[0] and "'domain.max_level'" in lines[0]
 
 
-def test_contradicting_parameters_are_an_error(ros):
-    node = ros.start("mapping_node", "-p", "domain.min_level:=9")
-    assert node.process.wait(30.0) == WRONG_CONFIGURATION
-    assert "domain.min_level = 9 exceeds domain.max_level = 6" in node.output()
-
-
 def test_wrong_usage_and_missing_home(ros):
     env = {key: value for key, value in ros.env.items() if key not in ("HOME", "ROS_LOG_DIR")}
     wrong = subprocess.run(
