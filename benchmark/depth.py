@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import machine, table
 
+from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation.recording import CAMERA_TOPIC, POSE_TOPIC
 from quadtree_lss.lab.simulation.simulation import Simulation
@@ -39,11 +40,9 @@ def main() -> None:
     parser.add_argument("--seeds", default="9421-9424", help="first-last")
     parser.add_argument("--duration", type=float, help="of a flight, s")
     options = parser.parse_args()
-    first, _, last = options.seeds.partition("-")
     print(machine())
     config = load_config([str(PRESET)])
-    seeds = range(int(first), int(last or first) + 1)
-    flown = [fly(seed, options.duration, config) for seed in seeds]
+    flown = [fly(seed, options.duration, config) for seed in parse_seeds(options.seeds)]
     risk, safe = (np.concatenate([flight[k] for flight in flown]) for k in (0, 1))
     seen = np.concatenate([flight[2] for flight in flown])
     rows = []

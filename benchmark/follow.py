@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import configuration, machine, table
 
+from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.lidar import FlashLidar
@@ -92,12 +93,11 @@ def main() -> None:
     parser.add_argument("--live", type=float, help="the nodes as processes, so many seconds of it")
     parser.add_argument("--field", default="default", choices=tuple(FIELDS))
     options = parser.parse_args()
-    first, _, last = options.seeds.partition("-")
+    seeds = parse_seeds(options.seeds)
     print(machine())
     config = configuration("drone", domain__follow="vehicle")
     if options.live:
-        return live(int(first), options.field, options.live)
-    seeds = range(int(first), int(last or first) + 1)
+        return live(seeds[0], options.field, options.live)
     flown = [fly(seed, options, config) for seed in seeds]
     rows = [[name, *(of[k][1] for of in flown)] for k, (name, _) in enumerate(flown[0])]
     title = f"{options.length:g} m over {options.field} ground"

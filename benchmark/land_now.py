@@ -20,6 +20,7 @@ from common import machine, table
 
 from quadtree_lss.desk.replay.scans import steps
 from quadtree_lss.lab.campaign.mapped import in_memory
+from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.arrays import Array
@@ -40,11 +41,9 @@ def main() -> None:
     parser.add_argument("--seeds", default="9431-9440", help="first-last")
     parser.add_argument("--rocks", type=float, help="share of the ground that they cover")
     options = parser.parse_args()
-    first, _, last = options.seeds.partition("-")
     print(machine())
     config = load_config([str(PRESET)])
-    seeds = range(int(first), int(last or first) + 1)
-    flown = [fly(seed, options.rocks, config) for seed in seeds]
+    flown = [fly(seed, options.rocks, config) for seed in parse_seeds(options.seeds)]
     moments = np.concatenate(flown)
     wait = round(WAIT_S / PERIOD_S)
     gains = np.concatenate(

@@ -21,6 +21,7 @@ from common import configuration, machine, table
 
 from quadtree_lss.desk.replay.scans import steps
 from quadtree_lss.lab.campaign.mapped import in_memory, lander_of
+from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS
@@ -55,14 +56,13 @@ def main() -> None:
     parser.add_argument("--drone", action="store_true", help="a drone's flights, with its preset")
     parser.add_argument("--told", action="store_true", help="the best places: told, end, truth")
     options = parser.parse_args()
-    first, _, last = options.seeds.partition("-")
     changes = {
         f"lss__{key}": float(value) for key, _, value in (s.partition("=") for s in options.set)
     }
     config = configuration("drone" if options.drone else "morpheus", **changes)
     print(machine())
     flights = []
-    for seed in range(int(first), int(last or first) + 1):
+    for seed in parse_seeds(options.seeds):
         name = options.fields[seed % len(options.fields)]
         flown = drone(seed, name) if options.drone else morpheus(seed, name)
         flights.append(fly(flown, config, *(DRONE if options.drone else MORPHEUS)))

@@ -6,7 +6,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from geometry_msgs.msg import PolygonInstanceStamped, PolygonStamped, PoseArray
+from geometry_msgs.msg import (
+    Point32,
+    PointStamped,
+    PolygonInstanceStamped,
+    PolygonStamped,
+    PoseArray,
+)
 from nav_msgs.msg import OccupancyGrid
 from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
 from sensor_msgs.msg import PointCloud2
@@ -16,7 +22,19 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes.qos import latched
-from quadtree_lss.onboard.nodes.ros_messages import map_messages
+from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
+
+
+def polygon(corners, frame="map"):
+    message = PolygonStamped(header=header_message(1, frame))
+    message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
+    return message
+
+
+def point(x, y):
+    message = PointStamped(header=header_message(1, "map"))
+    message.point.x, message.point.y = x, y
+    return message
 
 
 def flat_map():

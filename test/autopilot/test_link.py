@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("pymavlink")
-from autopilot_model import LAND, LOITER, PX4_HOLD, PX4_LAND, Autopilot
+from autopilot_model import LOITER, PX4_HOLD, Autopilot
 
-from quadtree_lss.onboard.autopilot.landing import TOUCHDOWN, Landing, Seen, Target
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4, Link
-from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.config.settings import ConfigError
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 
@@ -75,55 +73,6 @@ def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind):
         )
 
 
-class Guide:
-    """Steps a landing ten times a second, without ROS."""
-
-    def __init__(self, model, link, config):
-        self.model, self.link, self.landing = model, link, Landing(config)
-        self.nav, self.order, self.then = None, None, 0.0
-        self.target, self.paused = np.array([0.0, 0.0, 0.0]), False
-
-    def __call__(self, navs):
-        self.nav = navs[-1] if navs else self.nav
-        now = time.monotonic()
-        if self.nav is None or now - self.then < 0.1 or self.paused:
-            return
-        self.then = now
-        link, nav = self.link, self.nav
-        target = None if self.target is None else Target(self.target, 0.1, 0.1)
-        age = 1e-9 * (time.time_ns() - nav.stamp_ns)
-        self.order = self.landing.step(Seen(
-            now, link.follows, link.armed, link.landed, now - link.heard, age,
-            nav.position, nav.velocity, 0.0, target, "withdrawn",
-        ))  # fmt: skip
-        link.fly_to(nav.position if self.order.point is None else self.order.point)
-        if self.order.target is not None:
-            link.show_target(self.order.target.place, nav)
-
-
-CONFIG = AutopilotConfig(
-    gate_height=5.0, commit_height=1.0, descent_speed=2.0, touchdown_speed=0.8, transit_speed=4.0
-)
-
-
-@BOTH
-def test_it_lands_within_centimetres_and_the_motors_are_stopped_as_each_takes_it(fly, kind):
-    model, link = fly(kind)
-    guide = Guide(model, link, CONFIG)
-    wait(link, lambda _: guide.order is not None, each=guide)
-    if kind == PX4:
-        assert not model.switch(FOLLOWS[PX4]), "before a second of set-points"
-    wait(link, lambda _: model.switch(FOLLOWS[kind]), each=guide)
-    down = lambda _: guide.order.state == TOUCHDOWN  # noqa: E731
-    wait(link, down, seconds=30.0, each=guide)
-    assert np.hypot(*model.landed_at[:2]) < 0.1 and model.left_offboard == 0
-    rates = np.diff([at for at, _ in model.points])
-    assert rates.max() < 0.45
-    link.settle(disarm=kind == PX4)
-    wait(link, lambda _: not model.armed)
-    assert model.mode == (LAND if kind == ARDUPILOT else FOLLOWS[PX4])
-
-
 @pytest.mark.parametrize("rate", [1.0, 10.0])
 def test_precision_landing_takes_the_target_at_the_rate_at_which_it_is_sent_and_not_at_1_hz(
     fly, rate
@@ -150,22 +99,6 @@ def test_px4_gets_the_target_in_its_local_frame(fly):
     _, frame, vector = model.targets[-1]
     assert frame == 1
     np.testing.assert_allclose(vector, [2.0, 1.0, -0.5], atol=1e-6)
-
-
-@BOTH
-def test_a_companion_that_dies_on_the_way_down_leaves_the_vehicle_to_its_autopilot(fly, kind):
-    """ArduPilot stays at the last set-point, above the ground; PX4 leaves offboard and says so."""
-    model, link = fly(kind)
-    guide = Guide(model, link, CONFIG)
-    wait(link, lambda _: guide.order is not None and model.switch(FOLLOWS[kind]), each=guide)
-    wait(link, lambda _: model.enu[2] < 3.5, seconds=20.0, each=guide)
-    guide.paused = True
-    wait(link, lambda _: True)
-    time.sleep(1.5)
-    if kind == ARDUPILOT:
-        assert model.enu[2] > 0.9 * CONFIG.commit_height and model.mode == FOLLOWS[kind]
-    else:
-        assert model.left_offboard == 1 and model.mode == PX4_LAND
 
 
 def test_heartbeats_of_others_are_not_the_autopilots(fly):

@@ -124,12 +124,6 @@ def test_each_flight_is_a_file_and_told(first):
     assert "--keep 17" in page and "data:image/png" in page and "Safe terrain found" in page
 
 
-@pytest.mark.slow
-def test_two_workers_give_the_same_files(first, study, tmp_path):
-    campaign(read_study(study), tmp_path, Where(workers=2))
-    assert files(tmp_path) == files(first[0].out)
-
-
 def test_workers_keep_no_record_of_their_own_stack():
     """Dask's profiler, by default on, grows by 0.3 MB a flight for a quarter of an hour."""
 

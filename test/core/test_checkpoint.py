@@ -16,11 +16,9 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.checkpoint import (
     CheckpointError,
-    _covariances,
     from_bytes,
     to_bytes,
 )
-from quadtree_lss.onboard.core.tree.leaves import LEAF
 
 CONFIG = configured()
 
@@ -74,18 +72,6 @@ def test_an_export_does_not_change_with_the_mapper():
     before = to_bytes(state)
     flown(mapper, range(2, 6))
     assert to_bytes(state) == before
-
-
-def test_an_empty_map_round_trips():
-    mapper = flown(Mapper(CONFIG), range(3))
-    mapper.import_state(from_bytes(to_bytes(Mapper(CONFIG).export_state())))
-    assert_same(mapper.snapshot(), Mapper(CONFIG).snapshot())
-
-
-def test_another_domain_is_refused_by_name(content):
-    other = Mapper(configured(domain={"max_level": 7}))
-    with pytest.raises(CheckpointError, match="another domain"):
-        other.import_state(from_bytes(content))
 
 
 def test_more_leaves_than_allowed_are_refused(content):
@@ -170,42 +156,3 @@ def test_an_archive_that_claims_more_than_its_size_is_refused(content):
     claimed[place : place + 4] = (2**31).to_bytes(4, "little")
     with pytest.raises(CheckpointError):
         from_bytes(bytes(claimed))
-
-
-SCALES = np.array([1e-6, 3e-3, 40.0])
-"""Deviations as unlike as those of a slope and of a height."""
-
-
-def planes_of(correlation):
-    result = np.zeros(1, dtype=LEAF)
-    result["range_part"] = (correlation * np.outer(SCALES, SCALES)).reshape(1, 9)
-    result["pose_part"] = 1e-3 * np.eye(3).reshape(1, 9)
-    return result
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_agrees_with_eigenvalues(seed):
-    rng = np.random.default_rng(seed)
-    seen = set()
-    for _ in range(500):
-        a, b, c = rng.uniform(-1.1, 1.1, 3)
-        correlation = np.array([[1.0, a, b], [a, 1.0, c], [b, c, 1.0]])
-        least = np.linalg.eigvalsh(correlation)[0]
-        if abs(least) < 1e-4:
-            continue
-        assert _covariances(planes_of(correlation)) == (least > 0.0)
-        seen.add(least > 0.0)
-    assert seen == {True, False}
-
-
-def test_singular_zero_and_skew():
-    ones = np.ones((3, 3))
-    assert _covariances(planes_of(ones)) and _covariances(planes_of(np.zeros((3, 3))))
-    assert _covariances(planes_of(np.zeros((3, 3)))[:0]), "of no plane"
-    skew = np.eye(3)
-    skew[0, 1] = 0.5
-    assert not _covariances(planes_of(skew))
-    lonely = np.diag([0.0, 1.0, 1.0])
-    assert _covariances(planes_of(lonely))
-    lonely[0, 1] = lonely[1, 0] = 1e-3
-    assert not _covariances(planes_of(lonely)), "correlated with what has no variance"

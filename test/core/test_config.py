@@ -20,7 +20,6 @@ from quadtree_lss.onboard.config.settings import (
     parameters,
     values_from_config,
 )
-from quadtree_lss.onboard.errors import QuadtreeLssError
 
 ROWS = parameters()
 NUMBERS = [row for row in ROWS if row.type in (int, float)]
@@ -85,28 +84,6 @@ def test_wrong_types_are_refused(row):
 def test_whole_numbers_serve_where_a_float_is_wanted():
     assert config_from_values({"domain.size": 64}).domain.size == 64.0
     assert isinstance(config_from_values({"domain.size": 64}).domain.size, float)
-
-
-@pytest.mark.parametrize(
-    ("key", "near"),
-    [
-        ("domain.min_levl", "domain.min_level"),
-        ("vehicle.diametre", "vehicle.diameter"),
-        ("lidar.range_nois", "lidar.range_noise"),
-        ("mapping.divison", "mapping.division"),
-        ("pose.maxwait", "pose.max_wait"),
-    ],
-)
-def test_an_unknown_key_names_the_nearest(key, near):
-    with pytest.raises(ConfigError) as caught:
-        config_from_values({key: 1})
-    assert key in str(caught.value)
-    assert near in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_errors_are_for_users():
-    assert issubclass(ConfigError, QuadtreeLssError)
 
 
 @pytest.mark.parametrize("key", REMOVED)

@@ -88,6 +88,7 @@ def test_moved_once_it_is_near_the_middle_and_stays(x, y, level):
 def test_places_that_are_none_move_nothing():
     for place in (np.nan, np.inf, -1e12):
         assert SQUARE.steps_to(place, 8.0) == (0, 0)
+    assert SQUARE.cells_to(dataclasses.replace(SQUARE, ymin=0.3)) is None, "no whole cells"
 
 
 def test_ground_that_stays_inside_has_the_bits_of_a_fixed_map():

@@ -107,6 +107,19 @@ def test_an_error_in_common_decides_nothing_and_does_not_average_out(common):
         np.testing.assert_allclose(found.range_part, expected, atol=1e-9 * np.abs(expected).max())
 
 
+def test_the_pose_part_is_carried_to_the_tangent_of_the_measured_plane():
+    """Of planes that lean apart: nothing of their errors is averaged, all is mixed by heights."""
+    rng = np.random.default_rng(8)
+    for one, other in zip(upward_normals(rng, 20), upward_normals(rng, 20), strict=True):
+        p, q = random_covariances(rng, 2, 3, 0.1)
+        known, seen = np.diag([1e-4, 2e-4, 3e-4]), np.diag([2e-4, 1e-4, 1e-4])
+        found = fused(Plane(one, 0.0, known, p), Plane(other, 0.0, seen, q), 1.0)
+        change = np.eye(3)
+        change[:2, :2] = kernels.tangent_change(one, other)
+        expected = 0.25 * change @ p @ change.T + 0.75 * q
+        np.testing.assert_allclose(found.pose_part, expected, atol=1e-9 * expected.max())
+
+
 @pytest.mark.parametrize("common", [0.0, 0.5, 1.0])
 def test_correlated_pose_errors_against_monte_carlo(common):
     """Height errors of two looks with this correlation: the told deviation is not too small."""

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped, slope, strip, upward_normals
+from core.builders import configured, flat, mapped, strip, upward_normals
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.feature import height
@@ -79,45 +78,6 @@ def test_bits_follow_the_tolerances(cells):
     np.testing.assert_array_equal((bits & hazards.EXCEPTION > 0), often & own)
 
 
-def test_a_rock_in_an_undivided_cell_is_an_exception():
-    """Fixed 4 m cells: a block of 1 m half a metre high is on 1/16 of one, more than 5 %."""
-    config = configured(domain={"min_level": 2, "max_level": 2}, lidar={"range_noise": 0.03})
-
-    def ground(x, y):
-        return 0.5 * ((np.abs(x - 2.0) < 0.5) & (np.abs(y - 2.0) < 0.5))
-
-    cells = mapped(config, ground, density=60.0).snapshot()
-    bits = hazards.avoided_features(cells, config.lss)
-    at = np.flatnonzero((cells.ix == 0) & (cells.iy == 0))[0]
-    assert bits[at] == hazards.EXCEPTION
-    assert not np.delete(bits, at).any()
-
-
-@pytest.mark.parametrize("min_level", [0, 1, 2])
-def test_leaves_larger_than_the_reference_have_no_elevation_feature(min_level):
-    """Flat ground that was never divided below the reference size of 4 m."""
-    config = configured(domain={"min_level": min_level})
-    cells = mapped(config, flat(), density=20.0, scans=1).snapshot()
-    assert not hazards.avoided_features(cells, config.lss).any()
-
-
-def test_unmeasured_leaves_have_no_bits():
-    config = configured()
-    cells = mapped(config, slope(1.0, 0.0), density=20.0, scans=1, where=(0.0, 0.0, 8.0)).snapshot()
-    bits = hazards.avoided_features(cells, config.lss)
-    assert not bits[~cells.measured].any()
-    assert (bits[cells.measured] & hazards.SLOPE).all()
-
-
-def test_inherited_leaves_have_no_bits(cells):
-    """Their plane is not their ground's."""
-    lss = configured().lss
-    bits = hazards.avoided_features(cells, lss)
-    assert (bits > 0).any()
-    inherited = dataclasses.replace(cells, measured=cells.measured & (bits == 0))
-    assert not hazards.avoided_features(inherited, lss)[bits > 0].any()
-
-
 def test_raster_is_the_leaf_planes_at_the_finest_centres(cells):
     raster = rasterise(cells, LssConfig())
     n, side = cells.domain.finest_count, cells.domain.finest_size
@@ -179,10 +139,3 @@ def test_gaps_are_bridged_level_from_the_nearest_measured_cell():
     assert not raster.slope_x[:, 30:34].any()
     nearest = raster.elevation[:, [29, 34]]
     np.testing.assert_array_equal(raster.elevation[:, [30, 33]], nearest)
-
-
-def test_a_map_of_nothing_is_unseen():
-    cells = mapped(configured(), flat(), density=0.0, scans=1).snapshot()
-    raster = rasterise(cells, LssConfig())
-    assert not raster.seen.any()
-    assert np.isnan(raster.elevation).all()

@@ -85,16 +85,6 @@ def test_centres_are_in_the_middle_of_their_finest_cells():
         assert tree.rows.y[k] == pytest.approx(DOMAIN.ymin + middle[rows].mean(), abs=1e-12)
 
 
-def test_planting_again_forgets_every_division():
-    tree = grown(DOMAIN, 2)
-    assert tree.count > 4
-    tree.plant()
-    assert tree.count == 4 == LeafTable(DOMAIN, 100).count
-    assert (places(tree)[0] == DOMAIN.min_level).all()
-    assert_tiles(DOMAIN, *places(tree))
-    assert set(tree.leaf_of.tolist()) == {0, 1, 2, 3}
-
-
 def test_children_cover_their_parent_x_fastest():
     tree = LeafTable(DOMAIN, 100)
     x, y = tree.rows.x[2], tree.rows.y[2]

@@ -92,21 +92,6 @@ def test_the_papers_criterion_hides_misfit_behind_pose_uncertainty():
     assert counts[0] > 50 and counts[1] == 16
 
 
-def test_elevation_of_stepped_ground():
-    config = configured(lidar={"range_noise": 0.03})
-
-    def ground(x, y):
-        return 2.0 + 0.5 * (x > 5.1)
-
-    cells = mapped(config, ground, density=100.0, scans=3).snapshot()
-    x, y = lattice(0.0, 0.0, 16.0, 100)
-    off = np.abs(cells.at(x, y).height - ground(x, y))
-    beside = np.abs(x - 5.1) > config.domain.size / 2**config.domain.max_level
-    # 18 points a finest cell and three scans: 0.03 / sqrt(18) = 7 mm, a corner twice that.
-    assert off[beside].max() < 0.1
-    assert np.sqrt(np.mean(off[beside] ** 2)) < 0.01
-
-
 def test_children_without_points_inherit_and_no_hole_appears():
     """Every 8 m cell has points in its western half alone, with a step there."""
     config = configured(domain={"min_level": 1}, lidar={"range_noise": 0.03})

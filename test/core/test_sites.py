@@ -15,7 +15,6 @@ from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
@@ -423,7 +422,7 @@ def test_the_zone_lies_in_the_landing_area_and_off_the_keep_out(cells):
 
 def test_near_the_target_is_better(level_ground):
     config = small(target_risk=1.0, sites=1)
-    for target in ((4.0, 11.0), (4.0, 11.0, 250.0), (100.0, 8.0)):
+    for target in ((4.0, 11.0), (4.0, 11.0, 250.0), (100.0, 8.0), (1e12, 8.0)):
         first = assess(level_ground, config, target=target).sites.position[0]
         nearest = np.clip(target[:2], 1.0, 15.0)  # first grid point beyond the radius
         np.testing.assert_allclose(first[:2], nearest, atol=1e-9)
@@ -475,14 +474,6 @@ def assert_empty_but_explained(found: LandingAssessment) -> None:
     assert "\n" not in found.explanation
 
 
-def test_a_map_of_nothing_has_no_site():
-    config = small()
-    found = assess(Mapper(config).snapshot(), config)
-    assert_empty_but_explained(found)
-    assert (found.hazard & hazards.UNSEEN).all()
-    assert not found.safe.any()
-
-
 @pytest.mark.parametrize("level", [0, 1])
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
@@ -493,15 +484,6 @@ def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
     assert found.score.shape == (33, 33)
     assert found.explanation
     assert np.isfinite(found.slope_deg).all()
-
-
-@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
-def test_nothing_but_hazards_has_no_site(assessment):
-    config = small(assessment=assessment)
-    found = assess(mapped(config, slope(0.6, 0.0), density=60.0).snapshot(), config)
-    assert_empty_but_explained(found)
-    assert not found.safe.any()
-    assert "no safe" in found.explanation
 
 
 @pytest.mark.parametrize(
@@ -562,13 +544,6 @@ def test_a_polygon_that_crosses_itself_has_both_its_lobes_inside(level_ground):
     kept = np.isfinite(assess(level_ground, small(), keep_out=bow_tie).score)
     assert kept[5, 16]
     assert not kept[16, 5]
-
-
-@pytest.mark.parametrize("far", [1e3, 1e7, 1e12])
-def test_a_target_far_outside_is_flown_towards(level_ground, far):
-    found = assess(level_ground, small(target_risk=0.05, sites=1), target=(far, 8.0))
-    assert found.sites.position[0, 0] == 15.0
-    assert np.isfinite(found.sites.score).all()
 
 
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])

@@ -3,18 +3,14 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from replay.recordings import write_ros2
 
-from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.scans import scans
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.core.mapping.consistency import Counts
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 SMALL = {
     "domain.xmin": -30.0,
@@ -51,7 +47,10 @@ def test_section_vi_is_consistent_with_its_seeds_pooled(parabola):
 def test_a_wrong_range_noise_is_seen(tmp_path):
     """Poses are nearly exact, so the residuals are the range noise's, a third of the assumed."""
     bag = write_ros2(tmp_path / "bag")
-    right = consistency(bag, load_config((), SMALL)).counts
+    seen: list[int] = []
+    found = consistency(bag, load_config((), SMALL), progress=seen.append)
+    assert seen == list(range(1, found.scans + 1))
+    right = found.counts
     # Leaves that were seen in part claim more than they are off by.
     assert 0.015 < right.one_degree.below < 0.08
     assert right.one_degree.above == pytest.approx(0.025, abs=0.01)
@@ -59,27 +58,6 @@ def test_a_wrong_range_noise_is_seen(tmp_path):
     assert wrong.one_degree.below > 0.06
     assert wrong.one_degree.above < 0.001
     assert wrong.points == pytest.approx(right.points, rel=0.05)
-
-
-def test_scans_are_those_a_replay_maps(tmp_path):
-    bag = write_ros2(tmp_path / "bag")
-    config = load_config((), SMALL)
-    mapper = Mapper(config)
-    stamps = []
-    for scan in scans(bag, config):
-        mapper.update(scan.points_lidar, scan.pose)
-        stamps.append(scan.stamp_ns)
-    result = replay(bag, tmp_path / "out", config, report=False)
-    assert stamps == [row.stamp_ns for row in result.timings]
-    cells = mapper.snapshot()
-    for field in ("level", "z", "normal", "count"):
-        np.testing.assert_array_equal(getattr(cells, field), getattr(result.cells, field))
-
-
-def test_progress_counts_scans(tmp_path):
-    seen: list[int] = []
-    found = consistency(write_ros2(tmp_path / "bag"), load_config((), SMALL), progress=seen.append)
-    assert seen == list(range(1, found.scans + 1))
 
 
 def test_ground_seen_once_cannot_be_judged(tmp_path):

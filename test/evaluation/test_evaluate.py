@@ -248,15 +248,6 @@ def test_results_without_a_risk_are_scored_without(tmp_path, risk):
     assert json.loads((result.out / "evaluation.json").read_text())["risk"] is None
 
 
-def test_out_goes_where_told(tmp_path):
-    folder = write_results(tmp_path / "results")
-    truth = write_truth(tmp_path / "truth.npz")
-    result = evaluate(folder, truth, tmp_path / "deep" / "er", figures=False)
-    assert (tmp_path / "deep" / "er" / "evaluation.json").is_file()
-    assert result.out == tmp_path / "deep" / "er"
-    assert not (folder / "evaluation").exists()
-
-
 @pytest.mark.parametrize(
     "name", ["cells.npz", "grid.npz", "sites.csv", "timing.csv", "summary.json"]
 )

@@ -2,6 +2,7 @@
 """What the pilot does with targets: takes, changes, loses them; and when it does so no more."""
 
 import numpy as np
+import pytest
 
 from quadtree_lss.lab.flight.pilot import Pilot, Rules, Target
 from quadtree_lss.lab.flight.vehicle import Vehicle, VehicleState
@@ -43,31 +44,25 @@ def whats(pilot):
     return [d.what for d in pilot.decisions]
 
 
-def test_it_comes_down_softly_on_the_target():
+@pytest.mark.parametrize(
+    ("below", "heard", "ends", "done"),
+    [
+        (None, None, (8.0, -6.0), ["target", "gate"]),
+        (60.0, at(-3.0, 10.0), (-3.0, 10.0), ["target", "divert", "gate"]),
+        (COMMIT - 0.5, at(17.0, -3.0), (8.0, -6.0), ["target", "too late", "gate"]),
+    ],
+    ids=["one target", "another while it is high", "another below the latest height"],
+)
+def test_it_comes_down_softly_on_the_target(below, heard, ends, done):
     course = Course()
     course.fly(2.0).pilot.hear(at(8.0, -6.0))
+    if heard is not None:
+        course.below(below).pilot.hear(heard)
     course.fly()
-    assert np.hypot(*(course.lander.position[:2] - [8.0, -6.0])) < 0.1
+    assert np.hypot(*(course.lander.position[:2] - ends)) < 0.1
     assert 0.8 < -course.lander.velocity[2] < 1.6
     assert np.hypot(*course.lander.velocity[:2]) < 0.1 and course.lander.tilt_deg < 3.0
-
-
-def test_it_diverts_to_another_target_while_it_is_high():
-    course = Course()
-    course.fly(2.0).pilot.hear(at(8.0, -6.0))
-    course.below(60.0).pilot.hear(at(-3.0, 10.0))
-    course.fly()
-    assert np.hypot(*(course.lander.position[:2] - [-3.0, 10.0])) < 0.1
-    assert whats(course.pilot) == ["target", "divert", "gate"]
-
-
-def test_below_the_latest_height_it_does_not_divert():
-    course = Course()
-    course.fly(2.0).pilot.hear(at(3.0, 0.0))
-    course.below(COMMIT - 0.5).pilot.hear(at(9.0, 3.0))
-    course.fly()
-    assert np.hypot(*(course.lander.position[:2] - [3.0, 0.0])) < 0.1
-    assert "too late" in whats(course.pilot) and "divert" not in whats(course.pilot)
+    assert whats(course.pilot) == done
 
 
 def test_a_target_out_of_reach_is_not_flown_to():
@@ -85,23 +80,16 @@ def test_without_a_target_it_hovers_and_in_the_end_leaves():
     assert abs(course.lander.position[2] - RULES.hover) < 3.0
 
 
-def test_a_target_that_is_lost_leads_to_a_hover_and_the_next_one_down():
+@pytest.mark.parametrize(
+    ("height", "then", "said"), [(28.0, 8.0, "hover"), (14.0, 1.0, "too late")]
+)
+def test_one_that_is_lost_leads_up_or_to_a_hover_and_the_next_one_down(height, then, said):
+    """Lost low, it is left upwards before another is flown to."""
     course = Course()
     course.fly(2.0).pilot.hear(at(3.0, 0.0))
-    course.below(28.0).pilot.hear(NONE)
-    course.fly(8.0)
-    assert course.pilot.mode == "hover"
-    course.pilot.hear(at(-6.0, 5.0))
-    course.fly()
-    assert np.hypot(*(course.lander.position[:2] - [-6.0, 5.0])) < 0.1
-
-
-def test_one_that_is_lost_low_is_left_upwards_before_another_is_flown_to():
-    course = Course()
-    course.fly(2.0).pilot.hear(at(3.0, 0.0))
-    course.below(14.0).pilot.hear(NONE)
-    course.fly(1.0).pilot.hear(at(12.0, 0.0))
-    assert whats(course.pilot)[-1] == "too late"
+    course.below(height).pilot.hear(NONE)
+    course.fly(then).pilot.hear(at(12.0, 0.0))
+    assert said in whats(course.pilot)
     course.fly(15.0).pilot.hear(at(12.0, 0.0))
     course.fly()
     assert course.lowest <= 0.0

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz.cases import NUMBERS, damaged, one_of
 from replay.recordings import GROUND, storage_file, write_ros2
 
 from quadtree_lss.desk.replay.elevation_model import rank_sites
@@ -29,8 +30,6 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 COUNTS = {"dem_npz": 100, "dem_tiff": 100, "study": 100, "record": 100}
 COUNTS |= {"cloud": 20, "poses": 20, "bag": 15}
 SEED, MANY = int(os.environ.get("FUZZ_SEED", "7110")), 45
-NUMBERS = [0.0, -0.0, 1.0, -1.0, 5e-324, 1e-320, 1e-160, 1e-9, 1e6, 1e9, 1e160, 1.7e308]
-NUMBERS += [float("nan"), float("inf"), float("-inf"), 2.0**31, 2.0**63]
 TYPES = ["f2", "f4", "f8", ">f8", "i1", "u2", "i8", "u8", "c16", "?", "S3", "U2", "M8[ns]"]
 WORDS = ["", "null", "[]", "{}", "-1", "1e999", ".nan", "'a'", "{uniform: [1, 0]}", "!!python/x y"]
 WORDS += ["{range: [0, 1, 1000000000]}", "{choice: [1, 2]}", "*a", "0x10", "9" * 400, "\0", "[[["]
@@ -39,24 +38,11 @@ AXIS = np.linspace(-12.0, 12.0, 13)
 HEIGHTS = 0.1 * AXIS + 0.02 * AXIS[:, None] ** 2
 
 
-def one_of(rng, among):
-    return among[int(rng.integers(len(among)))]
-
-
 def spoilt_bytes(rng, content):
     """One time in three some bytes are others, a piece is gone, or twice there."""
-    data = bytearray(content)
-    for _ in range(int(rng.integers(1, 4)) if rng.random() < 0.35 else 0):
-        at = int(rng.integers(0, len(data) + 1))
-        if (how := rng.integers(4)) == 0:
-            data[at : at + 1] = bytes(rng.integers(0, 256, 1, dtype=np.uint8))
-        elif how == 1:
-            data[at : at + 4] = one_of(rng, [b"\xff" * 4, b"\0" * 4, b"\0\0\0\x7f"])
-        elif how == 2:
-            del data[at : at + int(rng.integers(1, 64))]
-        else:
-            data[at:at] = data[at : at + int(rng.integers(1, 64))]
-    return bytes(data)
+    for _ in range(int(rng.integers(1, 4)) if rng.random() < 0.35 and content else 0):
+        content = damaged(content, rng) or content
+    return content
 
 
 @np.errstate(all="ignore")

@@ -375,7 +375,8 @@ class Settings:
         rng, values = self.rng, {"domain.max_level": int(self.rng.integers(3, 6))}
         values["domain.min_level"] = 2
         values["domain.size"] = float(one_of(rng, [8.0, 16.0, 20.0]))
-        for place in rng.integers(0, len(self.rows), rng.integers(1, 6)):
+        few = int(rng.integers(1, one_of(rng, [6, len(self.rows)])))
+        for place in rng.integers(0, len(self.rows), few):
             values[self.rows[place].name] = self.value(self.rows[place])
         if isinstance(level := values["domain.max_level"], int):
             values["domain.max_level"] = min(level, 7)  # time, not kinds

@@ -71,6 +71,10 @@ def test_distortion_is_undone():
     plain.on_info(MAKE.camera(1, H, W, F, d))
     assert plain.points(MAKE.depth(1, np.full((H, W), 2.0)))[0, 0, 0] == pytest.approx(-1.26)
     assert np.hypot(*(np.array(distorted(x, y, 0.0 * d)) - [x, y])).max() == 0.0
+    # By hand, of each number alone at (0.3, 0.4), where r^2 = 0.25.
+    alone = [distorted(0.3, 0.4, 0.1 * axis) for axis in np.eye(5)]
+    expected = [(0.3075, 0.41), (0.301875, 0.4025), (0.324, 0.457), (0.343, 0.424)]
+    np.testing.assert_allclose(alone, [*expected, (0.30046875, 0.400625)], rtol=1e-12)
 
 
 @pytest.mark.parametrize("step", [1, 2])

@@ -105,11 +105,6 @@ def test_a_scan_without_gimbal_is_told_as_such():
     assert intake.dropped == {"gimbal_no_pose": 2, "no_pose": 1}
 
 
-def test_a_gimbal_and_a_fixed_mount_contradict():
-    with pytest.raises(ConfigError, match=r"mount\.gimbal"):
-        config_from_values({"mount.gimbal": True, "mount.x": 1.0})
-
-
 @pytest.mark.parametrize(
     ("axes", "rpy"), [("flu_to_optical", (90, -90, 0)), ("optical_to_flu", (-90, 0, -90))]
 )

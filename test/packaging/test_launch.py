@@ -53,11 +53,6 @@ def test_the_node_that_lands_starts_where_it_is_asked_for(make):
     assert nodes["autopilot_node"].remappings == [("landing/selected", "/a/selected")]
 
 
-def test_a_shipped_configuration_is_taken_by_its_name(make):
-    for node in make(config="drone")[0].values():
-        assert node.parameters == [str(SHARE / "config" / "drone.yaml")]
-
-
 def test_a_parameter_file_is_the_only_source_unless_more_is_said(make, tmp_path, monkeypatch):
     """Unset means untouched: the file's and a parent's use_sim_time hold."""
     (tmp_path / "vehicle.yaml").write_text(CONTENT)

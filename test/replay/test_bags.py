@@ -144,12 +144,6 @@ def test_a_truncated_compressed_file_is_read_as_far_as_it_goes(tmp_path):
     assert found == complete[: len(found)] and losses and len(found) > 20
 
 
-@pytest.mark.parametrize("name", ["none.mcap", "none"])
-def test_no_such_bag(tmp_path, name):
-    with pytest.raises(BagError, match="no such bag"), Bag(tmp_path / name):
-        pass
-
-
 @pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag", ".txt", ".mcap.zstd"])
 @pytest.mark.parametrize("junk", [b"", b"no bag at all " * 100])
 def test_files_that_are_no_bags_give_one_line(tmp_path, suffix, junk):

@@ -60,12 +60,6 @@ def test_a_file_that_exists_wins_over_a_shipped_name(write, monkeypatch):
     assert load_config(["morpheus.yaml"]).domain.size == 10.0
 
 
-def test_nested_and_dotted_keys_are_the_same(write):
-    nested = write(section("domain:", "  size: 10.0", "  max_level: 6"), "a.yaml")
-    dotted = write(section("domain.size: 10.0", "domain.max_level: 6"), "b.yaml")
-    assert load_config([nested]) == load_config([dotted])
-
-
 def test_later_files_win_and_overrides_win_over_all(write):
     first = write(section("domain.size: 10.0", "lss.margin: 1.0"), "a.yaml")
     second = write(section("domain.size: 20"), "b.yaml")

@@ -115,14 +115,6 @@ def test_stamps_that_go_back_are_counted(tmp_path):
     assert any("go back" in line for line in info.notes)
 
 
-def test_losses_are_told(tmp_path):
-    path = write_ros2(tmp_path / "bag")
-    (path / "metadata.yaml").unlink()
-    info = inspect_bag(path, CONFIG)
-    assert info.works and "metadata.yaml" in info.losses[0]
-    assert "damaged:" in info.table()
-
-
 def test_an_empty_bag_is_one_line(tmp_path):
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         flight(Recorder(writer), scans=0, scan_topics=(), pose_topics=())

@@ -43,14 +43,6 @@ def refused(path, tmp_path, capsys):
     return err
 
 
-def test_a_truncated_sqlite_bag(tmp_path):
-    path = write_ros2(tmp_path / "bag", plugin="sqlite3", scans=60)
-    file = storage_file(path)
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    scans, losses = scans_mapped(path, tmp_path)
-    assert 15 < scans < 60 and losses
-
-
 def write_split(split, whole, plugin, choose):
     """The messages of a bag in two files of one folder: ``choose(k, message)`` tells which."""
     storage = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[plugin]

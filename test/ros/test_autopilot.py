@@ -172,6 +172,7 @@ def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
     "fault",
     [
         "lss_node killed",
+        "old map",
         pytest.param("withdrawn", marks=pytest.mark.slow),
         pytest.param("switched", marks=pytest.mark.slow),
     ],
@@ -182,6 +183,8 @@ def test_what_happens_to_the_target_on_the_way_down(scene, fault):
         flight.place = (5.0, 0.0, 0.0)
     elif fault == "withdrawn":
         flight.place = (math.nan,) * 3
+    elif fault == "old map":
+        flight.map_age = 9.0
     else:
         flight.silent = True
     flight.until("wave_off").flies_up_and_stays()
@@ -193,34 +196,9 @@ def test_what_happens_to_the_target_on_the_way_down(scene, fault):
     targets = len(flight.model.targets)
     flight.listener.wait_for(lambda: False, timeout=1.5)
     assert len(flight.model.targets) == targets, "precision landing hears of it no more"
-    flight.place, flight.silent = (1.0, 1.0, 0.0), False
+    flight.place, flight.silent, flight.map_age = (1.0, 1.0, 0.0), False, 0.2
     flight.until("touchdown")
     assert np.hypot(*(flight.model.landed_at - (1.0, 1.0, 0.0))[:2]) < 0.1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", ["frozen", "late", "old map", "cut"])
-def test_what_happens_to_poses_map_and_link_on_the_way_down(scene, fault):
-    flight = scene().handed_over().below(3.0)
-    model = flight.model
-    if fault == "frozen":
-        model.frozen = True
-    elif fault == "late":
-        model.delay = 1.0
-    elif fault == "old map":
-        flight.map_age = 9.0
-    else:
-        model.cut = True
-    if fault == "old map":
-        flight.until("wave_off").flies_up_and_stays()
-    else:
-        flight.until("hold")
-        flight.listener.wait_for(lambda: False, timeout=2.0)
-        assert model.enu[2] > 0.5 and model.landed_at is None, "it stands where it was"
-        assert np.hypot(*model.enu[:2]) < 1.0
-    model.frozen, model.cut, model.delay, flight.map_age = False, False, 0.0, 0.2
-    flight.until("touchdown")
-    assert np.hypot(*model.landed_at[:2]) < 0.1
 
 
 def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):

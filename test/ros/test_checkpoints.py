@@ -9,9 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from ros.conftest import at_least, has, process
@@ -250,30 +248,3 @@ def test_two_nodes_on_one_checkpoint(ros):
 def _warned(listener, node, words):
     status = listener.diagnostics.get(node)
     return status is not None and status.level == DiagnosticStatus.WARN and words in status.message
-
-
-@pytest.mark.slow
-def test_both_nodes_recover_from_kills_while_sensors_stay(ros):
-    path = ros.folder / "checkpoint.map"
-    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.05")
-    nodes = {name: ros.start(name, *args) for name in ("mapping_node", "lss_node")}
-    rng = np.random.default_rng(5)
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        for attempt in range(8):
-            newest = _publish_until_mapped(listener, sensors, 100 * attempt, "landing/sites")
-            assert newest, "".join(node.output() for node in nodes.values())
-            time.sleep(0.2 + 0.3 * rng.random())
-            name = ("mapping_node", "lss_node")[attempt % 2]
-            nodes[name].process.kill()
-            nodes[name].process.wait(10.0)
-            listener.newest.clear()
-            nodes[name] = ros.start(name, *args)
-            topic = {"mapping_node": "map/cells", "lss_node": "landing/sites"}[name]
-            kept = functools.partial(_newer, listener, topic, newest)
-            assert listener.wait_for(kept), nodes[name].output()
-
-
-def _newer(listener, topic, stamp_ns):
-    found = listener.stamp(topic)
-    return found is not None and found >= stamp_ns

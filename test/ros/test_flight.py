@@ -102,13 +102,6 @@ def test_the_domain_is_the_given_one(monkeypatch):
             given_domain()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", ["kill_lss@60+2", "kill_mapping@60+2"])
-def test_a_node_that_is_killed_in_flight_comes_back_in_time(fault, tmp_path):
-    found = fly_live(SEED, flight_settings({**SHORT, "faults": (fault,)}), tmp_path)
-    assert found.flown.figures["safe"], found.flown.figures
-
-
 def test_nodes_that_never_start_leave_an_outcome(tmp_path, capsys, monkeypatch):
     """Over the one that a flight before it left there; the error says how the node ended."""
     monkeypatch.setattr(processes, "program", lambda name: "/bin/false")

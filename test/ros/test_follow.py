@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import pytest
-from geometry_msgs.msg import Point32, PolygonStamped
+from geometry_msgs.msg import PolygonStamped
 from replay.recordings import write_ros2
 from ros_scene import Sensors
+from ros_vehicle import polygon
 
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.live.demo import run_live
@@ -39,10 +40,7 @@ def test_mapping_node_follows_the_landing_area(ros):
             PolygonStamped, "landing/area", stream(1, reliable=True)
         )
         assert listener.wait_for(lambda: say.get_subscription_count() == 1), mapping.output()
-        area, later = PolygonStamped(), [0]
-        area.header.frame_id = "map"
-        corners = ((4.0, -3.0), (12.0, -3.0), (12.0, 3.0))
-        area.polygon.points = [Point32(x=x, y=y) for x, y in corners]
+        area, later = polygon([(4.0, -3.0), (12.0, -3.0), (12.0, 3.0)]), [0]
 
         def moved():
             say.publish(area)

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import (
-    Point32,
-    PointStamped,
     PolygonInstanceStamped,
-    PolygonStamped,
     PoseWithCovarianceStamped,
 )
-from ros_vehicle import Vehicle, flat_map
+from ros_vehicle import Vehicle, flat_map, point, polygon
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -36,18 +33,6 @@ pytestmark = pytest.mark.xdist_group("ros_landing")
 
 EVERYWHERE = [(-16, -16), (16, -16), (16, 16), (-16, 16)]
 WEST = [(-16, -16), (5, -16), (5, 16), (-16, 16)]
-
-
-def polygon(corners, frame="map"):
-    message = PolygonStamped(header=header_message(1, frame))
-    message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
-    return message
-
-
-def target(x, y):
-    message = PointStamped(header=header_message(1, "map"))
-    message.point.x, message.point.y = x, y
-    return message
 
 
 def dispersion(var_x, var_y, heading=0.0, heading_variance=0.0, frame="map"):
@@ -231,8 +216,8 @@ def test_a_frame_that_was_asked_for_is_insisted_on(ros, vehicle):
 def test_polygons_and_targets():
     np.testing.assert_array_equal(polygon_from_message(polygon(WEST), "/map"), WEST)
     assert polygon_from_message(polygon([]), "map") is None
-    np.testing.assert_array_equal(target_from_message(target(1.0, 2.0), "map"), (1.0, 2.0))
-    assert target_from_message(target(float("nan"), float("nan")), "map") is None
+    np.testing.assert_array_equal(target_from_message(point(1.0, 2.0), "map"), (1.0, 2.0))
+    assert target_from_message(point(float("nan"), float("nan")), "map") is None
     many = [(np.cos(a), np.sin(a)) for a in np.linspace(0.0, 6.0, MAX_VERTICES + 1)]
     for corners, frame, reason in (
         (WEST, "odom", "frame"),
@@ -247,7 +232,7 @@ def test_polygons_and_targets():
         assert caught.value.reason == reason
     for x, y in ((float("nan"), 0.0), (float("inf"), 0.0), (0.0, 1e300)):
         with pytest.raises(MessageError) as caught:
-            target_from_message(target(x, y), "map")
+            target_from_message(point(x, y), "map")
         assert caught.value.reason == "point"
 
 

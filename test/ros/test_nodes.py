@@ -184,19 +184,6 @@ def test_late_and_restarted_subscribers_get_the_map(ros):
         lss.stop(signal_number)
 
 
-def test_scan_without_pose_is_dropped_with_its_cause(ros):
-    mapping = ros.start("mapping_node", "-p", "pose.max_wait:=0.2")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        scan = next(e for e in events(1) if e.points_lidar is not None)
-        sensors.scans.publish(cloud(scan.stamp_ns, scan.points_lidar))
-        assert listener.wait_for(lambda: "dropped" in mapping.output())
-        line = next(text for text in mapping.output().splitlines() if "dropped" in text)
-        for part in ("1700000000.000000", "/lidar/points", "/nav/pose"):
-            assert part in line
-        sensors.map(mapping, SCANS)
-
-
 def test_incompatible_qos_is_told_with_its_remedy(ros):
     mapping = ros.start("mapping_node")
     with ros.listen() as listener:
@@ -205,16 +192,6 @@ def test_incompatible_qos_is_told_with_its_remedy(ros):
         assert listener.wait_for(lambda: "or qos_overrides." in mapping.output()), mapping.output()
         assert publisher.get_subscription_count() == 0
     assert "'/lidar/points'" in mapping.output()
-
-
-@pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
-@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
-def test_ends_cleanly_on_signals(ros, name, signal_number):
-    node = ros.start(name)
-    with ros.listen() as listener:
-        assert listener.wait_for(lambda: name in listener.diagnostics), node.output()
-    assert node.stop(signal_number) == 0
-    assert "Traceback" not in node.output()
 
 
 @pytest.mark.survives(
@@ -229,12 +206,6 @@ def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
     lines = node.output().splitlines()
     assert len(lines) == 1
     assert "domain.max_levle" in lines[0] and "'domain.max_level'" in lines[0]
-
-
-def test_contradicting_parameters_are_an_error(ros):
-    node = ros.start("mapping_node", "-p", "domain.min_level:=9")
-    assert node.process.wait(30.0) == WRONG_CONFIGURATION
-    assert "domain.min_level = 9 exceeds domain.max_level = 6" in node.output()
 
 
 def test_wrong_usage_and_missing_home(ros):

@@ -35,8 +35,6 @@ def test_player_says_who_is_missing(ros):
     write_bag(ros.folder / "flight", 1)
     with pytest.raises(PlayError, match="/lidar/points"):
         play(ros.folder / "flight", wait=0.2, domain_id=ros.domain)
-    with pytest.raises(PlayError, match="rate"):
-        play(ros.folder / "flight", rate=0.0)
 
 
 @pytest.mark.slow
@@ -158,5 +156,6 @@ def test_parts_and_rates_that_make_no_sense_are_told(ros):
     for limits in ({"start": 1e9}, {"duration": float("inf")}, {"duration": 0.0}):
         with pytest.raises(ReplayError, match="--"):
             play(ros.folder / "flight", **limits)
-    with pytest.raises(PlayError, match="rate inf"):
-        play(ros.folder / "flight", rate=float("inf"))
+    for rate in (0.0, float("inf")):
+        with pytest.raises(PlayError, match=f"rate {rate:g}"):
+            play(ros.folder / "flight", rate=rate)

@@ -8,7 +8,7 @@ import importlib.util
 import pytest
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
-from ros_scene import Sensors, cloud, level_body, pose
+from ros_scene import Sensors, level_body, pose
 
 from quadtree_lss.onboard.nodes.node_runner import WRONG_CONFIGURATION
 from quadtree_lss.onboard.nodes.qos import latched, stream
@@ -78,19 +78,3 @@ def test_a_mount_comes_from_tf_static(ros):
         tf.publish(TFMessage(transforms=[link]))
         sensors = Sensors(listener).matched()
         sensors.map(mapping, 4, make_pose=lambda stamp_ns: level_body(stamp_ns, 2.0))
-
-
-def test_a_cloud_with_other_axes_says_what_would_help(ros):
-    mapping = ros.start("mapping_node")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-
-        def forward(stamp_ns, points):
-            right, down, ahead = points[..., 0], points[..., 1], points[..., 2]
-            points = points.copy()
-            points[..., 0], points[..., 1], points[..., 2] = ahead, -right, -down
-            return cloud(stamp_ns, points)
-
-        sensors.publish(3, make_cloud=forward)
-        told = "it would lie inside, below the lidar, with mount.axes: flu_to_optical (100 % of"
-        assert listener.wait_for(lambda: told in mapping.output()), mapping.output()

@@ -113,18 +113,6 @@ def at_count(vehicle, key, number):
     return vehicle.values().get(key) == str(number)
 
 
-def test_a_map_of_another_scale_is_refused_and_the_one_before_kept(cells):
-    """Well-formed, 12 km wide: to assess it would take 5 GB."""
-    received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
-    give(received, cells)
-    received.take()
-    domain = dataclasses.replace(cells.domain, size=12_000.0)
-    give(received, dataclasses.replace(cells, domain=domain))
-    received.take()
-    assert received.refusals == 1 and "grid points a side" in received.refused
-    assert received.cells.domain == cells.domain
-
-
 FAULTY = """
 import sys
 from quadtree_lss.onboard.core.landing import sites

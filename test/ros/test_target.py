@@ -12,11 +12,11 @@ import time
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 from ros.conftest import process
-from ros_vehicle import Vehicle, flat_map
+from ros_vehicle import Vehicle, flat_map, polygon
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.core.landing.target import WAIT_S, Reason, State
@@ -69,15 +69,6 @@ def pilot(ros):
         yield Pilot(listener)
 
 
-def square(place, half):
-    corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
-    message = PolygonStamped(header=header_message(1, "map"))
-    message.polygon.points = [
-        Point32(x=float(place[0] + x), y=float(place[1] + y)) for x, y in corners
-    ]
-    return message
-
-
 def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
     wait = pilot.listener.wait_for
     lss = ros.start("lss_node")
@@ -89,7 +80,9 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
     assert 0.0 < covariance[2, 2] < 0.1 and np.linalg.eigvalsh(covariance).min() >= 0.0
     assert before["hazard_distance"] > 0.0 and np.isfinite(before["offset_variance"])
 
-    pilot.send("landing/keep_out", square(first, 1.0))
+    x, y = first[:2]
+    about = [(x - 1, y - 1), (x + 1, y - 1), (x + 1, y + 1), (x - 1, y + 1)]
+    pilot.send("landing/keep_out", polygon(about))
     assert wait(functools.partial(pilot.has_target, before["answer"] + 1)), lss.output()
     assert np.hypot(*(pilot.place() - first)[:2]) > 2.0
     assert pilot.status()["id"] != before["id"]

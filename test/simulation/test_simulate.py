@@ -223,20 +223,6 @@ def test_options_that_make_no_sense(tmp_path, options):
     assert not (tmp_path / "bag").exists()
 
 
-def test_progress_counts_every_scan(tmp_path, hill):
-    seen = []
-    simulate(
-        "descent",
-        tmp_path / "bag",
-        seed=1,
-        duration=1.0,
-        terrain=hill,
-        truth=False,
-        progress=lambda done, total: seen.append((done, total)),
-    )
-    assert seen == [(k + 1, 5) for k in range(5)]
-
-
 def test_interrupted_simulation_leaves_no_bag(tmp_path, hill):
     def stop(done, total):
         if done == 2:

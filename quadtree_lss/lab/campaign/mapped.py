@@ -14,10 +14,11 @@ from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.result import peak_memory_mb
 from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity, Value
-from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
+from quadtree_lss.lab.evaluation.evaluate import evaluate, score
 from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
+from quadtree_lss.lab.evaluation.scores import EvaluationResult
 from quadtree_lss.lab.simulation.lidar import StereoCamera
 from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE_TOPIC, TYPES
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions

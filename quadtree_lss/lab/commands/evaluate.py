@@ -34,12 +34,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _run(options: argparse.Namespace) -> int:
     if not options.results or options.truth is None:
         options.parser.error("DIR and --truth are required")
-    from quadtree_lss.lab.evaluation.evaluate import (
-        ComparisonResult,
-        EvaluationResult,
-        compare,
-        evaluate,
-    )
+    from quadtree_lss.lab.evaluation.evaluate import ComparisonResult, compare, evaluate
+    from quadtree_lss.lab.evaluation.scores import EvaluationResult
 
     result: EvaluationResult | ComparisonResult
     with ProgressBar("consistency", "scans", options.verbose) as bar:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +14,7 @@ from quadtree_lss.desk.report.report import page, short_name
 from quadtree_lss.lab.evaluation.figures import VERDICTS, verdict_classes
 from quadtree_lss.lab.evaluation.metrics import SafetyField
 from quadtree_lss.lab.evaluation.results import Truth
-
-if TYPE_CHECKING:
-    from quadtree_lss.lab.evaluation.evaluate import EvaluationResult
+from quadtree_lss.lab.evaluation.scores import EvaluationResult
 
 
 def evaluation_page(
