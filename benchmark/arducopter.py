@@ -192,6 +192,8 @@ class Copter:
                     self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
                 elif message.get_type() == "PARAM_VALUE":
                     self._values[message.param_id] = message.param_value
+                elif message.get_type() == "STATUSTEXT" and message.chunk_seq and self.texts:
+                    self.texts[-1] += message.text
                 elif message.get_type() == "STATUSTEXT":
                     self.texts.append(message.text)
             while (message := self._own.recv_msg()) is not None:

@@ -168,6 +168,18 @@ def test_a_companion_that_dies_on_the_way_down_leaves_the_vehicle_to_its_autopil
         assert model.left_offboard == 1 and model.mode == PX4_LAND
 
 
+def test_the_ground_station_gets_every_word(fly):
+    """Of lines longer than a message, too; more than one begin alike."""
+    model, link = fly(ARDUPILOT)
+    wait(link, lambda _: link.kind is not None)
+    lines = ["x" * 49, *("".join(map(str, range(n)))[:n] for n in (50, 51, 99, 100, 101, 180))]
+    for line in lines:
+        link.tell(line, warn=True)
+    link.tell("the last", warn=False)
+    wait(link, lambda _: "the last" in model.texts)
+    assert model.texts == [*lines, "the last"]
+
+
 def test_heartbeats_of_others_are_not_the_autopilots(fly):
     model, link = fly(ARDUPILOT)
     wait(link, lambda _: link.kind is not None)
