@@ -40,7 +40,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.lab.live.listener import Listener
-from quadtree_lss.lab.live.processes import NodeProcess, local_domain
+from quadtree_lss.lab.live.processes import NodeProcess, ProcessError, local_domain
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.lab.simulation.safety import contact_safe
@@ -151,7 +151,7 @@ class Copter:
         Raises:
             TimeoutError: it never does.
         """
-        for _ in range(50):
+        for _ in range(300):
             self._ground.mav.param_set_send(1, 1, name.encode(), value, 9)
             time.sleep(0.1)
             if math.isclose(self._values.get(name, math.nan), value, rel_tol=1e-5, abs_tol=1e-9):
@@ -192,6 +192,8 @@ class Copter:
                     self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
                 elif message.get_type() == "PARAM_VALUE":
                     self._values[message.param_id] = message.param_value
+                elif message.get_type() == "STATUSTEXT" and message.chunk_seq and self.texts:
+                    self.texts[-1] += message.text
                 elif message.get_type() == "STATUSTEXT":
                     self.texts.append(message.text)
             while (message := self._own.recv_msg()) is not None:
@@ -243,7 +245,7 @@ class Landing:
     """A flight's outcome.
 
     Attributes:
-        outcome: landed, hovered, given to the pilot, flew away, or no start.
+        outcome: landed, hovered, given to the pilot, flew away, no start, or broken off.
         ground: Of a landing: safe, unsafe or withdrawn.
         miss: Truly, from the last target, m.
         height: Over the target, at which the fault began, m; NaN if it never came.
@@ -341,6 +343,9 @@ class Flight:
         """A scan, if one is due; the true place and the speed across since the last tick."""
         due, stuck = self.copter.now + SCAN_S, time.monotonic() + 10.0
         while self.copter.now < due and time.monotonic() < stuck:
+            if self.copter.process.poll() is not None:
+                msg = "the simulator has ended"
+                raise ProcessError(msg)
             time.sleep(0.01)
         at, place, turn = self.copter.truth()
         if np.isfinite(place).all() and place[2] > 0.3:
@@ -494,7 +499,12 @@ def fly(case: tuple[str, int, str, Path | None, float]) -> Landing:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) if keep is None else keep / f"{seed}"
         folder.mkdir(parents=True, exist_ok=True)
-        return Flight(binary, seed, fault, folder, pace).fly()
+        flight = Flight(binary, seed, fault, folder, pace)
+        try:
+            return flight.fly()
+        except (ProcessError, TimeoutError) as error:  # the other flights go on
+            flight.landing.outcome = f"broken off, {error}"
+            return flight.landing
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -535,12 +545,13 @@ def main(args: Sequence[str] | None = None) -> int:
                 name or "none", len(some), sum(math.isnan(one.height) for one in some if name),
                 grounds["safe"], ends["hovered"],
                 ends["given to the pilot"], grounds["unsafe"] + grounds["withdrawn"],
-                ends["flew away"] + ends["flew on"], ends["no start"],
+                ends["flew away"] + ends["flew on"],
+                sum(one.outcome.startswith(("no start", "broken off")) for one in some),
                 f"{max(misses):.2f}" if misses else "-",
             ])  # fmt: skip
     header = [
         "fault", "flights", "it never came", "landed safe", "hovered", "given to the pilot",
-        "unsafe or withdrawn", "flew away", "no start", "farthest from the target, m",
+        "unsafe or withdrawn", "flew away", "no start or broken off", "farthest from the target, m",
     ]  # fmt: skip
     table(f"{len(found)} flights, seeds from {given.seed}", header, rows)
     print(machine())

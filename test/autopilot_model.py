@@ -178,7 +178,12 @@ class Autopilot(threading.Thread):
         if kind == "TIMESYNC" and message.tc1 == 0:
             self._say("timesync", round(1e9 * self._clock()), message.ts1)
         elif kind == "STATUSTEXT":
-            self.texts.append(message.text)
+            if message.chunk_seq:  # a piece more of the last one, as ground stations take it
+                assert message.id == self._text_id and len(self.texts[-1]) % 50 == 0
+                self.texts[-1] += message.text
+            else:
+                self.texts.append(message.text)
+            self._text_id = message.id
         elif kind == "COMMAND_LONG" and message.command == 511:
             self._rates[int(message.param1)] = message.param2
         elif kind == "COMMAND_LONG" and message.command == 176:

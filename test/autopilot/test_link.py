@@ -101,6 +101,18 @@ def test_px4_gets_the_target_in_its_local_frame(fly):
     np.testing.assert_allclose(vector, [2.0, 1.0, -0.5], atol=1e-6)
 
 
+def test_the_ground_station_gets_every_word(fly):
+    """Of lines longer than a message, too; more than one begin alike."""
+    model, link = fly(ARDUPILOT)
+    wait(link, lambda _: link.kind is not None)
+    lines = ["x" * 49, *("".join(map(str, range(n)))[:n] for n in (50, 51, 99, 100, 101, 180))]
+    for line in lines:
+        link.tell(line, warn=True)
+    link.tell("the last", warn=False)
+    wait(link, lambda _: "the last" in model.texts)
+    assert model.texts == [*lines, "the last"]
+
+
 def test_heartbeats_of_others_are_not_the_autopilots(fly):
     model, link = fly(ARDUPILOT)
     wait(link, lambda _: link.kind is not None)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 import sys
 import time
@@ -84,6 +85,12 @@ def test_the_bridge_passes_loses_delays_and_cuts(copter):
     assert heard(100) == set()
     sitl.close()
     node.close()
+
+
+def test_a_simulator_that_ends_breaks_off_its_flight_alone(tmp_path):
+    binary = shutil.which("true")
+    flown = arducopter.fly((binary, 5, "", tmp_path, 1.0))
+    assert flown.outcome == "broken off, the simulator has ended"
 
 
 def test_a_touchdown_is_judged_by_the_true_ground_and_by_what_was_forbidden(tmp_path):

@@ -253,7 +253,7 @@ class Landing:
     def _give_up(self, seen: Seen, why: str) -> None:
         """Up to the gate and stay, until the pilot has taken over."""
         if self.state != GIVE_UP:
-            self._begin(GIVE_UP, f"{why}; pilot, take over", seen.now)
+            self._begin(GIVE_UP, f"pilot, take over: {why}", seen.now)
             self._point = None if seen.pose_age <= self._config.max_pose_age else self._point
 
     def _move(self, point: Array, seen: Seen, target: Target | None, dt: float) -> None:

@@ -42,6 +42,8 @@ PLACE_ALONE = 0b0000_1101_1111_1000
 LOCAL_NED, BODY_FRD = 1, 12
 ONBOARD_COMPUTER, SEVERITY = 191, {True: 4, False: 6}
 SYNC_S, BEAT_S, ASK_S = 0.2, 1.0, 2.0
+TEXT = 50
+"""Most characters of a message of text."""
 DAMAGED = -1
 """Number that pymavlink gives to bytes which are no message."""
 MOST_NS = 2**31 * 10**9
@@ -107,7 +109,7 @@ class Link:
         self._due = dict.fromkeys(("sync", "beat", "ask"), 0.0)
         self._attitudes: list[tuple[int, Array]] = []
         self._positions: list[tuple[int, Array, Array]] = []
-        self._last_nav, self._newest = -np.inf, 0
+        self._last_nav, self._newest, self._told = -np.inf, 0, 0
 
     @property
     def follows(self) -> bool:
@@ -171,8 +173,12 @@ class Link:
             self._set_mode(LAND[self.kind])
 
     def tell(self, text: str, *, warn: bool) -> None:
-        """A line for the pilot's ground station."""
-        self._say("statustext", SEVERITY[warn], text.encode("ascii", "replace")[:50])
+        """A line for the pilot's ground station, in as many pieces as it takes."""
+        line, self._told = text.encode("ascii", "replace"), self._told % 0xFFFF + 1
+        pieces = range(0, len(line) + 1, TEXT) if len(line) > TEXT else (0,)
+        for number, begin in enumerate(pieces):  # a piece that is not full is the last
+            piece, whole = line[begin : begin + TEXT], len(pieces) == 1
+            self._say("statustext", SEVERITY[warn], piece, 0 if whole else self._told, number)
 
     def _set_mode(self, mode: int) -> None:
         if self.kind == PX4:
