@@ -91,6 +91,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         return grid[name][::stride, ::stride]
 
     limit = palette.slope_limit(content.config.lss)
+    _, slopes = palette.look("slope_deg", grid["slope_deg"], content.config.lss)
     found: dict[str, Any] = {
         "nx": len(grid["x"][::stride]),
         "ny": len(grid["y"][::stride]),
@@ -101,7 +102,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         "elevation": columns.quantised(part("elevation"))
         | {"limits": palette.colour_limits(grid["elevation"])},
         "slope": columns.quantised(part("slope_deg"))
-        | {"limits": (0.0, max(palette.top_limit(grid["slope_deg"])[1], limit)), "mark": limit},
+        | {"limits": slopes, "mark": limit},
         "score": columns.quantised(part("score"))
         | {"limits": palette.colour_limits(grid["score"])},
         "hazard": columns.whole(part("hazard"), "u1"),
