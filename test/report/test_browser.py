@@ -3,6 +3,7 @@
 
 import dataclasses
 import html
+import itertools
 import json
 import re
 
@@ -14,6 +15,7 @@ from report.pages import in_a_browser, in_browser, run_browser
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.report.content import read
 from quadtree_lss.desk.report.report import page
+from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
@@ -534,8 +536,9 @@ def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path
         tmp_path,
         f"""
         const before = [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")];
+        const {{ diameter, clearance }} = whatIf.vehicles[0], whole = {{ diameter, clearance }};
         const found = {json.dumps(tries)}.map(t => {{
-          const now = recompute({{ ...t, dispersion: [t.dispersion, t.dispersion] }});
+          const now = recompute({{ ...whole, ...t, dispersion: [t.dispersion, t.dispersion] }});
           return [[...now.allowed], [...now.probability], now.found.map(s => [s.x, s.y])]; }});
         tellTest("found", found);
         const move = (id, v) => {{ byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
@@ -563,6 +566,53 @@ def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path
     assert verdict.startswith("What if, not the run's own result. ") and marked
     assert "--set lss.max_risk=0.15 --set lss.margin=1.1" in command
     assert told["past"].startswith("At ") and told["same"]
+
+
+def test_sliders_try_other_vehicles(result, text, tmp_path):
+    """What a landing pass on the run's map finds, to the rounding of their risks."""
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const { clearance } = whatIf.vehicles[0], own = { dispersion: [...whatIf.dispersion], max_risk: whatIf.max_risk, margin: 0 };
+        tellTest("found", whatIf.vehicles.map(({ diameter, clearance, doubt }) => {
+          const now = recompute({ ...own, diameter, clearance });
+          return [diameter, clearance, doubt, [...now.allowed], [...now.probability],
+                  now.found.map(s => s.probability)]; }));
+        const move = (id, v) => { byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
+          byId(id).dispatchEvent(new Event("change")); };
+        vehicleOf({ diameter: whatIf.vehicles.at(-1).diameter, clearance }).doubt = "no fit";
+        move("try-diameter", 2); tellTest("care", byId("what-if-doubt").textContent); move("try-clearance", 0);
+        tellTest("shown", [grid.safe.reduce((a, b) => a + b), data.zone, data.lander.radius,
+          byId("try-diameter").nextSibling.textContent, byId("what-if-run").textContent]);
+        byId("what-if-reset").click(); tellTest("back", [data.zone, data.lander.radius]);
+        """,
+    )
+    base, spacing = CONFIG.vehicle, CONFIG.lss.spacing
+    allowed_of = {}
+    for diameter, clearance, why, allowed, probability, best in told["found"]:
+        values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
+        config = config_from_values({**values, "lss.grid_spacing": spacing}, CONFIG)
+        expected = LandingSiteSelector(config).assess(result.cells)
+        _, points = expected.ground
+        rounded = 0.012 * (points.risk + 0.01)
+        doubtful = expected.ground[0].any(
+            (np.abs(points.risk - config.lss.max_risk) <= rounded).astype(np.uint8)
+        )
+        same = (np.array(allowed) > 0).reshape(expected.safe.shape) == expected.safe
+        assert same[doubtful == 0].all() and np.mean(doubtful) < 0.02
+        np.testing.assert_allclose(probability, expected.probability.ravel(), atol=0.012)
+        assert best[0] == pytest.approx(expected.sites.probability[0], abs=0.012)
+        assert why == doubt(config)
+        ratios = diameter / base.diameter, clearance / base.clearance
+        allowed_of[tuple(round(ratio, 3) for ratio in ratios)] = sum(allowed)
+    assert set(allowed_of) == set(itertools.product((0.75, 1.0, 1.5), repeat=2))
+    assert allowed_of[0.75, 1.5] > allowed_of[1.0, 1.0] > allowed_of[1.5, 0.75]
+    number, zone, radius, word, command = told["shown"]
+    assert number == allowed_of[1.5, 0.75] and zone == radius == pytest.approx(0.75 * base.diameter)
+    assert word == "5.55 m" and told["care"] == "With care: no fit."
+    assert "--set vehicle.diameter=5.55 --set vehicle.clearance=0.225" in command
+    assert told["back"] == [0.5 * base.diameter + CONFIG.lss.margin, 0.5 * base.diameter]
 
 
 def test_sliders_say_where_they_do_not_go(result, tmp_path):

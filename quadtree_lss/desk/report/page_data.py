@@ -99,11 +99,11 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         "ymin": float(grid["y"][0]),
         "spacing": content.spacing * stride,
         "stride": stride,
-        "elevation": columns.quantised(part("elevation"))
+        "elevation": columns.quantised(part("elevation"), least=5e-4)
         | {"limits": palette.colour_limits(grid["elevation"])},
-        "slope": columns.quantised(part("slope_deg"))
+        "slope": columns.quantised(part("slope_deg"), least=5e-3)
         | {"limits": slopes, "mark": limit},
-        "score": columns.quantised(part("score"))
+        "score": columns.quantised(part("score"), least=2e-5)
         | {"limits": palette.colour_limits(grid["score"])},
         "hazard": columns.whole(part("hazard"), "u1"),
         "safe": columns.whole(part("safe"), "u1"),
@@ -112,7 +112,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         if name in grid:
             found[name] = columns.whole(part(name), "u1")
     if content.probability is not None:
-        found["probability"] = columns.quantised(100.0 * part("probability"))
+        found["probability"] = columns.quantised(100.0 * part("probability"), least=5e-3)
         found["probability"]["limits"] = (0.0, 100.0)
     return found
 
