@@ -10,7 +10,7 @@ import re
 import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import in_a_browser, in_browser, run_browser
+from report.pages import accessible, in_a_browser, in_browser, run_browser
 
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.report.content import read
@@ -504,6 +504,11 @@ def test_values_are_at_the_foot_of_a_phone(text, tmp_path):
     )
     left, right, bottom, high = told["box"]
     assert (left, right, bottom) == (0, 0, 844) and told["finger"] < 844 - high
+
+
+@pytest.mark.slow
+def test_it_can_be_used_by_all(text, tmp_path):
+    assert accessible(text, tmp_path)
 
 
 def test_print_fits_two_pages(text, tmp_path):

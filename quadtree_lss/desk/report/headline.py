@@ -151,7 +151,7 @@ def trust(content: Content) -> tuple[str, list[Fact]]:
             f"{'–' if ratio is None else format(noise * ratio, '.3g')} / {noise:.3g} m",
             "care" if noisy else "",
         ),
-        Fact("area seen", f"{seen:.0%}", "care" if seen < lss.settle_share else ""),
+        Fact("area seen", f"{100.0 * seen:.0f} %", "care" if seen < lss.settle_share else ""),
         Fact("dispersion, 1 σ", " × ".join(f"{s:.3g}" for s in content.dispersion) + " m"),
     ]
     if lss.assessment == "probability":
