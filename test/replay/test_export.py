@@ -147,8 +147,11 @@ def test_styles_of_qgis_have_names_and_colours_of_the_page(written, styles, tmp_
             steps = np.ptp(limits) / 60.0  # the page's elevations are from other percentiles
             np.testing.assert_allclose(limits, [wanted[name][k] for k in (0, -1)], atol=steps)
             near = [
-                max(abs(a - b) for a, b in zip(bytes.fromhex(x[1:]), bytes.fromhex(y[1:])))
-                for x, y in zip(own, colours)
+                max(
+                    abs(a - b)
+                    for a, b in zip(bytes.fromhex(x[1:]), bytes.fromhex(y[1:]), strict=True)
+                )
+                for x, y in zip(own, colours, strict=True)
             ]
             assert max(near) <= (0 if name != "map_height" and name != "elevation" else 6), name
     assert len({row["color"] for row in styles["hazard"][1]}) > 1

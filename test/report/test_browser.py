@@ -14,6 +14,7 @@ from report.pages import accessible, in_a_browser, in_browser, run_browser
 
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.report.headline import trust
 from quadtree_lss.desk.report.report import page
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -31,7 +32,7 @@ def best(result):
     return x, y, (row[0], column[0])
 
 
-def test_the_first_screen_holds_map_table_and_answer(text, tmp_path):
+def test_the_first_screen_holds_map_table_and_answer(result, text, tmp_path):
     told = in_browser(
         text,
         tmp_path,
@@ -44,8 +45,17 @@ def test_the_first_screen_holds_map_table_and_answer(text, tmp_path):
         tellTest("fits", [extent.x0, extent.x1].map(px).concat([extent.y0, extent.y1].map(py)));
         tellTest("size", [width(), height()]);
         tellTest("layers", [...byId("layer").options].map(o => o.value));
+        const facts = [...document.querySelectorAll(".trust div")];
+        const told = f => [...f.children].map(c => c.textContent).concat(f.className);
+        tellTest("trust", facts.map(told));
+        const edge = e => getComputedStyle(e).borderLeftColor;
+        tellTest("edges", [edge(document.querySelector(".verdict")), edge(facts[0])]);
         """,
     )
+    level, facts = trust(read(result.out))
+    assert told["trust"] == [[fact.name, fact.value, fact.level] for fact in facts]
+    colours = {"good": "rgb(0, 158, 115)", "care": "rgb(230, 159, 0)", "none": "rgb(213, 94, 0)"}
+    assert told["edges"] == [colours[level], colours[facts[0].level]]
     assert max(told["below"]) <= told["high"] and told["wide"]
     left, right, bottom, top = told["fits"]
     wide, high = told["size"]
@@ -530,6 +540,46 @@ def test_without_javascript_there_are_table_and_picture(text, tmp_path):
     assert table > 300 and picture > 300 and frame == choice == 0
 
 
+@pytest.mark.slow
+def test_shadow_and_reach_are_layers(tmp_path):
+    """With the sun's direction: in list, legend and at the pointer."""
+    config = config_from_values({"light.azimuth": 120.0, "light.elevation": 10.0}, CONFIG)
+    result = replay(write_ros2(tmp_path / "bag", scans=6), tmp_path / "out", config)
+    told = in_browser(
+        (result.out / "report.html").read_text(),
+        tmp_path,
+        """
+        for (const name of ["shadow", "reach"]) {
+          setLayer(name); const { nx, ny, spacing: s } = grid, found = {};
+          for (const is of [0, 1]) {
+            const k = [...grid[name].keys()].find(i => grid[name][i] === is &&
+              !(grid.hazard[i] & UNSEEN.bit));
+            if (k === undefined) continue;
+            at("pointermove", px(grid.xmin + (k % nx) * s), py(grid.ymin + Math.floor(k / nx) * s));
+            found[is] = shown()[name];
+          }
+          const title = byId("layer").selectedOptions[0].text;
+          tellTest(name, [found, byId("legend").textContent, title]);
+        }
+        """,
+    )
+    with np.load(result.out / "grid.npz") as grid:
+        seen = (grid["hazard"] & 128) == 0
+        for name, words in (
+            ("shadow", ("lit", "in shadow")),
+            ("reach", ("beyond reach", "within reach")),
+        ):
+            found, legend, title = told[name]
+            there = np.unique(grid[name][seen].astype(int))
+            assert found == {str(k): words[k] for k in there}
+            assert all(words[k] in legend for k in there)
+            assert title == {"shadow": "Shadow", "reach": "Within reach"}[name]
+            if name == "shadow":
+                share = 100.0 * np.mean(grid[name][seen])
+                assert len(there) == 2 and 0.0 < share < 50.0
+                assert "At touchdown or an hour later." in legend
+
+
 def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path):
     """Marked as no result of the run, which comes back."""
     tries = [
@@ -579,7 +629,8 @@ def test_sliders_try_other_vehicles(result, text, tmp_path):
         text,
         tmp_path,
         """
-        const { clearance } = whatIf.vehicles[0], own = { dispersion: [...whatIf.dispersion], max_risk: whatIf.max_risk, margin: 0 };
+        const { clearance } = whatIf.vehicles[0];
+        const own = { dispersion: [...whatIf.dispersion], max_risk: whatIf.max_risk, margin: 0 };
         tellTest("found", whatIf.vehicles.map(({ diameter, clearance, doubt }) => {
           const now = recompute({ ...own, diameter, clearance });
           return [diameter, clearance, doubt, [...now.allowed], [...now.probability],
@@ -587,7 +638,8 @@ def test_sliders_try_other_vehicles(result, text, tmp_path):
         const move = (id, v) => { byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
           byId(id).dispatchEvent(new Event("change")); };
         vehicleOf({ diameter: whatIf.vehicles.at(-1).diameter, clearance }).doubt = "no fit";
-        move("try-diameter", 2); tellTest("care", byId("what-if-doubt").textContent); move("try-clearance", 0);
+        move("try-diameter", 2); tellTest("care", byId("what-if-doubt").textContent);
+        move("try-clearance", 0);
         tellTest("shown", [grid.safe.reduce((a, b) => a + b), data.zone, data.lander.radius,
           byId("try-diameter").nextSibling.textContent, byId("what-if-run").textContent]);
         byId("what-if-reset").click(); tellTest("back", [data.zone, data.lander.radius]);

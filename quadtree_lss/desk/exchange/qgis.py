@@ -42,7 +42,9 @@ def write_ramp(path: Path, table: Bytes, limits: tuple[float, float], unit: str 
     )
     kind = {"colorRampType": "INTERPOLATED", "classificationMode": "1", "clip": "0"}
     ends = {"minimumValue": low, "maximumValue": high}
-    shader = xml.SubElement(xml.SubElement(renderer, "rastershader"), "colorrampshader", kind | ends)
+    shader = xml.SubElement(
+        xml.SubElement(renderer, "rastershader"), "colorrampshader", kind | ends
+    )
     for stop, value in zip(STOPS, np.linspace(*limits, len(STOPS)), strict=True):
         label = f"{100.0 * value:.3g} %" if unit == "%" else f"{value:.3g} {unit}".strip()
         colour = "#" + table[stop].tobytes().hex()

@@ -78,7 +78,9 @@ def what_if(content: Content, columns: Columns, stride: int) -> dict[str, Any]:
         "side": cells.domain.finest_size,
         "vehicles": vehicles,
         "small": SMALL,
-        "score": columns.quantised(np.where(judged & np.isnan(content.grid["score"]), score, np.nan)),
+        "score": columns.quantised(
+            np.where(judged & np.isnan(content.grid["score"]), score, np.nan)
+        ),
         "number": lss.sites,
         "dispersion": content.dispersion,
         "max_risk": lss.max_risk,
