@@ -80,9 +80,17 @@ def mathml(block):
     return visit
 
 
+def level_captions(app, page, template, context, doctree):
+    """Sphinx's captions are headings, of which a screen reader asks the level."""
+    for name in {"body", "furo_navigation_tree"} & context.keys():
+        headings = 'role="heading"', 'role="heading" aria-level="2"'
+        context[name] = context[name].replace(*headings)
+
+
 def setup(app):
     app.connect("source-read", move_links)
     app.connect("builder-inited", write_commands)
+    app.connect("html-page-context", level_captions, priority=900)
     app.add_html_math_renderer("mathml", (mathml(False), None), (mathml(True), None))
 
 

@@ -16,11 +16,10 @@ import numpy as np
 
 from quadtree_lss.desk.report.drawing import extent
 from quadtree_lss.desk.report.drawing import mark_sites as sites
-from quadtree_lss.desk.report.palette import CLEAR_COLOUR, HAZARDS, MAPS, colour_limits
+from quadtree_lss.desk.report.palette import CLEAR_COLOUR, HAZARDS, KINDS, MAPS, colour_limits
 from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, Profile
 
-KINDS = {"plane_elevation": "elevation", "slope_deg": "slope"}
 __all__ = ["elevation", "layer", "profile", "relief", "sites"]
 UNITS = {"elevation": "m", "plane_elevation": "m", "slope_deg": "deg"}
 

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from report.pages import Page, in_a_browser, in_browser
+from report.pages import Page, accessible, in_a_browser, in_browser
 
 from quadtree_lss.lab.campaign.campaign_page import note_kept, page_files
 from quadtree_lss.lab.campaign.store import Record
@@ -91,3 +91,9 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
     assert told["clicked"][0] == [3, "kept/000003/flight.html", None]
     assert told["clicked"][1][:2] == [20, None] and told["clicked"][1][2].endswith("--keep 20")
     assert told["worst"] == BAD - 1 and told["wide"]
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_it_can_be_used_by_all(result, tmp_path):
+    assert accessible(page_files(result, ())["campaign.html"].decode(), tmp_path)

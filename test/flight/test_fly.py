@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from report.pages import Page, in_a_browser, in_browser
+from report.pages import Page, accessible, in_a_browser, in_browser
 
 from quadtree_lss.cli import main
 from quadtree_lss.lab.flight.flight_page import write_flight
@@ -198,3 +198,9 @@ def test_a_flight_is_gone_over(text, tmp_path):
     assert own.startswith("Safe touchdown") and abs(told["there"][0] - told["there"][1]) < 0.11
     assert told["fault"][0] > 10 > told["fault"][1]
     assert all(-0.1 < gap < 0.3 for gap in told.get("pads", [0.0])), told
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_its_page_can_be_used_by_all(text, tmp_path):
+    assert accessible(text, tmp_path)

@@ -18,9 +18,19 @@ from typing import Any
 import pytest
 from installed import PREFIX, SHARE
 
+from quadtree_lss.desk.bags.topics import SCAN_TOPIC
 from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.messages.landing_inputs import POINT_TYPE, TYPES
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS
-from quadtree_lss.onboard.messages.outputs import SITE_TABLE, STATUS, TOPIC_TYPES
+from quadtree_lss.onboard.messages.outputs import (
+    CLOUD_TYPE,
+    GRID_TYPE,
+    POSES_TYPE,
+    SELECTED_TYPE,
+    SITE_TABLE,
+    STATUS,
+    TOPIC_TYPES,
+)
 
 ROOT = Path(__file__).parents[2]
 NODES = ("mapping_node", "lss_node", "autopilot_node")
@@ -121,12 +131,30 @@ def test_the_foxglove_layout_shows_topics_and_fields_that_there_are():
         return {part} if isinstance(part, str) else shown(part["first"]) | shown(part["second"])
 
     assert shown(layout["layout"]) == set(panels)
-    documents = "".join(path.read_text() for path in (ROOT / "msg_docs").glob("*.md"))
+    nodes = "".join(p.read_text() for p in (ROOT / "quadtree_lss/onboard/nodes").glob("*_node.py"))
+    markers = re.findall(r'advertise\(self, MarkerArray, "([\w/]+)"', nodes)
+    kinds = {**TOPIC_TYPES, SCAN_TOPIC[1:]: CLOUD_TYPE}
+    kinds |= dict.fromkeys(markers, "visualization_msgs/msg/MarkerArray")
+    kinds = {f"/{name}": kind for name, kind in kinds.items()}
+    fields = {"/map/cells": dict(CELL_FIELDS), SCAN_TOPIC: {"x": "f4", "y": "f4", "z": "f4"}}
     topics = {topic: view for p in panels.values() for topic, view in p.get("topics", {}).items()}
-    assert set(topics) >= {f"/{name}" for name in set(TOPIC_TYPES) - {SITE_TABLE, STATUS}}
-    for topic in topics:
-        assert f"`{topic[1:]}`" in documents, topic
-    assert topics["/map/cells"]["colorField"] in dict(CELL_FIELDS)
+    hidden = {f"/{SITE_TABLE}", f"/{STATUS}"}
+    assert len(markers) == 2 and set(topics) == set(kinds) - hidden
+    for topic, about in topics.items():
+        needs = {"costmap": GRID_TYPE, "map": GRID_TYPE, "colormap": CLOUD_TYPE}
+        assert needs.get(about.get("colorMode"), kinds[topic]) == kinds[topic], topic
+        assert "type" not in about or kinds[topic] in (POSES_TYPE, SELECTED_TYPE), topic
+        assert "colorField" not in about or about["colorField"] in fields[topic], topic
+    wishes = {f"/landing/{name}": kind for name, kind in TYPES.items()}
+    for panel in panels.values():
+        assert panel.get("followTf", "map") == load_config([]).frames.map
+        if "publish" in panel:
+            where, kind = panel["publish"]["pointTopic"], panel["publish"]["type"]
+            assert (kind, wishes[where]) == ("point", POINT_TYPE)
+        if "topicPath" in panel:  # fields of the message follow
+            topic, *path = panel["topicPath"].split(".")
+            assert topic in kinds and not path
+        assert panel.get("topicToRender", "/diagnostics") == "/diagnostics"
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import zlib
 from html.parser import HTMLParser
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -121,6 +122,30 @@ def in_browser(text, folder, steps="", size=(1400, 900), address="", flags=()):
     found = re.search(r'data-told="([^"]*)"', tag)
     assert found, f"the page did not get ready: {tag}"
     return json.loads(html.unescape(found[1]))
+
+
+AXE = """
+const script = document.createElement("script");
+script.textContent = new TextDecoder().decode(Uint8Array.from(atob("%s"), c => c.charCodeAt(0)));
+document.body.append(script); script.remove();
+for (const d of document.querySelectorAll("details")) d.open = true;
+for (const theme of ["light", "dark"]) {
+  root.dataset.theme = theme;
+  const { passes, violations } = await axe.run(document);
+  tellTest(theme, [passes.length, violations.filter(v => /serious|critical/.test(v.impact))
+    .map(v => `${v.help}: ${v.nodes.slice(0, 3).map(n => n.target + " " + n.failureSummary)}`)]);
+}
+"""
+
+
+def accessible(text, folder):
+    """Whether axe-core finds no serious and no critical fault of a page, light and dark."""
+    pytest.importorskip("axe_core_python")
+    program = files("axe_core_python").joinpath("axe.min.js").read_bytes()
+    told = in_browser(text, folder, AXE % base64.b64encode(program).decode())
+    for passed, faults in told.values():
+        assert passed > 15 and not faults, "\n".join(faults)
+    return len(told) == 2
 
 
 def run_browser(folder, *arguments):

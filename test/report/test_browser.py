@@ -3,17 +3,20 @@
 
 import dataclasses
 import html
+import itertools
 import json
 import re
 
 import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import in_a_browser, in_browser, run_browser
+from report.pages import accessible, in_a_browser, in_browser, run_browser
 
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.report.headline import trust
 from quadtree_lss.desk.report.report import page
+from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
@@ -29,7 +32,7 @@ def best(result):
     return x, y, (row[0], column[0])
 
 
-def test_the_first_screen_holds_map_table_and_answer(text, tmp_path):
+def test_the_first_screen_holds_map_table_and_answer(result, text, tmp_path):
     told = in_browser(
         text,
         tmp_path,
@@ -42,8 +45,17 @@ def test_the_first_screen_holds_map_table_and_answer(text, tmp_path):
         tellTest("fits", [extent.x0, extent.x1].map(px).concat([extent.y0, extent.y1].map(py)));
         tellTest("size", [width(), height()]);
         tellTest("layers", [...byId("layer").options].map(o => o.value));
+        const facts = [...document.querySelectorAll(".trust div")];
+        const told = f => [...f.children].map(c => c.textContent).concat(f.className);
+        tellTest("trust", facts.map(told));
+        const edge = e => getComputedStyle(e).borderLeftColor;
+        tellTest("edges", [edge(document.querySelector(".verdict")), edge(facts[0])]);
         """,
     )
+    level, facts = trust(read(result.out))
+    assert told["trust"] == [[fact.name, fact.value, fact.level] for fact in facts]
+    colours = {"good": "rgb(0, 158, 115)", "care": "rgb(230, 159, 0)", "none": "rgb(213, 94, 0)"}
+    assert told["edges"] == [colours[level], colours[facts[0].level]]
     assert max(told["below"]) <= told["high"] and told["wide"]
     left, right, bottom, top = told["fits"]
     wide, high = told["size"]
@@ -504,6 +516,11 @@ def test_values_are_at_the_foot_of_a_phone(text, tmp_path):
     assert (left, right, bottom) == (0, 0, 844) and told["finger"] < 844 - high
 
 
+@pytest.mark.slow
+def test_it_can_be_used_by_all(text, tmp_path):
+    assert accessible(text, tmp_path)
+
+
 def test_print_fits_two_pages(text, tmp_path):
     page, paper = tmp_path / "page.html", tmp_path / "page.pdf"
     page.write_text(text)
@@ -523,6 +540,46 @@ def test_without_javascript_there_are_table_and_picture(text, tmp_path):
     assert table > 300 and picture > 300 and frame == choice == 0
 
 
+@pytest.mark.slow
+def test_shadow_and_reach_are_layers(tmp_path):
+    """With the sun's direction: in list, legend and at the pointer."""
+    config = config_from_values({"light.azimuth": 120.0, "light.elevation": 10.0}, CONFIG)
+    result = replay(write_ros2(tmp_path / "bag", scans=6), tmp_path / "out", config)
+    told = in_browser(
+        (result.out / "report.html").read_text(),
+        tmp_path,
+        """
+        for (const name of ["shadow", "reach"]) {
+          setLayer(name); const { nx, ny, spacing: s } = grid, found = {};
+          for (const is of [0, 1]) {
+            const k = [...grid[name].keys()].find(i => grid[name][i] === is &&
+              !(grid.hazard[i] & UNSEEN.bit));
+            if (k === undefined) continue;
+            at("pointermove", px(grid.xmin + (k % nx) * s), py(grid.ymin + Math.floor(k / nx) * s));
+            found[is] = shown()[name];
+          }
+          const title = byId("layer").selectedOptions[0].text;
+          tellTest(name, [found, byId("legend").textContent, title]);
+        }
+        """,
+    )
+    with np.load(result.out / "grid.npz") as grid:
+        seen = (grid["hazard"] & 128) == 0
+        for name, words in (
+            ("shadow", ("lit", "in shadow")),
+            ("reach", ("beyond reach", "within reach")),
+        ):
+            found, legend, title = told[name]
+            there = np.unique(grid[name][seen].astype(int))
+            assert found == {str(k): words[k] for k in there}
+            assert all(words[k] in legend for k in there)
+            assert title == {"shadow": "Shadow", "reach": "Within reach"}[name]
+            if name == "shadow":
+                share = 100.0 * np.mean(grid[name][seen])
+                assert len(there) == 2 and 0.0 < share < 50.0
+                assert "At touchdown or an hour later." in legend
+
+
 def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path):
     """Marked as no result of the run, which comes back."""
     tries = [
@@ -534,8 +591,9 @@ def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path
         tmp_path,
         f"""
         const before = [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")];
+        const {{ diameter, clearance }} = whatIf.vehicles[0], whole = {{ diameter, clearance }};
         const found = {json.dumps(tries)}.map(t => {{
-          const now = recompute({{ ...t, dispersion: [t.dispersion, t.dispersion] }});
+          const now = recompute({{ ...whole, ...t, dispersion: [t.dispersion, t.dispersion] }});
           return [[...now.allowed], [...now.probability], now.found.map(s => [s.x, s.y])]; }});
         tellTest("found", found);
         const move = (id, v) => {{ byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
@@ -563,6 +621,55 @@ def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path
     assert verdict.startswith("What if, not the run's own result. ") and marked
     assert "--set lss.max_risk=0.15 --set lss.margin=1.1" in command
     assert told["past"].startswith("At ") and told["same"]
+
+
+def test_sliders_try_other_vehicles(result, text, tmp_path):
+    """What a landing pass on the run's map finds, to the rounding of their risks."""
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const { clearance } = whatIf.vehicles[0];
+        const own = { dispersion: [...whatIf.dispersion], max_risk: whatIf.max_risk, margin: 0 };
+        tellTest("found", whatIf.vehicles.map(({ diameter, clearance, doubt }) => {
+          const now = recompute({ ...own, diameter, clearance });
+          return [diameter, clearance, doubt, [...now.allowed], [...now.probability],
+                  now.found.map(s => s.probability)]; }));
+        const move = (id, v) => { byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
+          byId(id).dispatchEvent(new Event("change")); };
+        vehicleOf({ diameter: whatIf.vehicles.at(-1).diameter, clearance }).doubt = "no fit";
+        move("try-diameter", 2); tellTest("care", byId("what-if-doubt").textContent);
+        move("try-clearance", 0);
+        tellTest("shown", [grid.safe.reduce((a, b) => a + b), data.zone, data.lander.radius,
+          byId("try-diameter").nextSibling.textContent, byId("what-if-run").textContent]);
+        byId("what-if-reset").click(); tellTest("back", [data.zone, data.lander.radius]);
+        """,
+    )
+    base, spacing = CONFIG.vehicle, CONFIG.lss.spacing
+    allowed_of = {}
+    for diameter, clearance, why, allowed, probability, best in told["found"]:
+        values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
+        config = config_from_values({**values, "lss.grid_spacing": spacing}, CONFIG)
+        expected = LandingSiteSelector(config).assess(result.cells)
+        _, points = expected.ground
+        rounded = 0.012 * (points.risk + 0.01)
+        doubtful = expected.ground[0].any(
+            (np.abs(points.risk - config.lss.max_risk) <= rounded).astype(np.uint8)
+        )
+        same = (np.array(allowed) > 0).reshape(expected.safe.shape) == expected.safe
+        assert same[doubtful == 0].all() and np.mean(doubtful) < 0.02
+        np.testing.assert_allclose(probability, expected.probability.ravel(), atol=0.012)
+        assert best[0] == pytest.approx(expected.sites.probability[0], abs=0.012)
+        assert why == doubt(config)
+        ratios = diameter / base.diameter, clearance / base.clearance
+        allowed_of[tuple(round(ratio, 3) for ratio in ratios)] = sum(allowed)
+    assert set(allowed_of) == set(itertools.product((0.75, 1.0, 1.5), repeat=2))
+    assert allowed_of[0.75, 1.5] > allowed_of[1.0, 1.0] > allowed_of[1.5, 0.75]
+    number, zone, radius, word, command = told["shown"]
+    assert number == allowed_of[1.5, 0.75] and zone == radius == pytest.approx(0.75 * base.diameter)
+    assert word == "5.55 m" and told["care"] == "With care: no fit."
+    assert "--set vehicle.diameter=5.55 --set vehicle.clearance=0.225" in command
+    assert told["back"] == [0.5 * base.diameter + CONFIG.lss.margin, 0.5 * base.diameter]
 
 
 def test_sliders_say_where_they_do_not_go(result, tmp_path):

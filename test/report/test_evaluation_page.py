@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 from evaluation.scores import write_truth
-from report.pages import Page, in_a_browser, in_browser
+from report.pages import Page, accessible, in_a_browser, in_browser
 
 from quadtree_lss.desk.replay.results import load_results
 from quadtree_lss.lab.evaluation.evaluate import evaluate
@@ -71,3 +71,9 @@ def test_a_link_goes_to_the_place_and_a_section_shows_the_truth(evaluated, tmp_p
     place = found.missed[-1]
     assert told["layer"] == "verdict" and told["columns"] == 5
     assert told["place"] == pytest.approx([place.x, place.y], abs=0.006)
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_it_can_be_used_by_all(evaluated, tmp_path):
+    assert accessible(evaluated[2], tmp_path)

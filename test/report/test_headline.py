@@ -39,6 +39,11 @@ def test_the_share_is_of_the_seen_ground(content):
     assert content.reasons[0] in ground
 
 
+def test_little_is_not_nothing():
+    said = {0.0: "0", 0.0937: "0.094", 0.294: "0.29", 9.96: "10", 2451.6: "2,452"}
+    assert [headline.few(value) for value in said] == list(said.values())
+
+
 def test_no_site_names_the_largest_circle_and_what_ends_it(content):
     """Clear ground about one place only: a disc of 1.2 m in touchdown hazards."""
     x, y = np.meshgrid(content.grid["x"], content.grid["y"])

@@ -15,9 +15,10 @@ from quadtree_lss.desk.exchange.geotiff import check_place, reference, write_geo
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
+from quadtree_lss.desk.exchange.qgis import write_classes, write_ramp
 from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
-from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
+from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED, UNCERTAIN
 from quadtree_lss.onboard.core.landing.raster import rasterise
 
 NO_DATA = 255
@@ -85,7 +86,7 @@ def export_results(
 
 def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     """Every layer of the landing grid, and height and deviation of the map's own cells where the
-    ground is known."""
+    ground is known; beside each how QGIS shows it, as the page does."""
     grid, domain = results.grid, results.map.domain
     layers = [(name, values, grid.x, grid.y) for name, values in grid.layers.items()]
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
@@ -95,30 +96,48 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     known = (np.where(raster.seen, values, np.nan) for values in (raster.elevation, deviation))
     names = ("map_height", "map_deviation")
     layers += [(name, v, x, y) for name, v in zip(names, known, strict=True)]
-    looks = _looks()
+    from quadtree_lss.desk.report import palette
+
+    classes = _classes()
     written = []
     for name, values, across, along in layers:
+        none = NO_DATA if name in MASKS else None
         if name in MASKS:
             values = np.where(grid.seen, values, NO_DATA).astype(np.uint8)
-        path = folder / f"{name}.tif"
+        path, style = folder / f"{name}.tif", folder / f"{name}.qml"
         unit, words = LAYERS.get(name, ("", ""))
-        look = looks.get(name, {})
-        how = {"crs": crs, "name": name, "unit": unit, "description": words, **look}
+        how: dict[str, Any] = {"crs": crs, "name": name, "unit": unit, "description": words}
+        if found := classes.get(name):
+            how |= {"colours": {v: colour for v, (_, colour) in found.items()}, "nodata": none}
+            there = set(np.unique(values).tolist()) - {none}
+            write_classes(style, {v: found[v] for v in there})
+        else:
+            kind, limits = palette.look(name, values, results.config.lss)
+            unit = "%" if name in palette.SHARES else unit.removeprefix("1")
+            write_ramp(style, palette.colour_table(palette.MAPS[kind]), limits, unit)
         write_geotiff(path, values, across, along, **how)
-        written.append(path)
+        written += [path, style]
     return written
 
 
-def _looks() -> dict[str, dict[str, Any]]:
-    """Colours of whole values, and which of them is no data, by layer; as those of the page."""
+def _classes() -> dict[str, dict[int, tuple[str, str]]]:
+    """Name and colour of whole values by layer, as those of the page."""
     from quadtree_lss.desk.report import palette
 
-    unseen, no, yes = palette.UNSEEN_COLOUR, palette.EXCLUDED_COLOUR, palette.SAFE_COLOUR
-    good = {"colours": {0: no, 1: yes, NO_DATA: unseen}, "nodata": NO_DATA}
-    bad = {"colours": {0: yes, 1: no, NO_DATA: unseen}, "nodata": NO_DATA}
-    kinds = (*palette.HAZARDS, (255, "", palette.CLEAR_COLOUR))
-    hazard = {v: next(c for bit, _, c in kinds if v & bit or bit == 255) for v in range(256)}
-    return {"safe": good, "shadow": bad, "reach": good, "hazard": {"colours": hazard}}
+    no, yes = palette.EXCLUDED_COLOUR, palette.SAFE_COLOUR
+    none = {NO_DATA: ("unseen", palette.UNSEEN_COLOUR)}
+    hazard = {}
+    for bits in range(256):
+        kinds = [(name, colour) for bit, name, colour in palette.HAZARDS if bits & bit]
+        kinds = kinds or [("none", palette.CLEAR_COLOUR)]
+        names = [name for name, _ in kinds] + ["uncertain"] * (bits & UNCERTAIN > 0)
+        hazard[bits] = ", ".join(names), kinds[0][1]
+    return {
+        "safe": {0: ("excluded", no), 1: ("allowed", yes)} | none,
+        "shadow": {0: ("lit", yes), 1: ("in shadow", no)} | none,
+        "reach": {0: ("beyond reach", no), 1: ("within reach", yes)} | none,
+        "hazard": hazard,
+    }
 
 
 def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:

@@ -49,6 +49,7 @@ function nice(about) { // 1, 2 or 5 times a power of ten
 const plain = (v, step) => v.toFixed(Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)));
 const short = v => (v === null || Number.isNaN(v) ? "–" : Math.abs(v) >= 100 ? v.toFixed(0) :
   String(parseFloat(v.toPrecision(3))));
+const few = v => (v >= 9.95 || !v ? Math.round(v).toLocaleString("en") : String(parseFloat(v.toPrecision(2))));
 const shareText = v => (Number.isNaN(v) ? "–" : // per cent; never 100
   v > 99.9 ? Math.min(v, 99.99).toFixed(2) : v.toFixed(1));
 const withUnit = (v, digits, unit) => (Number.isNaN(v) ? "–" : v.toFixed(digits) + " " + unit);

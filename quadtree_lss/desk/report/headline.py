@@ -151,7 +151,7 @@ def trust(content: Content) -> tuple[str, list[Fact]]:
             f"{'–' if ratio is None else format(noise * ratio, '.3g')} / {noise:.3g} m",
             "care" if noisy else "",
         ),
-        Fact("area seen", f"{seen:.0%}", "care" if seen < lss.settle_share else ""),
+        Fact("area seen", f"{100.0 * seen:.0f} %", "care" if seen < lss.settle_share else ""),
         Fact("dispersion, 1 σ", " × ".join(f"{s:.3g}" for s in content.dispersion) + " m"),
     ]
     if lss.assessment == "probability":
@@ -162,11 +162,11 @@ def trust(content: Content) -> tuple[str, list[Fact]]:
 def headline(content: Content) -> tuple[str, str]:
     """The answer in few words, and what it rests on."""
     found, sites = areas(content), content.sites
-    ground = f"Landing is allowed on {100.0 * found.share:.0f} % of the {found.seen:,.0f} m² seen"
+    ground = f"Landing is allowed on {few(100.0 * found.share)} % of the {few(found.seen)} m² seen"
     if found.allowed:
-        ground += f": {found.allowed:,.0f} m²"
+        ground += f": {few(found.allowed)} m²"
     if found.unmapped >= 0.5:
-        ground += f"; {found.unmapped:,.0f} m² more are seen, not yet mapped"
+        ground += f"; {few(found.unmapped)} m² more are seen, not yet mapped"
     number, best = len(sites["x"]), best_probability(content)
     if not number:
         return "No landing site.", _without(content, ground)
@@ -182,6 +182,11 @@ def headline(content: Content) -> tuple[str, str]:
         f"{LEVELS[level]}: {words}.",
         f"At x {x}, y {y}, z {z} m: {content.reasons[0]}. {ground}.",
     )
+
+
+def few(value: float) -> str:
+    """A whole number, or two digits of a small one: little is not nothing."""
+    return f"{value:,.0f}" if value >= 9.95 or not value else f"{value:.2g}"
 
 
 def shortfall(content: Content) -> str:

@@ -12,7 +12,7 @@ function badge(c, x, y, text, chosen) {
   c.beginPath(); c.arc(p, q, chosen ? 12 : 10, 0, 2 * Math.PI);
   c.fillStyle = chosen ? ink("--accent") : data.colours.site; c.fill();
   c.strokeStyle = "#fff"; c.lineWidth = 1.5; c.stroke();
-  c.fillStyle = "#fff"; c.font = "bold 12px system-ui, sans-serif";
+  c.fillStyle = chosen ? ink("--paper") : "#fff"; c.font = "bold 12px system-ui, sans-serif";
   c.textAlign = "center"; c.textBaseline = "middle"; c.fillText(text, p, q + 0.5);
 }
 function drawSites(c) {

@@ -91,6 +91,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         return grid[name][::stride, ::stride]
 
     limit = palette.slope_limit(content.config.lss)
+    _, slopes = palette.look("slope_deg", grid["slope_deg"], content.config.lss)
     found: dict[str, Any] = {
         "nx": len(grid["x"][::stride]),
         "ny": len(grid["y"][::stride]),
@@ -98,11 +99,11 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         "ymin": float(grid["y"][0]),
         "spacing": content.spacing * stride,
         "stride": stride,
-        "elevation": columns.quantised(part("elevation"))
+        "elevation": columns.quantised(part("elevation"), least=5e-4)
         | {"limits": palette.colour_limits(grid["elevation"])},
-        "slope": columns.quantised(part("slope_deg"))
-        | {"limits": (0.0, max(palette.top_limit(grid["slope_deg"])[1], limit)), "mark": limit},
-        "score": columns.quantised(part("score"))
+        "slope": columns.quantised(part("slope_deg"), least=5e-3)
+        | {"limits": slopes, "mark": limit},
+        "score": columns.quantised(part("score"), least=2e-5)
         | {"limits": palette.colour_limits(grid["score"])},
         "hazard": columns.whole(part("hazard"), "u1"),
         "safe": columns.whole(part("safe"), "u1"),
@@ -111,7 +112,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         if name in grid:
             found[name] = columns.whole(part(name), "u1")
     if content.probability is not None:
-        found["probability"] = columns.quantised(100.0 * part("probability"))
+        found["probability"] = columns.quantised(100.0 * part("probability"), least=5e-3)
         found["probability"]["limits"] = (0.0, 100.0)
     return found
 

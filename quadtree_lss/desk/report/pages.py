@@ -73,14 +73,16 @@ class Columns:
     def __init__(self) -> None:
         self._parts: list[bytes] = []
         self._end = 0
+        self._known: dict[bytes, int] = {}
 
-    def quantised(self, values: ArrayLike, kind: str = "u2") -> dict[str, Any]:
-        """Entry i is low + step · data[i]; the greatest number stands for NaN."""
+    def quantised(self, values: ArrayLike, kind: str = "u2", least: float = 0.0) -> dict[str, Any]:
+        """Entry i is low + step · data[i], with steps of ``least`` or more; the greatest number
+        stands for NaN."""
         flat = np.asarray(values, dtype=np.float64).ravel()
         finite = np.isfinite(flat)
         low, high = (flat[finite].min(), flat[finite].max()) if finite.any() else (0.0, 0.0)
         top = _NONE[kind] - 1
-        step = float(high - low) / top if high > low else 1.0
+        step = max(float(high - low) / top, least) if high > low else 1.0
         data = np.full(flat.shape, _NONE[kind], dtype=f"<{kind}")
         data[finite] = np.rint((flat[finite] - low) / step)
         return {"low": float(low), "step": step, **self._add(data, kind)}
@@ -98,8 +100,10 @@ class Columns:
         return compressed(b"".join(self._parts))
 
     def _add(self, data: NDArray[Any], kind: str) -> dict[str, Any]:
-        start, raw = self._end, data.tobytes()
-        padding = -len(raw) % 4  # so that every column can be looked at where it lies
-        self._parts.append(raw + bytes(padding))
-        self._end += len(raw) + padding
+        raw = data.tobytes()
+        raw += bytes(-len(raw) % 4)  # so that every column can be looked at where it lies
+        start = self._known.setdefault(raw, self._end)
+        if start == self._end:
+            self._parts.append(raw)
+            self._end += len(raw)
         return {"kind": kind, "at": start, "length": data.size}

@@ -35,6 +35,16 @@ MAPS = {
     "error": "RdBu_r",
 }
 """matplotlib's name of the colour map of each kind of layer: bright is good, where one end is."""
+KINDS = {
+    "plane_elevation": "elevation",
+    "map_height": "elevation",
+    "slope_deg": "slope",
+    "map_deviation": "deviation",
+    "risk": "score",
+}
+"""Kind of each layer that has not its name."""
+SHARES = ("probability", "risk")
+"""Layers from 0 to 1, which are shown as per cent."""
 
 
 def excluding(assessment: str) -> int:
@@ -66,6 +76,16 @@ def colour_limits(values: Array) -> tuple[float, float]:
 def top_limit(values: Array) -> tuple[float, float]:
     """From 0 to the 99th percentile."""
     return 0.0, max(colour_limits(values)[1], 1e-6)
+
+
+def look(name: str, values: Array, lss: LssConfig) -> tuple[str, tuple[float, float]]:
+    """Kind, of `MAPS`, of a layer and the range of its colours."""
+    kind = KINDS.get(name, name if name in MAPS else "probability")
+    if name in SHARES:
+        return kind, (0.0, 1.0)
+    if kind == "slope":
+        return kind, (0.0, max(top_limit(values)[1], slope_limit(lss)))
+    return kind, top_limit(values) if kind == "deviation" else colour_limits(values)
 
 
 def even_limits(values: Array) -> tuple[float, float]:

@@ -50,8 +50,8 @@ function allowedGround(is) { // of each grid point: allowed 0, excluded 1, else 
   const found = [0, 0, 0, 0];
   for (let i = 0; i < grid.nx * grid.ny; i++) found[is(i)]++;
   const seen = found[0] + found[1], each = grid.spacing ** 2;
-  return `Landing is allowed on ${(100 * found[0] / (seen || 1)).toFixed(0)} % of the ` +
-    `${Math.round(seen * each)} m² seen: ${Math.round(found[0] * each)} m².`;
+  return `Landing is allowed on ${few(100 * found[0] / (seen || 1))} % of the ` +
+    `${few(seen * each)} m² seen: ${few(found[0] * each)} m².`;
 }
 function tableOf(found, target, chosen = false) { // [id, x, y, z, score, probability] of each; null: the run's own
   const table = byId("sites");
