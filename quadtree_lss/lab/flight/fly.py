@@ -11,13 +11,11 @@ import numpy as np
 
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
-from quadtree_lss.lab.flight.flight import Flight
+from quadtree_lss.lab.flight.flight import Flight, flight_config
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.lockstep import LockstepNodes
 from quadtree_lss.lab.flight.reference import Descent
 from quadtree_lss.lab.flight.settings import FlightSettings, flight_settings
-from quadtree_lss.onboard.config.loading import load_config
-from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -25,14 +23,6 @@ OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapp
 """Faults that hit a node."""
 LAND_NOW = "land_now"
 """The one that calls a service."""
-
-PAPER = {
-    "lss.assessment": "paper",
-    "lss.ranking": "score",
-    "lss.switch_margin": 0.08,
-    "lss.target_risk": 0.0002,  # a metre of way against 0.2 m of room
-}
-"""The paper's rules and score."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +73,8 @@ def flown(
     nodes = None
     if flight.looks:
         config = flight_config(settings, flight.ground)
-        nodes = LockstepNodes(config, settings.answer_delay, History() if record else None)
+        history = History() if record else None
+        nodes = LockstepNodes(config, settings.answer_delay, history, flight.prior)
     down: set[str] = set()
     asked = False
     while not flight.outcome:
@@ -120,18 +111,6 @@ def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dic
     figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
     warnings = "; ".join(() if last is None else last.doubts)
     return figures | map_said(last, figures) | {"warnings": warnings}
-
-
-def flight_config(settings: FlightSettings, ground: Ground) -> Config:
-    """``config/flight.yaml`` with what the settings say, the domain about the planned point."""
-    config = load_config(["flight"], dict(settings.config), origin="settings")
-    half = 0.5 * config.domain.size
-    over: dict[str, Any] = {
-        f"domain.{axis}min": float(ground.planned[k]) - half for k, axis in enumerate("xy")
-    }
-    if settings.avoidance == "paper":
-        over |= PAPER
-    return config_from_values(over, config)
 
 
 def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict[str, Any]:
