@@ -17,6 +17,7 @@ from quadtree_lss.lab.flight.lockstep import LockstepNodes
 from quadtree_lss.lab.flight.reference import Descent
 from quadtree_lss.lab.flight.settings import FlightSettings, flight_settings
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
@@ -30,7 +31,8 @@ class Flown:
     """A flight that has ended. ``flight``: its state at the end, with its record. ``figures``: see
     ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them. Where it
     was recorded: ``cells``, the map at the end; ``history``, what became of it; ``targets``, the
-    changes of the target; ``told``, more for its summary."""
+    changes of the target; ``told``, more for its summary. ``prior``: how far the map lay from its
+    prior, None without."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -39,6 +41,7 @@ class Flown:
     history: History | None = None
     targets: tuple[TargetChange, ...] = ()
     told: dict[str, Any] = field(default_factory=dict)
+    prior: PriorOffset | None = None
 
 
 def fly(seed: int, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -99,11 +102,12 @@ def flown(
     figures = figures_of(seed, flight, last)
     if reference:
         figures |= least_propellant(flight)
+    prior = None if nodes is None else nodes.prior_offset
     if nodes is None or not record:
-        return Flown(flight, figures, last)
+        return Flown(flight, figures, last, prior=prior)
     cells, at_end = nodes.finish(flight.stamp_ns)
     recorded = nodes.history, tuple(nodes.targets), nodes.told
-    return Flown(flight, figures, at_end, cells, *recorded)
+    return Flown(flight, figures, at_end, cells, *recorded, prior)
 
 
 def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.messages.intake import Intake
@@ -136,6 +137,11 @@ class LockstepNodes:
     def told(self) -> dict[str, Any]:
         """What guidance said last, and how the returns scatter, for a summary."""
         return {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
+
+    @property
+    def prior_offset(self) -> PriorOffset | None:
+        """As of `Mapper`."""
+        return self._mapper.prior_offset
 
     def kill(self, node: str) -> None:
         """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""

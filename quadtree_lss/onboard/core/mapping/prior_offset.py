@@ -144,8 +144,8 @@ class PriorMatch:
         if not known.any():
             return
         length = self.prior.config.correlation_length
-        shared = max(((planes.width + planes.step) ** 2 + 2.0 * pi * length**2) / self._side**2, 1.0)
-        error = shared * (planes.height + np.where(known, left, 0.0))
+        shared = ((planes.width + planes.step) ** 2 + 2.0 * pi * length**2) / self._side**2
+        error = max(shared, 1.0) * (planes.height + np.where(known, left, 0.0))
         gap = np.where(known, z - height - self._up, 0.0)
         expected = self._variance + error
         weight = self._weights() * known
