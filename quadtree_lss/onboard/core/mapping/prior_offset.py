@@ -57,6 +57,27 @@ class PriorOffset:
     covered: float
     refused: str = ""
 
+    @property
+    def values(self) -> dict[str, float | int | str]:
+        """By name, for diagnostics and files, m."""
+        names = ("east", "north", "up")
+        deviations = np.sqrt(self.covariance.diagonal())
+        return {
+            **dict(zip(names, self.offset.tolist(), strict=True)),
+            **{f"{k}_sigma": v for k, v in zip(names, deviations.tolist(), strict=True)},
+            "cells": self.cells,
+            "misfit": self.misfit,
+            "covered": self.covered,
+            "refused": self.refused,
+        }
+
+    @property
+    def doubt(self) -> str:
+        """What is wrong with the prior, in a line; empty if nothing is known to be."""
+        if self.refused:
+            return f"the prior is not used: {self.refused}"
+        return "" if self.covered > 0.0 else "the prior covers nothing of the domain"
+
 
 class PriorMatch:
     """Compares a map with a prior as it grows, and says what new leaves begin from."""
