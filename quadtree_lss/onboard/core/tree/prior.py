@@ -124,14 +124,15 @@ class Planes:
         h = h - middle  # squares of small numbers lose nothing
         deviation = np.sqrt(np.diag(covariance)[:2])
         means = self.blurred(np.stack([h, a, b, left, h * h, a * a, b * b]), deviation)
+        means[4:] -= means[:3] ** 2
         n = 1 << domain.min_level
         side = domain.size / n
         steps = (np.arange(n) + 0.5) * side
         x, y = np.meshgrid(domain.xmin + steps - offset[0], domain.ymin + steps - offset[1])
-        h, a, b, left, hh, aa, bb = self.at(means, x, y)
-        slope = np.maximum(aa - a * a, bb - b * b) + 12.0 * left / self.width**2
-        height = np.maximum(hh - h * h, 0.0) + left + covariance[2, 2]
-        columns = h + middle + offset[2], a, b, slope + self.slope, height + self.height
+        h, a, b, left, of_h, of_a, of_b = self.at(means, x, y)
+        slope = self.slope + np.maximum(of_a, of_b) + 12.0 * left / self.width**2
+        height = self.height + np.maximum(of_h, 0.0) + left + covariance[2, 2]
+        columns = h + middle + offset[2], a, b, slope, height
         return np.ascontiguousarray(np.stack(columns, axis=-1).reshape(n * n, 5))
 
 
@@ -180,7 +181,7 @@ def _planes(prior: Prior, z: Array, corner: tuple[float, float], side: float) ->
 def covered(prior: Prior, domain: Domain) -> float:
     """Share of a square that posts with heights cover."""
     known = np.isfinite(prior.elevation)
-    inside = (prior.y[:, None] >= domain.ymin) & (prior.y[:, None] <= domain.ymin + domain.size)
-    inside = inside & (prior.x >= domain.xmin) & (prior.x <= domain.xmin + domain.size)
+    inside = (prior.y[:, None] >= domain.ymin) & (prior.y[:, None] < domain.ymin + domain.size)
+    inside = inside & (prior.x >= domain.xmin) & (prior.x < domain.xmin + domain.size)
     posts = np.count_nonzero(known & inside) * prior.spacing**2
-    return min(posts / domain.size**2, 1.0)
+    return float(min(posts / domain.size**2, 1.0))
