@@ -139,6 +139,7 @@ class Flight:
         self.samples: list[Sample] = []
         self.outlines: list[Array] = []
         self._asked: dict[str, bytes] = {}
+        self._looked: int | None = None
         self._seen_from = (np.zeros(3), np.eye(3))
 
     @property
@@ -281,8 +282,11 @@ class Flight:
         looking = not pilot.committed and pilot.mode not in ("terminal", "abort")
         if self._ticks % SCAN_EVERY == 1 and looking and "lidar_gap" not in self.active:
             yield self._scan(before)
-        if self._ticks % ASK_EVERY == 0:
-            area = self._first_area() if self.gimbal.looks_first else pilot.area()
+        if self._looked is None and self.gimbal.looked:
+            self._looked = self._ticks
+        if self._ticks % ASK_EVERY == 0 or self._ticks == self._looked:
+            just = self._looked is not None and self._ticks - self._looked < ASK_EVERY
+            area = self._first_area() if just else pilot.area()
             if area is not None:
                 self.areas.append((self.time, area))
                 yield from self._ask("landing/area", area)
@@ -295,7 +299,8 @@ class Flight:
             yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * square)
 
     def _first_area(self) -> Array:
-        """(4, 2) while it looks first: of what is seen then a target may be chosen at once."""
+        """(4, 2) of the first look, asked for when it has ended: of what is seen by then a target
+        may be chosen at once."""
         assert self.gimbal.first is not None
         side = self.settings.plan.first + self.settings.rules.zone
         square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

@@ -45,7 +45,7 @@ class ScanPlan:
     ``first`` is half the side of what is looked at before all of the area, m."""
 
     survey: float = 8.0
-    first: float = 10.0
+    first: float = 12.5
     closer: float = 1.5
     half: tuple[float, float] = (9.0, 3.0)
     overlap: float = 0.2
@@ -102,9 +102,9 @@ class Gimbal:
         self.boresight = turned(self.boresight, wanted, radians(self.plan.rate_deg) * dt)
 
     @property
-    def looks_first(self) -> bool:
-        """It looks at the first place, or is about to."""
-        return self.first is not None and self.passes <= 1
+    def looked(self) -> bool:
+        """The first look has ended, at the place that was to be first."""
+        return self.first is not None and self.passes > 1
 
     def rotation(self) -> Array:
         """Takes lidar axes to the map's, (3, 3)."""

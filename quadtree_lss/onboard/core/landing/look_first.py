@@ -4,7 +4,7 @@
 Rocks are not in a prior: all it can say is where the ground is even. Over a window as wide as the
 lander, of slope s and its deviation sigma_s, the ease of a post is
 
-    e = Phi((tan(limit) - s) / sigma_s) Phi((c^2 - u^2) / c^2) ,
+    e = Phi((tan(limit) - s) / sigma_s) exp(-u^2 / (2 c^2)) ,
 
 u^2 the mean square that the ground departs from the plane by, c the clearance. Of a place it is the
 mean over the offset's density and over what a first look covers; what a metre of way to where the
@@ -63,8 +63,7 @@ def look_first(
     height, a, b, left = planes.fields
     slope, steepest = np.hypot(a, b), np.tan(np.radians(vehicle.max_slope_deg))
     deviation = np.sqrt(planes.slope + 12.0 * left / planes.width**2)
-    clear = vehicle.clearance**2
-    ease = ndtr((steepest - slope) / deviation) * ndtr((clear - left) / clear)
+    ease = ndtr((steepest - slope) / deviation) * np.exp(-left / (2.0 * vehicle.clearance**2))
     half = HALF * vehicle.diameter
     # A square of half side w scatters as a Gaussian of w / sqrt(3).
     spread = np.full(2, np.hypot(prior.config.offset_sigma, half / 3.0**0.5))
