@@ -19,7 +19,7 @@ STEP = 2.0
 
 
 def config(file, **how):
-    values = {"domain.xmin": -20.0, "domain.ymin": -20.0, "domain.size": 40.0, "domain.max_level": 5}
+    values = {"domain.xmin": -20.0, "domain.ymin": -20.0, "domain.size": 40.0}
     prior = {f"prior.{key}": value for key, value in ({"file": str(file)} | how).items()}
     return load_config(overrides=values | prior)
 
@@ -92,19 +92,20 @@ def test_a_library_that_lacks_is_one_line_that_names_it(tmp_path, monkeypatch):
 
 
 def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):
-    from replay.recordings import write_ros2
+    from replay.recordings import GROUND, write_ros2
 
     from quadtree_lss.desk.replay.replay import replay
 
     axis = STEP * np.arange(-60, 61)
     np.savez(tmp_path / "prior.npz", x=axis, y=axis, elevation=np.zeros((121, 121)) + 0.4)
     bag = write_ros2(tmp_path / "bag", scans=6)
-    own = config(tmp_path / "prior.npz", sigma=0.1)
-    plain = replay(bag, None, load_config(overrides={"domain.size": 40.0}), report=False)
+    plain = replay(bag, None, load_config(overrides=GROUND), report=False)
     assert "prior" not in plain.summary
-    replay(bag, tmp_path / "out", own, report=False)
+    own = {"prior.file": str(tmp_path / "prior.npz"), "prior.sigma": 0.1, "domain.max_level": 4}
+    replay(bag, tmp_path / "out", load_config(overrides=GROUND | own), report=False)
     told = json.loads((tmp_path / "out" / "summary.json").read_text())["prior"]
     assert told["look_first"][0]["ease"] > 0.9 and told["covered"] == 1.0
+    assert told["look_first"][0]["room"] is None, "nothing is steep"
     assert told["cells"] > 0 and told["up_sigma"] < 1.0 and told["refused"] == ""
 
 
