@@ -122,6 +122,18 @@ def true_probability(ground: Ground, x: float, y: float, settings: FlightSetting
     return float(weight @ stands / weight.sum())
 
 
+def steepness(seed: int, values: dict[str, Any]) -> float:
+    """Median slope of the terrain, without rocks, over 20 m about the planned point of a flight."""
+    settings = flight_settings(values)
+    field = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[0])
+    x, y, _ = Ground.of(settings, field).planned
+    terrain = load_terrain(settings.terrain)
+    step = np.arange(-10.0, 10.1, 2.0)
+    places = np.meshgrid(x + step, y + step)
+    along_y, along_x = np.gradient(terrain.elevation_at(*places), 2.0)
+    return float(np.median(np.hypot(along_x, along_y)))
+
+
 def main() -> None:
     """Print one row a flight and what they come to."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -129,6 +141,8 @@ def main() -> None:
     parser.add_argument("--rocks", type=float, default=0.05)
     parser.add_argument("--seeds", default="43100-43139", help="first-last")
     parser.add_argument("--priors", nargs="*", default=list(PRIORS), choices=list(PRIORS))
+    text = "fly only so many, whose planned points lie on the steepest ground"
+    parser.add_argument("--steepest", type=int, metavar="N", help=text)
     parser.add_argument("--longest", type=float, default=150.0, help="end flights after so long, s")
     options = parser.parse_args()
     if options.terrain is None:
@@ -139,7 +153,10 @@ def main() -> None:
     values["longest"] = options.longest
     print(machine())
     rows: dict[str, list[tuple[Flown, Flown]]] = {name: [] for name in options.priors}
-    for seed in range(int(first), int(last or first) + 1):
+    seeds = list(range(int(first), int(last or first) + 1))
+    if options.steepest:
+        seeds = sorted(sorted(seeds, key=lambda s: -steepness(s, values))[: options.steepest])
+    for seed in seeds:
         without = fly(seed, values, None, None)
         line = [f"none {said(without, without)}"]
         for name in options.priors:

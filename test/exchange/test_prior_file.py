@@ -97,7 +97,7 @@ def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):
     from quadtree_lss.desk.replay.replay import replay
 
     axis = STEP * np.arange(-60, 61)
-    np.savez(tmp_path / "prior.npz", x=axis, y=axis, elevation=np.zeros((121, 121)) + 0.4)
+    np.savez(tmp_path / "prior.npz", x=axis, y=axis, elevation=0.05 * axis + np.full((121, 1), 0.4))
     bag = write_ros2(tmp_path / "bag", scans=6)
     plain = replay(bag, None, load_config(overrides=GROUND), report=False)
     assert "prior" not in plain.summary
@@ -106,7 +106,8 @@ def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):
     told = json.loads((tmp_path / "out" / "summary.json").read_text())["prior"]
     assert told["look_first"][0]["ease"] > 0.9 and told["covered"] == 1.0
     assert told["look_first"][0]["room"] is None, "nothing is steep"
-    assert told["cells"] > 0 and told["up_sigma"] < 1.0 and told["refused"] == ""
+    assert told["cells"] > 8 and told["refused"] == ""
+    assert abs(told["up"] + 0.4 - 0.05 * told["east"]) < 5.0 * told["up_sigma"] < 0.5
 
 
 def test_a_flight_looks_first_where_the_prior_is_even(tmp_path):

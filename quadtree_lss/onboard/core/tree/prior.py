@@ -143,10 +143,9 @@ def _planes(prior: Prior, z: Array, corner: tuple[float, float], side: float) ->
     mean, line = np.full(len(steps), 1.0 / len(steps)), steps / np.sum(steps**2)
 
     def over(values: Array, along_y: Array, along_x: Array) -> Array:
-        how = {"mode": "constant", "cval": np.nan}
-        found: Array = ndimage.correlate1d(values, along_y, axis=0, **how)
-        found = ndimage.correlate1d(found, along_x, axis=1, **how)
-        return found
+        for axis, weights in enumerate((along_y, along_x)):
+            values = ndimage.correlate1d(values, weights, axis, mode="constant", cval=np.nan)
+        return values
 
     middle = np.nanmean(z)
     z = z - middle
