@@ -14,8 +14,9 @@ from quadtree_lss.onboard.elevation.dem import ElevationModel, read_dem
 from quadtree_lss.onboard.elevation.libraries import ExchangeError, library
 from quadtree_lss.onboard.elevation.reference import WHAT, reference
 
-#: Posts that a model is given about the origin, along a side.
-MOST = 4096
+#: Posts along a side that a model is given about the origin, at most, and beyond a square that
+#: follows.
+MOST, BEYOND = 1024, 256
 
 
 def read_prior(config: Config, path: Path | None = None) -> Prior | None:
@@ -39,7 +40,7 @@ def read_prior(config: Config, path: Path | None = None) -> Prior | None:
 
 
 def _about(model: ElevationModel, config: Config, path: Path) -> ElevationModel:
-    """A model about the map's origin, with the posts' spacing, as far as the map may reach."""
+    """A model about the map's origin, with the posts' spacing, as far as the map reaches."""
     try:
         latitude, longitude = (float(part) for part in config.prior.origin.split(","))
         if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0):
@@ -50,11 +51,12 @@ def _about(model: ElevationModel, config: Config, path: Path) -> ElevationModel:
     if not model.crs:
         msg = f"{path}: has no coordinate system by which prior.origin could place it"
         raise ExchangeError(msg)
-    domain, step = config.domain, model.spacing
-    room = 4.0 * config.prior.offset_sigma + 8.0 * step
-    room += 0.0 if config.domain.follow == "none" else 0.5 * MOST * step
+    domain, room = config.domain, 4.0 * config.prior.offset_sigma + 8.0 * model.spacing
+    if domain.follow != "none":
+        room += BEYOND * model.spacing
+    step = max(model.spacing, (domain.size + 2.0 * room) / (MOST - 2))
     low = np.floor((np.array([domain.xmin, domain.ymin]) - room) / step)
-    count = int(min((domain.size + 2.0 * room) / step + 2.0, MOST))
+    count = int((domain.size + 2.0 * room) / step) + 2
     x, y = (step * (start + np.arange(count)) for start in low)
     warp = library("rasterio.warp", WHAT)
     at = np.meshgrid(x, y)
@@ -62,7 +64,7 @@ def _about(model: ElevationModel, config: Config, path: Path) -> ElevationModel:
         reference("", (latitude, longitude)), model.crs, *(axis.ravel().tolist() for axis in at)
     )
     column, row = (
-        (np.asarray(place) - axis[0]) / step
+        (np.asarray(place) - axis[0]) / model.spacing
         for place, axis in zip(places, (model.x, model.y), strict=True)
     )
     z = map_coordinates(model.elevation, np.stack([row, column]), order=1, cval=np.nan)

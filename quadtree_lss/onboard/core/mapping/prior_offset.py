@@ -135,7 +135,7 @@ class PriorMatch:
 
     def learn(self, table: LeafTable) -> None:
         """Compare the coarsest cells that points have come to describe since the last call."""
-        if self._refused or self._planes is None:
+        if self._refused or self._planes is None or self._compared.all():
             return
         n = 1 << self._domain.min_level
         ix, iy = squeezed(np.arange(n * n))
