@@ -19,6 +19,7 @@ SMALL = {
         ["--parabola", "201", "--morpheus", "202", "--duration", "2"],
         ["ml, indep., mahalanobis"],
     ),
+    "prior": ([], ["nothing flown: --terrain names no ground"]),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "depth": (["--seeds", "9421", "--duration", "2"], ["unsafe called safe", "scan update"]),
     "follow": (["--help"], ["--live"]),

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.poses import read_poses
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
 
 
 def test_tum_keeps_nanoseconds_and_sorts(tmp_path):

@@ -19,9 +19,9 @@ from quadtree_lss.desk.bags.message_types import POSE_TYPE, SCAN_TYPE, typestore
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.desk.exchange.clouds import READERS, read_clouds
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.poses import PoseTable, read_poses
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.maps import record_dtype

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.libraries import library
 from quadtree_lss.onboard.arrays import Array, Bytes
+from quadtree_lss.onboard.elevation.libraries import library
 
 FAR = 10_000.0
 """Coordinates beyond lose centimetres in the 32 bits that meshes have, m."""

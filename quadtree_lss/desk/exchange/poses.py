@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
 
 TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 SECONDS = ("stamp", "time", "timestamp", "t")

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.exchange.geojson import sites_geojson
-from quadtree_lss.desk.exchange.geotiff import check_place, reference, write_geotiff
-from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.exchange.geotiff import check_place, write_geotiff
 from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
 from quadtree_lss.desk.exchange.qgis import write_classes, write_ramp
@@ -20,6 +19,8 @@ from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED, UNCERTAIN
 from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
+from quadtree_lss.onboard.elevation.reference import reference
 
 NO_DATA = 255
 """Where a layer of `MASKS` is of unseen ground."""

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace as changed
 from pathlib import Path
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -22,6 +23,10 @@ from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.desk.replay.run import Progress, Run
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, ReplayError, Stream
 from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.look_first import look_first
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.prior import Prior
+from quadtree_lss.onboard.elevation.prior_file import read_prior
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
 __all__ = ["Progress", "ReplayError", "ReplayResult", "replay"]
@@ -69,11 +74,13 @@ def replay(
 
     Raises:
         BagError: the bag cannot be read or its topics are ambiguous.
+        ExchangeError: ``prior.file`` cannot be used.
         ReplayError: no scan could be mapped, or ``out`` or ``record`` cannot be written.
         KeyboardInterrupt: stopped before there was a map.
     """
     folder = None if out is None else Path(out)
     began = time.perf_counter()
+    prior = read_prior(config)
     stream = Stream(scan_topic, pose_topic, start, duration)
     with ExitStack() as stack:
         given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
@@ -97,7 +104,7 @@ def replay(
                 recorder = Recorder(Path(record), config.frames.map, **options)
                 sinks.append(stack.enter_context(recorder))
             passes = Passes(config, wishes.arguments, sinks)
-            run = Run(config, stream, passes, topics, history, progress, stop)
+            run = Run(config, stream, passes, topics, history, progress, stop, prior=prior)
             cells = run.map_scans(opened) if pairs is None else run.read_maps(opened, pairs)
         except BaseException:
             if made is not None:
@@ -146,11 +153,20 @@ def replay(
         "losses": losses,
         "warnings": warnings,
     }
+    if prior is not None:
+        summary["prior"] = _of_prior(prior, run, config)
     ends = losses, warnings, run.interrupted, tuple(passes.changes)
     result = ReplayResult(folder, decoded, assessment, tuple(run.timings), summary, *ends)
     if folder is not None:
         write_results(folder, result, config, report, history)
     return result
+
+
+def _of_prior(prior: Prior, run: Run, config: Config) -> dict[str, Any]:
+    """Where to look first by it, and how far the map lay from it."""
+    looks = look_first(prior, Domain.of(config.domain), config)
+    found = {} if run.prior_offset is None else run.prior_offset.values
+    return {**found, "look_first": [place._asdict() for place in looks]}
 
 
 def _why_nothing(run: Run) -> str:

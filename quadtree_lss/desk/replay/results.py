@@ -15,9 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.archives import read_arrays
 from quadtree_lss.desk.exchange.cells import ResultsError, cell_map, cells_arrays, unreadable
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
@@ -29,6 +27,8 @@ from quadtree_lss.onboard.config.settings import Config, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.elevation.archives import read_arrays
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.messages.maps import known_probability
 
 SITE_COLUMNS = ("rank", "x", "y", "z", "nx", "ny", "nz", "score", "slope_deg", "roughness")

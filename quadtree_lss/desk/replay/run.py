@@ -18,8 +18,10 @@ from quadtree_lss.desk.replay.stream import SECOND_NS, LandingTopics, MapPairs, 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.pose_errors import LEAST
+from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
@@ -54,6 +56,7 @@ class Run:
         points_dropped: Points of mapped scans that are not in the map, by reason.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
         maps: Maps that were read, for a bag of maps.
+        prior: What leaves begin from; ``prior_offset`` is how far the map lay from it at the end.
     """
 
     config: Config
@@ -70,6 +73,8 @@ class Run:
     refused_divisions: int = 0
     noise_ratio: float = float("nan")
     maps: int = 0
+    prior: Prior | None = None
+    prior_offset: PriorOffset | None = None
 
     def __post_init__(self) -> None:
         self.intake = Intake(self.config)
@@ -84,7 +89,7 @@ class Run:
     def map_scans(self, bag: Bag) -> CellMap:
         """Maps every scan of the stream. Raises `ReplayError`: there was none that could be mapped;
         or KeyboardInterrupt: stopped before there was one."""
-        stream, mapper = self.stream, Mapper(self.config)
+        stream, mapper = self.stream, Mapper(self.config, self.prior)
         self.intake = stream.intake(self.config)
         for message in self._messages(bag, stream.topics):
             began = time.perf_counter()
@@ -101,6 +106,7 @@ class Run:
         self.intake.finish()
         self._note()
         self._judge_poses(mapper)
+        self.prior_offset = mapper.prior_offset
         self._need(bool(self.timings), bag, "no scan could be mapped", "there is no scan")
         return mapper.snapshot()
 
@@ -158,6 +164,8 @@ class Run:
         if self.refused_divisions:
             lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
         lines += self._pose_texts.values()
+        if self.prior_offset is not None and self.prior_offset.doubt:
+            lines.append(self.prior_offset.doubt)
         noise = noise_notice(self.noise_ratio, self.config)
         if noise is not None:
             lines.append(noise.text)

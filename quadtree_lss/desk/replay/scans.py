@@ -12,6 +12,7 @@ from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.stream import Stream
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.onboard.elevation.prior_file import read_prior
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
 
@@ -51,6 +52,6 @@ def steps(bag: str | Path | Bag, config: Config, **options: Any) -> Iterator[Ste
 
     Arguments, options and errors are those of `scans`.
     """
-    mapper = Mapper(config)
+    mapper = Mapper(config, read_prior(config))
     for scan in scans(bag, config, **options):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)

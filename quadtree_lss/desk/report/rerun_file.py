@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.report.content import Content
 from quadtree_lss.desk.report.palette import EXCLUDED_COLOUR, SAFE_COLOUR, UNSEEN_COLOUR
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
 
 MOST = 60
 """Passes that are written."""

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadtree_lss.desk.exchange.archives import read_arrays
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay import results as saved
 from quadtree_lss.desk.replay.result import ReplayResult
 from quadtree_lss.desk.replay.results import Grid
@@ -21,6 +19,8 @@ from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
 from quadtree_lss.lab.simulation.terrain import bilinear
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.elevation.archives import read_arrays
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 LAYERS = ("elevation", "hazard", "safe", "score")

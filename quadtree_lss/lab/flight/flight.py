@@ -27,6 +27,10 @@ from quadtree_lss.lab.touchdown.legs import LANDER
 from quadtree_lss.lab.touchdown.touchdown import Arrival, Landed, touch
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.core.landing.look_first import look_first
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.elevation.prior_file import read_prior
 
 TICK = 0.01
 """s; a pose each, and ..."""
@@ -40,6 +44,15 @@ SETTLE = 0.5
 """Where a touchdown is soft: m/s across and degrees of tilt; m/s down are `SINK`."""
 TILT_DEG, SINK = 6.0, 2.0
 JUMP = np.array([2.0, 0.0, 1.0])
+
+
+PAPER = {
+    "lss.assessment": "paper",
+    "lss.ranking": "score",
+    "lss.switch_margin": 0.08,
+    "lss.target_risk": 0.0002,  # a metre of way against 0.2 m of room
+}
+"""The paper's rules and score."""
 
 
 class Sent(NamedTuple):
@@ -104,11 +117,13 @@ class Flight:
         if settings.avoidance == "perfect":
             best = self.ground.best()
             planned = planned if best is None else best
-        commit = load_config(["flight"], dict(settings.config)).lss.commit_height
+        config = flight_config(settings, self.ground)
         flown = settings.vehicle, settings.rules, planned
-        self.pilot = Pilot(*flown, avoid=avoid, commit_height=commit)
+        self.pilot = Pilot(*flown, avoid=avoid, commit_height=config.lss.commit_height)
         self.looks = avoid
-        self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half)
+        self.prior = read_prior(config) if avoid else None
+        first = self._look_first(config, planned)
+        self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half, first)
         self._lidar = FlashLidar(
             FIELD_OF_VIEW_DEG,
             range_noise=settings.range_noise,
@@ -124,6 +139,7 @@ class Flight:
         self.samples: list[Sample] = []
         self.outlines: list[Array] = []
         self._asked: dict[str, bytes] = {}
+        self._looked: int | None = None
         self._seen_from = (np.zeros(3), np.eye(3))
 
     @property
@@ -135,6 +151,17 @@ class Flight:
     def stamp_ns(self) -> int:
         """Of the present tick."""
         return START_NS + self._ticks * round(TICK * 1e9)
+
+    def _look_first(self, config: Config, planned: Array) -> Array | None:
+        """(3,) where the first look goes by the prior, within the candidate area; None without."""
+        if self.prior is None:
+            return None
+        places = look_first(self.prior, Domain.of(config.domain), config, planned)
+        if not places:
+            return None
+        most = max(self.ground.half - self.settings.plan.first, 0.0)
+        place = np.array([places[0].x, places[0].y]) - planned[:2]
+        return planned + np.append(np.clip(place, -most, most), 0.0)
 
     def navigated(self) -> tuple[Array, Array]:
         """Position and velocity (3,) as navigation knows them."""
@@ -255,8 +282,11 @@ class Flight:
         looking = not pilot.committed and pilot.mode not in ("terminal", "abort")
         if self._ticks % SCAN_EVERY == 1 and looking and "lidar_gap" not in self.active:
             yield self._scan(before)
-        if self._ticks % ASK_EVERY == 0:
-            area = pilot.area()
+        if self._looked is None and self.gimbal.looked:
+            self._looked = self._ticks
+        if self._ticks % ASK_EVERY == 0 or self._ticks == self._looked:
+            just = self._looked is not None and self._ticks - self._looked < ASK_EVERY
+            area = self._first_area() if just else pilot.area()
             if area is not None:
                 self.areas.append((self.time, area))
                 yield from self._ask("landing/area", area)
@@ -267,6 +297,14 @@ class Flight:
         if self.active.get("keep_out", 0.0) and "landing/keep_out" not in self._asked:
             square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
             yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * square)
+
+    def _first_area(self) -> Array:
+        """(4, 2) of the first look, asked for when it has ended: of what is seen by then a target
+        may be chosen at once."""
+        assert self.gimbal.first is not None
+        side = self.settings.plan.first + self.settings.rules.zone
+        square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        return np.asarray(self.gimbal.first[:2] + side * square)
 
     def _scan(self, before: tuple[Array, Array]) -> Sent:
         """The flash between the last tick, ``before``, and this one."""
@@ -299,3 +337,15 @@ class Flight:
             self.outcome = "time"
         if self.outcome:
             self._sample()
+
+
+def flight_config(settings: FlightSettings, ground: Ground) -> Config:
+    """``config/flight.yaml`` with what the settings say, the domain about the planned point."""
+    config = load_config(["flight"], dict(settings.config), origin="settings")
+    half = 0.5 * config.domain.size
+    over: dict[str, Any] = {
+        f"domain.{axis}min": float(ground.planned[k]) - half for k, axis in enumerate("xy")
+    }
+    if settings.avoidance == "paper":
+        over |= PAPER
+    return config_from_values(over, config)

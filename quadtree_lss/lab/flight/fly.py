@@ -11,14 +11,13 @@ import numpy as np
 
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
-from quadtree_lss.lab.flight.flight import Flight
+from quadtree_lss.lab.flight.flight import Flight, flight_config
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.lockstep import LockstepNodes
 from quadtree_lss.lab.flight.reference import Descent
 from quadtree_lss.lab.flight.settings import FlightSettings, flight_settings
-from quadtree_lss.onboard.config.loading import load_config
-from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
@@ -26,21 +25,14 @@ OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapp
 LAND_NOW = "land_now"
 """The one that calls a service."""
 
-PAPER = {
-    "lss.assessment": "paper",
-    "lss.ranking": "score",
-    "lss.switch_margin": 0.08,
-    "lss.target_risk": 0.0002,  # a metre of way against 0.2 m of room
-}
-"""The paper's rules and score."""
-
 
 @dataclass(frozen=True)
 class Flown:
     """A flight that has ended. ``flight``: its state at the end, with its record. ``figures``: see
     ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them. Where it
     was recorded: ``cells``, the map at the end; ``history``, what became of it; ``targets``, the
-    changes of the target; ``told``, more for its summary."""
+    changes of the target; ``told``, more for its summary. ``prior``: how far the map lay from its
+    prior, None without."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -49,6 +41,7 @@ class Flown:
     history: History | None = None
     targets: tuple[TargetChange, ...] = ()
     told: dict[str, Any] = field(default_factory=dict)
+    prior: PriorOffset | None = None
 
 
 def fly(seed: int, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -83,7 +76,8 @@ def flown(
     nodes = None
     if flight.looks:
         config = flight_config(settings, flight.ground)
-        nodes = LockstepNodes(config, settings.answer_delay, History() if record else None)
+        history = History() if record else None
+        nodes = LockstepNodes(config, settings.answer_delay, history, flight.prior)
     down: set[str] = set()
     asked = False
     while not flight.outcome:
@@ -108,11 +102,12 @@ def flown(
     figures = figures_of(seed, flight, last)
     if reference:
         figures |= least_propellant(flight)
+    prior = None if nodes is None else nodes.prior_offset
     if nodes is None or not record:
-        return Flown(flight, figures, last)
+        return Flown(flight, figures, last, prior=prior)
     cells, at_end = nodes.finish(flight.stamp_ns)
     recorded = nodes.history, tuple(nodes.targets), nodes.told
-    return Flown(flight, figures, at_end, cells, *recorded)
+    return Flown(flight, figures, at_end, cells, *recorded, prior)
 
 
 def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:
@@ -120,18 +115,6 @@ def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dic
     figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
     warnings = "; ".join(() if last is None else last.doubts)
     return figures | map_said(last, figures) | {"warnings": warnings}
-
-
-def flight_config(settings: FlightSettings, ground: Ground) -> Config:
-    """``config/flight.yaml`` with what the settings say, the domain about the planned point."""
-    config = load_config(["flight"], dict(settings.config), origin="settings")
-    half = 0.5 * config.domain.size
-    over: dict[str, Any] = {
-        f"domain.{axis}min": float(ground.planned[k]) - half for k, axis in enumerate("xy")
-    }
-    if settings.avoidance == "paper":
-        over |= PAPER
-    return config_from_values(over, config)
 
 
 def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,9 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
 
@@ -58,10 +60,16 @@ class _Assessments:
 class LockstepNodes:
     """mapping_node and lss_node of one configuration without transport. ``answer_delay`` is from a
     pass to its answer at the guidance, s; ``last`` the last answer that reached it; ``history``
-    notes all, ``targets`` are the changes of the target."""
+    notes all, ``targets`` are the changes of the target; ``prior`` is `Mapper`'s."""
 
-    def __init__(self, config: Config, answer_delay: float, history: History | None = None) -> None:
-        self._config = config
+    def __init__(
+        self,
+        config: Config,
+        answer_delay: float,
+        history: History | None = None,
+        prior: Prior | None = None,
+    ) -> None:
+        self._config, self._prior = config, prior
         self._make = Messages(typestore(ros1=False).types, frame=config.frames.map)
         self._delay_ns = round(1e9 * answer_delay)
         self._wishes = LandingWishes(config.frames.map)
@@ -130,6 +138,11 @@ class LockstepNodes:
         """What guidance said last, and how the returns scatter, for a summary."""
         return {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
 
+    @property
+    def prior_offset(self) -> PriorOffset | None:
+        """As of `Mapper`."""
+        return self._mapper.prior_offset
+
     def kill(self, node: str) -> None:
         """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""
         self._down.add(node)
@@ -149,7 +162,7 @@ class LockstepNodes:
             self._passes.changed()
 
     def _start_mapping(self) -> None:
-        self._intake, self._mapper = Intake(self._config), Mapper(self._config)
+        self._intake, self._mapper = Intake(self._config), Mapper(self._config, self._prior)
 
     def _start_lss(self) -> None:
         self._assessments, self._chosen = _Assessments(self._delay_ns), False

@@ -20,8 +20,8 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
-from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent
-from quadtree_lss.lab.flight.fly import LAND_NOW, Flown, changed, figures_of, flight_config
+from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent, flight_config
+from quadtree_lss.lab.flight.fly import LAND_NOW, Flown, changed, figures_of
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.processes import (

@@ -11,10 +11,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.desk.exchange.archives import read_arrays
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.elevation.archives import read_arrays
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 WINDOWS = (64, 16, 4)

@@ -22,6 +22,7 @@ from quadtree_lss.onboard.config.sections import DomainConfig as DomainConfig
 from quadtree_lss.onboard.config.sections import LidarConfig as LidarConfig
 from quadtree_lss.onboard.config.sections import LssConfig as LssConfig
 from quadtree_lss.onboard.config.sections import MountConfig as MountConfig
+from quadtree_lss.onboard.config.sections import PriorConfig as PriorConfig
 from quadtree_lss.onboard.config.vehicle import VehicleConfig as VehicleConfig
 
 #: What parameters were called once.
@@ -87,6 +88,7 @@ class Config:
     features: sections.FeaturesConfig = field(default_factory=sections.FeaturesConfig)
     lss: LssConfig = field(default_factory=LssConfig)
     light: sections.LightConfig = field(default_factory=sections.LightConfig)
+    prior: PriorConfig = field(default_factory=PriorConfig)
     qos: sections.QosConfig = field(default_factory=sections.QosConfig)
     publish: sections.PublishConfig = field(default_factory=sections.PublishConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)

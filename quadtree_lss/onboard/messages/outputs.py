@@ -6,7 +6,7 @@ Nothing here knows where the classes come from; they are given by name and calle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,13 +38,16 @@ from quadtree_lss.onboard.messages.maps import (
 )
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
+    from quadtree_lss.onboard.core.landing.look_first import Look
     from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+    from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 
 CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"
 HAZARDS, SCORE = "landing/hazards", "landing/score"
 PROBABILITY = "landing/probability"
 SELECTED, STATUS = "landing/selected", "landing/status"
+PRIOR, LOOK_FIRST = "map/prior", "map/look_first"
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
@@ -258,6 +261,19 @@ class MessageMaker:
         target = assessment.selected
         turn = site_orientations(target.site.normal)[0] if target.id else (0.0, 0.0, 0.0, 1.0)
         return self.pose(assessment.stamp_ns, target.position, turn, target.covariance.ravel())
+
+    def prior(self, found: PriorOffset, stamp: int) -> Any:
+        """How far the map lies from its prior, as a place with covariance; NaN if that is not used
+        any more."""
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = found.covariance
+        offset = np.full(3, np.nan) if found.refused else found.offset
+        return self.pose(stamp, offset, (0.0, 0.0, 0.0, 1.0), covariance.ravel())
+
+    def looks(self, places: Sequence[Look]) -> Any:
+        """PoseArray of the places to look at first, most promising first."""
+        poses = [self._pose((p.x, p.y, p.z), (0.0, 0.0, 0.0, 1.0)) for p in places]
+        return self._make(POSES_TYPE, header=self._header(0), poses=poses)
 
     def pose(self, stamp: int, position: Any, xyzw: Any, covariance: Array) -> Any:
         """PoseWithCovarianceStamped of a place (3,), a quaternion and a covariance (36,)."""

@@ -51,6 +51,7 @@ from quadtree_lss.onboard.nodes.map_files import MapServices
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
+from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import (
     advertise,
@@ -79,7 +80,10 @@ class MappingNode(Node):
         self._settings = NodeParameters(self)
         config = self._settings.config
         self._frame = config.frames.map
-        self._mapper = Mapper(config)
+        self._problems = Problems(self.get_logger())
+        prior = node_prior(config, self._problems)
+        self._mapper = Mapper(config, prior)
+        self._prior = PriorOutput(self, config, prior, self._mapper)
         odometry = config.pose.source == "odometry"
         self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
         self._scan_kind = Image if config.lidar.source == "depth" else PointCloud2
@@ -92,7 +96,6 @@ class MappingNode(Node):
             pose_topic=self._topics[POSES],
             gimbal_topic=self._topics[GIMBAL],
         )
-        self._problems = Problems(self.get_logger())
         self._gaps = ScanGaps(self._topics[SCANS], self._problems)
         self._overload = Overload(self._topics[SCANS], self._problems)
         effect = "they are taken as one's; scans are mapped between poses of different ones"
@@ -337,6 +340,7 @@ class MappingNode(Node):
         cells, observed = map_messages(snapshot, self._frame)
         self._observed.publish(observed)
         self._cells.publish(cells)
+        self._prior.publish(snapshot.stamp_ns)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))
         latency = self._diagnostics.latency_ms(self._mapper.stamp_ns)
         if self._report is not None and latency is not None:  # else of a file, however old
@@ -372,6 +376,7 @@ class MappingNode(Node):
                 "latency_ms": latency,
             }
         )
+        self._prior.collect(status)
         if self._checkpoints is not None:
             status.add({"checkpoints": self._checkpoints.written})
             if self._checkpoints.foreign:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
-from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance
+from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance, shift_origin
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge
 from quadtree_lss.onboard.core.mapping.features cimport Heights, update_feature
@@ -18,6 +18,9 @@ cdef class ScanUpdate:
     cdef double[::1] residual
     cdef long long[::1] key
     cdef double[:, ::1] sigma
+    cdef double[:, ::1] beginning
+    cdef bint begins_so
+    cdef int coarsest
     cdef double[:, ::1] columns
     cdef Run[::1] runs
     cdef Py_ssize_t[::1] rows
@@ -37,6 +40,7 @@ cdef class ScanUpdate:
     cdef void _doubt(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
     cdef bint _apart(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void _begin(self, Leaf* leaf) noexcept nogil
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
     cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
     cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil

@@ -15,7 +15,7 @@ from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 if not cython.compiled:
     from math import exp, fabs, inf, nan, sqrt
 
-    from quadtree_lss.onboard.core.geometry.plane import fuse, offset_variance
+    from quadtree_lss.onboard.core.geometry.plane import fuse, offset_variance, shift_origin
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge
     from quadtree_lss.onboard.core.mapping.features import update_feature
@@ -43,6 +43,10 @@ APART = cython.declare(cython.double, 4.0)
 CONTRADICTING = cython.declare(cython.double, 30.0)
 #: Points of a scan in a cell that tell the range noise.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
+#: A first plane so many deviations from that of a prior does not begin from it.
+BEGINNING = cython.declare(cython.double, 3.0)
+#: A leaf begins from nothing.
+NO_PRIOR = np.empty((0, 5))
 
 
 @cython.boundscheck(False)
@@ -63,11 +67,23 @@ class ScanUpdate:
         divisions, refused: Cells divided, and divisions for which there was no room.
         ratio: (2, R) of the cells in which points came to rest and that tell the range noise:
             observed over configured deviation, and points.
+
+    Of a prior, ``beginning`` holds what `prior.Planes.beginning` says of the coarsest cells.
     """
 
-    def __init__(self, table: LeafTable, rules: Rules, scan: RegisteredScan, now: float) -> None:
+    def __init__(
+        self,
+        table: LeafTable,
+        rules: Rules,
+        scan: RegisteredScan,
+        now: float,
+        beginning: Array | None = None,
+    ) -> None:
         count = len(scan.key)
         self.table = table
+        self.begins_so = beginning is not None
+        self.beginning = NO_PRIOR if beginning is None else beginning
+        self.coarsest = table.domain.min_level
         self.rules = rules
         rules.look(scan.pose.rotation_map_lidar[:, 2])
         self.points = scan.points
@@ -293,7 +309,72 @@ class ScanUpdate:
             if few or steep > MAX_SLOPE_SIGMA**2 or not self._apart(leaf, run):
                 leaf.known = HINTS
                 return
+            if self.begins_so:
+                self._begin(leaf)
         leaf.known = MEASURED
+
+    def _begin(self, leaf: Record) -> None:
+        """What a prior says of a leaf, fused with the first plane that points alone told of it.
+
+        That is the same as to begin from the prior, whatever comes first, but that a leaf is
+        measured no sooner for it, and that a prior of other ground is left out: one that is more
+        than `BEGINNING` deviations off in height or slope.
+        """
+        normal = cython.declare(cython.double[3])
+        basis = cython.declare(cython.double[6])
+        known = cython.declare(cython.double[9])
+        pose = cython.declare(cython.double[9])
+        rise = cython.declare(cython.double[1])
+        i: cython.int
+        down: cython.int = leaf.level - self.coarsest
+        ix: cython.int = leaf.ix >> down
+        iy: cython.int = leaf.iy >> down
+        at: cython.Py_ssize_t = (cython.cast(cython.Py_ssize_t, iy) << self.coarsest) + ix
+        side = self.table.side(self.coarsest)
+        x = ((leaf.ix + 0.5) / (1 << down) - ix - 0.5) * side
+        y = ((leaf.iy + 0.5) / (1 << down) - iy - 0.5) * side
+        a = self.beginning[at, 1]
+        b = self.beginning[at, 2]
+        up = 1.0 / sqrt(a * a + b * b + 1.0)
+        off = self.beginning[at, 0] + a * x + b * y - leaf.z
+        tilt = self.beginning[at, 3] * up * up
+        for i in range(9):
+            known[i] = pose[i] = 0.0
+        known[0] = known[4] = tilt
+        known[8] = self.beginning[at, 4] * up * up
+        normal[0], normal[1], normal[2] = -a * up, -b * up, up
+        basis_at(normal, basis)
+        z = a * x + b * y
+        shift_origin(
+            known,
+            basis[0] * x + basis[1] * y + basis[2] * z,
+            basis[3] * x + basis[4] * y + basis[5] * z,
+        )
+        own = leaf.range_part[8] + leaf.pose_part[8]
+        most = BEGINNING * BEGINNING
+        x = leaf.normal[0] - normal[0]
+        y = leaf.normal[1] - normal[1]
+        z = leaf.range_part[0] + leaf.range_part[4] + leaf.pose_part[0] + leaf.pose_part[4]
+        near: cython.bint = off * off * up * up <= most * (known[8] + own)
+        # A place that the prior does not cover is not a number, and not near.
+        if not (near and x * x + y * y <= most * (2.0 * tilt + z)):
+            return
+        fuse(
+            normal,
+            off,
+            known,
+            pose,
+            leaf.normal,
+            leaf.range_part,
+            leaf.pose_part,
+            0.0,
+            True,
+            rise,
+        )
+        for i in range(9):
+            leaf.range_part[i] = known[i]
+            leaf.pose_part[i] = pose[i]
+        leaf.z += rise[0]
 
     def _apart(self, leaf: Record, run: Record) -> cython.bint:
         """Whether a first plane is of places that lie farther apart along the ray than noise puts

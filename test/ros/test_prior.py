@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A prior in mapping_node: what it says of it, and that it maps without one it cannot use."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from ros.conftest import status_values
+from ros_scene import Sensors
+
+from quadtree_lss.lab.live.listener import TOPICS
+
+pytestmark = pytest.mark.xdist_group("ros_faults")
+MORE = {"map/prior": PoseWithCovarianceStamped, "map/look_first": PoseArray}
+
+
+def test_the_node_says_where_to_look_and_how_far_the_map_lies(ros):
+    """The scene's ground rises by 2 % along x and has one block; the prior lies 0.7 m lower."""
+    axis = 2.0 * np.arange(-30, 31)
+    z = 0.02 * axis + np.zeros((61, 1)) - 0.7
+    np.savez(ros.folder / "prior.npz", x=axis, y=axis, elevation=z)
+    given = ["-p", f"prior.file:={ros.folder / 'prior.npz'}", "-p", "prior.offset_sigma:=2.0"]
+    mapping = ros.start("mapping_node", *given)
+    with ros.listen({**TOPICS, **MORE}) as listener:
+        assert listener.wait_for(lambda: "map/look_first" in listener.newest), mapping.output()
+        assert listener.newest["map/look_first"].poses
+        Sensors(listener).matched().map(mapping, 4)
+        assert listener.wait_for(
+            lambda: int(status_values(listener, "mapping_node").get("prior.cells", 0)) > 30
+        ), mapping.output()
+        found = listener.newest["map/prior"].pose
+        assert found.pose.position.z == pytest.approx(0.7, abs=0.15)
+        assert 0.0 < found.covariance[14] < 0.2 < found.covariance[0] < 5.0
+        assert status_values(listener, "mapping_node")["prior.refused"] == ""
+
+
+def test_a_prior_that_cannot_be_used_is_told_and_the_node_maps(ros):
+    mapping = ros.start("mapping_node", "-p", "prior.file:=/no/such/prior.tif")
+    with ros.listen({**TOPICS, **MORE}) as listener:
+        Sensors(listener).matched().map(mapping, 2)
+        values = status_values(listener, "mapping_node")
+        assert values["problems.prior"] == "1" and "prior.cells" not in values
+        assert "no such file" in mapping.output() and "map/prior" not in listener.newest
