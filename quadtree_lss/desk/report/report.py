@@ -120,26 +120,31 @@ def _ms(value: float | None) -> str:
 
 def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     ratio, times = summary["range_noise_ratio"], (summary["map_ms_median"], summary["map_ms_p99"])
-    return [
+    speed = summary["real_time_factor"]
+    rows = [
         ("map update, median / 99 %", " / ".join(map(_ms, times))),
         ("landing site selection", _ms(summary["lss_ms"])),
-        ("speed, bag reading included", f"{summary['real_time_factor']:.1f} × real time"),
+        ("speed, bag reading included", f"{speed:.1f} × real time" if speed else "–"),
         ("leaves", f"{summary['leaves']}"),
         ("divisions refused", f"{summary['refused_divisions']}"),
         ("observed / configured range noise", "–" if ratio is None else f"{ratio:.2f}"),
         ("peak memory", f"{summary['peak_memory_mb']:.0f} MB"),
         ("versions", ", ".join(f"{k} {v}" for k, v in summary["versions"].items())),
     ]
+    return [row for row in rows if row[1].strip("– /")]  # of maps alone, some are not known
 
 
 def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     topics = ", ".join(filter(None, (summary["scan_topic"], summary["pose_topic"])))
-    rows = [
-        ("bag", f"{summary['bag']}, {summary['duration']:.2f} s"),
-        ("topics", topics or "map topics alone"),
+    scans = [
         ("scans mapped", _with_rate(summary["scans"], summary["scan_rate"])),
         ("scans dropped", _counts(summary["scans_dropped"])),
         ("poses", _with_rate(summary["poses"], summary["pose_rate"])),
+    ]
+    rows = [
+        ("bag", f"{summary['bag']}, {summary['duration']:.2f} s"),
+        ("topics", topics or "map topics alone"),
+        *(scans if topics else ()),
         ("messages rejected", _counts(summary["messages_rejected"])),
     ]
     if summary["maps"]:
