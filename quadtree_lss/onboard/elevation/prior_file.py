@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.prior import Prior
@@ -41,6 +40,8 @@ def read_prior(config: Config, path: Path | None = None) -> Prior | None:
 
 def _about(model: ElevationModel, config: Config, path: Path) -> ElevationModel:
     """A model about the map's origin, with the posts' spacing, as far as the map reaches."""
+    from scipy.ndimage import map_coordinates
+
     try:
         latitude, longitude = (float(part) for part in config.prior.origin.split(","))
         if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0):

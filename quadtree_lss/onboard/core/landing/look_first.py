@@ -16,8 +16,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
-from scipy.special import ndtr
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
@@ -56,6 +54,9 @@ def look_first(
         config: The vehicle, and what way costs.
         near: (2,) x and y of where the vehicle is going, m; by default the middle of the square.
     """
+    from scipy.ndimage import distance_transform_edt
+    from scipy.special import ndtr
+
     vehicle = config.vehicle
     planes = prior.planes(domain, vehicle.diameter)
     if planes is None:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from scipy.stats import chi2
 
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.geometry.morton import squeezed
@@ -200,6 +199,8 @@ class PriorMatch:
         """Refuse a prior of another place."""
         if self._cells < JUDGED:
             return
+        from scipy.stats import chi2  # takes a while, and most maps have no prior
+
         if self._squares > chi2.isf(CHANCE, self._cells):
             times = (self._squares / self._cells) ** 0.5
             self._refused = (

@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import PriorConfig
@@ -88,6 +87,8 @@ class Planes:
 
     def at(self, fields: Array, x: Array, y: Array) -> Array:
         """Fields (F, ny, nx) at places of any shape (...), bilinear: (F, ...), NaN outside."""
+        from scipy import ndimage
+
         place = np.stack([(y - self.corner[1]) / self.step, (x - self.corner[0]) / self.step])
         flat = place.reshape(2, -1)
         found = [ndimage.map_coordinates(f, flat, order=1, cval=np.nan) for f in fields]
@@ -99,6 +100,8 @@ class Planes:
         sigma = deviation[::-1] / self.step
 
         def blur(values: Array) -> Array:
+            from scipy import ndimage
+
             found: Array = ndimage.gaussian_filter(values, sigma, mode="constant", truncate=FAR)
             return found
 
@@ -143,6 +146,8 @@ def _planes(prior: Prior, z: Array, corner: tuple[float, float], side: float) ->
     mean, line = np.full(len(steps), 1.0 / len(steps)), steps / np.sum(steps**2)
 
     def over(values: Array, along_y: Array, along_x: Array) -> Array:
+        from scipy import ndimage
+
         for axis, weights in enumerate((along_y, along_x)):
             values = ndimage.correlate1d(values, weights, axis, mode="constant", cval=np.nan)
         return values
