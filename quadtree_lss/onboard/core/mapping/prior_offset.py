@@ -82,6 +82,10 @@ class PriorMatch:
     """Compares a map with a prior as it grows, and says what new leaves begin from."""
 
     def __init__(self, prior: Prior, domain: Domain) -> None:
+        import scipy.ndimage  # takes half a second: not while scans wait, nor without a prior
+        import scipy.stats
+
+        self._chi2 = scipy.stats.chi2
         self.prior, self._domain = prior, domain
         self.reset()
 
@@ -199,9 +203,7 @@ class PriorMatch:
         """Refuse a prior of another place."""
         if self._cells < JUDGED:
             return
-        from scipy.stats import chi2  # takes a while, and most maps have no prior
-
-        if self._squares > chi2.isf(CHANCE, self._cells):
+        if self._squares > self._chi2.isf(CHANCE, self._cells):
             times = (self._squares / self._cells) ** 0.5
             self._refused = (
                 f"over {self._cells} cells the ground departs from it {times:.1f} times as much as"
