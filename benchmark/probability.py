@@ -34,7 +34,7 @@ from quadtree_lss.lab.simulation.hazard_field import strewn
 from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
 from quadtree_lss.onboard.arrays import Array, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import RiskModel, risk_model
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import Config, LssConfig
 
 BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 LIMITS = (0.001, 0.002, 0.003, 0.005, 0.008, 0.012, 0.02, 0.03, 0.05)
@@ -187,7 +187,7 @@ def reliability(title: str, judged: dict[str, list[Judged]], told: dict[str, lis
 
 
 def line(some: list[tuple[Judged, Array]]) -> list[str]:
-    """Ratios with 90 % of those that other tiles would give, and what `max_risk` 0.002 allows."""
+    """Ratios with 90 % of those that other tiles would give, and what the default of `max_risk` allows."""
     risk, failed = np.concatenate([p for _, p in some]), np.concatenate([j.failed for j, _ in some])
     if not failed.size:
         return ["-"] * (len(BINS) + 4)
@@ -205,7 +205,7 @@ def line(some: list[tuple[Judged, Array]]) -> list[str]:
         with np.errstate(invalid="ignore", divide="ignore"):
             least, most = np.nanpercentile((times @ sums[0]) / (times @ sums[1]), (5.0, 95.0))
         out.append(f"{sums[0].sum() / sums[1].sum():.2f} ({least:.1f}-{most:.1f})")
-    safe = risk <= 0.002
+    safe = risk <= LssConfig().max_risk
     unsafe = 100.0 * failed[safe].mean() if safe.any() else 0.0
     kept = 100.0 * safe[~failed].mean() if not failed.all() else np.nan
     return [*out, f"{safe.sum():,}", f"{unsafe:.3f}", f"{kept:.1f}"] + [
