@@ -187,7 +187,7 @@ def reliability(title: str, judged: dict[str, list[Judged]], told: dict[str, lis
 
 
 def line(some: list[tuple[Judged, Array]]) -> list[str]:
-    """Ratios with 90 % of those that other tiles would give, and what the default of `max_risk` allows."""
+    """Ratios with 90 % of those that other tiles would give, and what is allowed by default."""
     risk, failed = np.concatenate([p for _, p in some]), np.concatenate([j.failed for j, _ in some])
     if not failed.size:
         return ["-"] * (len(BINS) + 4)

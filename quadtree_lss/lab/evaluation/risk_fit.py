@@ -17,7 +17,16 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from quadtree_lss.onboard.arrays import Array, Mask
-from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, OVERALL, Cause, Curve, RiskModel, Row
+from quadtree_lss.onboard.config.risk import (
+    CAUSES,
+    LOCAL,
+    OVERALL,
+    Cause,
+    Curve,
+    RiskModel,
+    Row,
+    least_risk,
+)
 from quadtree_lss.onboard.core.landing.probability import interpolation_weights
 
 #: What the columns of what is asked are.
@@ -134,7 +143,8 @@ def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
 def risks(model: RiskModel, given: ArrayLike) -> Array:
     """(K,) P(unsafe) at places (K, len(ASKED))."""
     places = np.asarray(given, np.float64)
-    seen = interpolation_weights(places[:, ASKED.index("seen")], model.seen)
+    known = places[:, ASKED.index("seen")]
+    seen = interpolation_weights(known, model.seen)
     safe = np.zeros(len(places))
     for cause in model.causes.values():
         odds = np.full(len(places), cause.constant)
@@ -143,7 +153,7 @@ def risks(model: RiskModel, given: ArrayLike) -> Array:
             rows = along @ np.array(curve.odds).T
             odds += rows[:, 0] if len(curve.odds) == 1 else np.sum(rows * seen, axis=1)
         safe -= np.logaddexp(0.0, odds)
-    return np.asarray(-np.expm1(safe))
+    return np.maximum(-np.expm1(safe), least_risk(np.clip(known, *model.span("seen"))))
 
 
 def _least(information: Array, slope: Array, damping: float, bounds: tuple[Array, Array]) -> Array:
