@@ -131,20 +131,21 @@ class Tally:
 
 
 class Truth:
-    """On the grid of an assessment (ny, nx): where the lander stands, and how likely by an aim."""
+    """On the grid of an assessment (ny, nx): where the lander stands, and how likely by an aim;
+    ``best``: the most likely in the area that is to be scanned."""
 
     def __init__(self, simulation: Simulation, found: LandingAssessment, config: Config) -> None:
         dem, lander = simulation.legs[0].plan.truth, lander_of(config)
         self.x, self.y = found.x, found.y
         places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
-        xmin, xmax, ymin, ymax = simulation.box
-        x, y = places[..., 0], places[..., 1]
-        known = (x >= xmin) & (x <= xmax) & (y >= ymin) & (y <= ymax)
-        known[known] = on_dem(dem.x, dem.y, places[known], lander)
+        known = on_dem(dem.x, dem.y, places.reshape(-1, 2), lander).reshape(places.shape[:2])
         self.safe: Mask = np.zeros(known.shape, dtype=np.bool_)
         self.safe[known] = contact_safe(dem.x, dem.y, dem.elevation, places[known], lander)
         spread = Dispersion.of(None, config.lss)
         self.probability = 1.0 - aimed(1.0 - self.safe.astype(float), config.lss.spacing, spread)
+        xmin, xmax, ymin, ymax = simulation.box
+        rows, columns = (self.y >= ymin) & (self.y <= ymax), (self.x >= xmin) & (self.x <= xmax)
+        self.best = float(self.probability[np.ix_(rows, columns)].max())
 
     def at(self, place: Array) -> tuple[int, int]:
         """Row and column."""
@@ -189,7 +190,7 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
         )
         if truth is None:
             truth = Truth(simulation, found, config)
-            tally.best = float(truth.probability.max())
+            tally.best = truth.best
         told += [(at, 1.0 - found.probability[at]) for at in _best_places(found)]
         chosen = found.selected
         if chosen.id:
