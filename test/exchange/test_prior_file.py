@@ -53,7 +53,7 @@ def test_a_geotiff_lies_about_the_origin_in_metres(tmp_path, unit, metres):
     prior = read_prior(config(file, origin=f"{north},{east}"))
     x, y = np.meshgrid(prior.x, prior.y)
     near = np.hypot(x, y) < 30.0
-    assert near.sum() > 600 and prior.spacing == pytest.approx(STEP)
+    assert near.sum() > 600 and np.ptp(prior.x) == pytest.approx(STEP * (len(prior.x) - 1))
     # On the central meridian, whose scale is 0.9996, and where north is north.
     np.testing.assert_allclose(
         prior.elevation[near], metres * (0.1 * x - 0.2 * y)[near] * 0.9996, atol=0.02 * metres
@@ -105,7 +105,6 @@ def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):
     replay(bag, tmp_path / "out", load_config(overrides=GROUND | own), report=False)
     told = json.loads((tmp_path / "out" / "summary.json").read_text())["prior"]
     assert told["look_first"][0]["ease"] > 0.9 and told["covered"] == 1.0
-    assert told["look_first"][0]["room"] is None, "nothing is steep"
     assert told["cells"] > 8 and told["refused"] == ""
     # Along a slope nothing tells east from up, but for the prior of either.
     assert told["up_sigma"] == pytest.approx(0.05 * told["east_sigma"], rel=0.2)
