@@ -144,9 +144,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="43100-43139", help="first-last")
     parser.add_argument("--priors", nargs="*", default=list(PRIORS), choices=list(PRIORS))
     parser.add_argument("--east-of", type=float, metavar="X", help="of the terrain, m: no more")
-    text = (
-        "fly only the first so many where the planned point is steep and even ground is near"
-    )
+    text = "fly only the first so many where the planned point is steep and even ground is near"
     parser.add_argument("--steep", type=int, metavar="N", help=text)
     parser.add_argument("--longest", type=float, default=150.0, help="end flights after so long, s")
     options = parser.parse_args()
