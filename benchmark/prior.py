@@ -142,7 +142,7 @@ def main() -> None:
     parser.add_argument("--terrain", help=".npz with x, y, elevation; without it nothing is flown")
     parser.add_argument("--rocks", type=float, default=0.05)
     parser.add_argument("--seeds", default="43100-43139", help="first-last")
-    parser.add_argument("--priors", nargs="*", default=list(PRIORS), choices=list(PRIORS))
+    parser.add_argument("--priors", nargs="*", default=["right", "level"], choices=list(PRIORS))
     parser.add_argument("--east-of", type=float, metavar="X", help="of the terrain, m: no more")
     text = "fly only the first so many where the planned point is steep and even ground is near"
     parser.add_argument("--steep", type=int, metavar="N", help=text)
