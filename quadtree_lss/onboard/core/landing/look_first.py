@@ -79,5 +79,5 @@ def look_first(
     rows, columns = best_points(cost, x, y, MOST, 2.0 * half)
     at = rows, columns
     slopes = np.degrees(np.arctan(slope[at]))
-    columns = x[columns], y[rows], height[at], slopes, about[at]
-    return tuple(Look(*place) for place in np.column_stack(columns).tolist())
+    found = np.column_stack([x[columns], y[rows], height[at], slopes, about[at]])
+    return tuple(Look(*place) for place in found.tolist())

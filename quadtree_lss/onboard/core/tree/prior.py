@@ -15,6 +15,7 @@ the ground. Slopes alike, with 12 s^2 / W^2 for what the plane leaves out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -88,9 +89,13 @@ class Planes:
         y, m, may mean; NaN where most of these are not known."""
         from scipy.ndimage import gaussian_filter
 
-        how = {"sigma": deviation[::-1] / self.step, "mode": "constant", "truncate": FAR}
+        how: dict[str, Any] = {
+            "sigma": deviation[::-1] / self.step,
+            "mode": "constant",
+            "truncate": FAR,
+        }
         known = np.isfinite(fields[0])
-        share = gaussian_filter(known.astype(np.float64), **how)
+        share: Array = gaussian_filter(known.astype(np.float64), **how)
         with np.errstate(invalid="ignore", divide="ignore"):
             means = [gaussian_filter(np.where(known, f, 0.0), **how) / share for f in fields]
         return np.where(share > 0.5, means, np.nan)
