@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a prior gives a flight: the same flights without one, with a right one and with wrong ones.
+"""What a prior gives a flight: the same flights without one, with a right one and with a level one.
 
 Ground is a measured terrain with rocks of its own strewn on it, which no prior holds. The right
 prior is that terrain's every post of 2 m, with 0.5 m of noise and shifted by 8 m east or north, one
 sigma each; the level one knows nothing, so that what a first look at little ground gives alone can
-be told apart; the one of another place is the terrain turned by half a turn.
+be told apart.
 
 True is the probability of a safe touchdown with the dispersion that guidance states, over the true
 ground. A flight has its first target when one is named whose true probability is no less than
@@ -74,18 +74,7 @@ def level(settings: FlightSettings, generator: np.random.Generator, path: Path) 
     return {}
 
 
-def elsewhere(
-    settings: FlightSettings, generator: np.random.Generator, path: Path
-) -> dict[str, Any]:
-    """A prior of another place."""
-    right(settings, generator, path)
-    with np.load(path) as file:
-        made = dict(file)
-    np.savez(path, x=made["x"], y=made["y"], elevation=made["elevation"][::-1, ::-1])
-    return {}
-
-
-PRIORS: dict[str, Made] = {"right": right, "level": level, "elsewhere": elsewhere}
+PRIORS: dict[str, Made] = {"right": right, "level": level}
 
 
 def fly(seed: int, values: dict[str, Any], make: Made | None, ground: Ground | None) -> Flown:
@@ -122,16 +111,18 @@ def true_probability(ground: Ground, x: float, y: float, settings: FlightSetting
     return float(weight @ stands / weight.sum())
 
 
-def steepness(seed: int, values: dict[str, Any]) -> float:
-    """Median slope of the terrain, without rocks, over 20 m about the planned point of a flight."""
+def steep_start(seed: int, values: dict[str, Any]) -> bool:
+    """Whether a flight's planned point lies on ground that is mostly steep, with even ground in its
+    area: where a prior has something to tell. By posts of the terrain, without rocks."""
     settings = flight_settings(values)
     field = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[0])
     x, y, _ = Ground.of(settings, field).planned
     terrain = load_terrain(settings.terrain)
-    step = np.arange(-10.0, 10.1, 2.0)
-    places = np.meshgrid(x + step, y + step)
-    along_y, along_x = np.gradient(terrain.elevation_at(*places), 2.0)
-    return float(np.median(np.hypot(along_x, along_y)))
+    step = np.arange(-24.0, 24.1, SPACING)
+    along_y, along_x = np.gradient(terrain.elevation_at(*np.meshgrid(x + step, y + step)), SPACING)
+    steep = np.degrees(np.arctan(np.hypot(along_x, along_y))) > 10.0
+    near = np.abs(step) <= 12.0
+    return bool(steep[np.ix_(near, near)].mean() > 0.6 and steep.mean() < 0.75)
 
 
 def main() -> None:
@@ -141,21 +132,27 @@ def main() -> None:
     parser.add_argument("--rocks", type=float, default=0.05)
     parser.add_argument("--seeds", default="43100-43139", help="first-last")
     parser.add_argument("--priors", nargs="*", default=list(PRIORS), choices=list(PRIORS))
-    text = "fly only so many, whose planned points lie on the steepest ground"
-    parser.add_argument("--steepest", type=int, metavar="N", help=text)
+    parser.add_argument("--east-of", type=float, metavar="X", help="of the terrain, m: no more")
+    text = "fly only the first so many where the planned point is steep and even ground is near"
+    parser.add_argument("--steep", type=int, metavar="N", help=text)
     parser.add_argument("--longest", type=float, default=150.0, help="end flights after so long, s")
     options = parser.parse_args()
     if options.terrain is None:
         print("nothing flown: --terrain names no ground")
         return
     first, _, last = options.seeds.partition("-")
+    if options.east_of is not None:
+        whole, kept = load_terrain(options.terrain), Path(tempfile.mkdtemp(), "terrain.npz")
+        part = whole.x >= options.east_of
+        np.savez(kept, x=whole.x[part], y=whole.y, elevation=whole.elevation[:, part])
+        options.terrain = str(kept)
     values = {"terrain": options.terrain, "rock_abundance": options.rocks or None}
     values["longest"] = options.longest
     print(machine())
     rows: dict[str, list[tuple[Flown, Flown]]] = {name: [] for name in options.priors}
     seeds = list(range(int(first), int(last or first) + 1))
-    if options.steepest:
-        seeds = sorted(sorted(seeds, key=lambda s: -steepness(s, values))[: options.steepest])
+    if options.steep:
+        seeds = [seed for seed in seeds if steep_start(seed, values)][: options.steep]
     for seed in seeds:
         without = fly(seed, values, None, None)
         line = [f"none {said(without, without)}"]

@@ -35,8 +35,9 @@ def sources(*names: str) -> list[ModuleType]:
     return found
 
 
-sphere, plane, measure, division = sources(
-    "geometry.sphere", "geometry.plane", "mapping.measure", "mapping.division"
+sphere, plane, measure, division, residuals = sources(
+    *("geometry.sphere", "geometry.plane"),
+    *("mapping.measure", "mapping.division", "mapping.residuals"),
 )
 
 

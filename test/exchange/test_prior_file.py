@@ -14,6 +14,8 @@ from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.elevation import libraries
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.elevation.prior_file import read_prior
+from quadtree_lss.onboard.messages.maps import PRIOR_STATUS_FIELDS
+from quadtree_lss.onboard.messages.outputs import cloud_records
 
 STEP = 2.0
 
@@ -53,7 +55,7 @@ def test_a_geotiff_lies_about_the_origin_in_metres(tmp_path, unit, metres):
     prior = read_prior(config(file, origin=f"{north},{east}"))
     x, y = np.meshgrid(prior.x, prior.y)
     near = np.hypot(x, y) < 30.0
-    assert near.sum() > 600 and prior.spacing == pytest.approx(STEP)
+    assert near.sum() > 600 and np.ptp(prior.x) == pytest.approx(STEP * (len(prior.x) - 1))
     # On the central meridian, whose scale is 0.9996, and where north is north.
     np.testing.assert_allclose(
         prior.elevation[near], metres * (0.1 * x - 0.2 * y)[near] * 0.9996, atol=0.02 * metres
@@ -93,8 +95,11 @@ def test_a_library_that_lacks_is_one_line_that_names_it(tmp_path, monkeypatch):
 
 def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):
     from replay.recordings import GROUND, write_ros2
+    from replay.test_record import products_of
 
     from quadtree_lss.desk.replay.replay import replay
+    from quadtree_lss.desk.report.content import read
+    from quadtree_lss.desk.report.headline import trust
 
     axis = STEP * np.arange(-60, 61)
     np.savez(tmp_path / "prior.npz", x=axis, y=axis, elevation=0.05 * axis + np.full((121, 1), 0.4))
@@ -102,14 +107,24 @@ def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):
     plain = replay(bag, None, load_config(overrides=GROUND), report=False)
     assert "prior" not in plain.summary
     own = {"prior.file": str(tmp_path / "prior.npz"), "prior.sigma": 0.1, "domain.max_level": 4}
-    replay(bag, tmp_path / "out", load_config(overrides=GROUND | own), report=False)
+    settings, record = load_config(overrides=GROUND | own), tmp_path / "record"
+    replay(bag, tmp_path / "out", settings, report=False, record=record)
     told = json.loads((tmp_path / "out" / "summary.json").read_text())["prior"]
     assert told["look_first"][0]["ease"] > 0.9 and told["covered"] == 1.0
-    assert told["look_first"][0]["room"] is None, "nothing is steep"
     assert told["cells"] > 8 and told["refused"] == ""
     # Along a slope nothing tells east from up, but for the prior of either.
     assert told["up_sigma"] == pytest.approx(0.05 * told["east_sigma"], rel=0.2)
     assert abs(told["up"] + 0.4 - 0.05 * told["east"]) < 0.1
+    facts = {fact.name: fact.value for fact in trust(read(tmp_path / "out"))[1]}
+    assert f"{told['up']:+.2f} ± {told['up_sigma']:.2f} m" in facts["map from its prior, e, n, up"]
+    # The bag has it as the nodes say it: as a pose, behind the status, and where to look first.
+    (first,), last = products_of(record, "/map/look_first"), products_of(record, "/map/prior")[-1]
+    assert first.poses[0].position.x == told["look_first"][0]["x"]
+    assert last.pose.pose.position.z == pytest.approx(told["up"])
+    status = products_of(record, "/landing/status")[-1]
+    assert cloud_records(status, PRIOR_STATUS_FIELDS)["prior_zz"][0] == pytest.approx(
+        last.pose.covariance[14]
+    )
 
 
 def test_a_flight_looks_first_where_the_prior_is_even(tmp_path):

@@ -21,7 +21,7 @@ from installed import PREFIX, SHARE
 from quadtree_lss.desk.bags.topics import SCAN_TOPIC
 from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.messages.landing_inputs import POINT_TYPE, TYPES
-from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, PRIOR_STATUS_FIELDS, SITE_FIELDS
 from quadtree_lss.onboard.messages.outputs import (
     CLOUD_TYPE,
     GRID_TYPE,
@@ -167,7 +167,7 @@ def test_shipped_configurations_are_valid(path):
     [
         ("map_cells.md", CELL_FIELDS),
         ("landing_site_table.md", SITE_FIELDS),
-        ("landing_status.md", STATUS_FIELDS),
+        ("landing_status.md", PRIOR_STATUS_FIELDS),
     ],
 )
 def test_every_field_is_documented_with_its_type(document, fields):

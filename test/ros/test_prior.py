@@ -10,6 +10,8 @@ from ros.conftest import status_values
 from ros_scene import Sensors
 
 from quadtree_lss.lab.live.listener import TOPICS
+from quadtree_lss.onboard.messages.maps import PRIOR_STATUS_FIELDS
+from quadtree_lss.onboard.messages.outputs import cloud_records
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
 MORE = {"map/prior": PoseWithCovarianceStamped, "map/look_first": PoseArray}
@@ -21,7 +23,7 @@ def test_the_node_says_where_to_look_and_how_far_the_map_lies(ros):
     z = 0.02 * axis + np.zeros((61, 1)) - 0.7
     np.savez(ros.folder / "prior.npz", x=axis, y=axis, elevation=z)
     given = ["-p", f"prior.file:={ros.folder / 'prior.npz'}", "-p", "prior.offset_sigma:=2.0"]
-    mapping = ros.start("mapping_node", *given)
+    mapping, _ = ros.start("mapping_node", *given), ros.start("lss_node", *given)
     with ros.listen({**TOPICS, **MORE}) as listener:
         assert listener.wait_for(lambda: "map/look_first" in listener.newest), mapping.output()
         assert listener.newest["map/look_first"].poses
@@ -33,6 +35,15 @@ def test_the_node_says_where_to_look_and_how_far_the_map_lies(ros):
         assert found.pose.position.z == pytest.approx(0.7, abs=0.15)
         assert 0.0 < found.covariance[14] < 0.2 < found.covariance[0] < 5.0
         assert status_values(listener, "mapping_node")["prior.refused"] == ""
+        assert listener.wait_for(
+            lambda: (
+                len(getattr(listener.newest.get("landing/status"), "fields", ()))
+                == len(PRIOR_STATUS_FIELDS)
+            )
+        )
+        status = cloud_records(listener.newest["landing/status"], PRIOR_STATUS_FIELDS)[0]
+        assert status["prior_z"] == pytest.approx(0.7, abs=0.15)
+        assert 0.0 < status["prior_zz"] < 0.2 < status["prior_xx"] < 5.0
 
 
 def test_a_prior_that_cannot_be_used_is_told_and_the_node_maps(ros):

@@ -15,9 +15,17 @@ from rosbags.rosbag2.errors import WriterError
 
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.stream import ReplayError
+from quadtree_lss.onboard.core.landing.look_first import Look
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.messages.outputs import GRID_MAP, GRID_MAP_TYPE, TOPIC_TYPES, MessageMaker
+from quadtree_lss.onboard.messages.outputs import (
+    GRID_MAP,
+    LOOK_FIRST,
+    PRIOR,
+    RECORDED_TYPES,
+    MessageMaker,
+)
 
 VIEWER_NS = 10**9
 """Between two messages of ``landing/grid_map``, which is large; the last is always written."""
@@ -47,6 +55,10 @@ class Recorder:
         self._connections: dict[str, Any] = {}
         self._viewed_ns: int | None = None
         self._unseen: tuple[int, LandingAssessment] | None = None
+        self._prior: Any = None
+        #: How far the map lies from its prior, None without; and where to look first.
+        self.offset: Callable[[], PriorOffset | None] = lambda: None
+        self.looks: tuple[Look, ...] = ()
 
     def __enter__(self) -> Recorder:
         return self
@@ -60,14 +72,22 @@ class Recorder:
 
     def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
         """Writes a map."""
-        if self._maps:
-            for topic, message in self._messages.of_map(take()):
-                self._write(topic, message, now_ns)
+        if not self._maps:
+            return
+        cells, offset = take(), self.offset()
+        for topic, message in self._messages.of_map(cells):
+            self._write(topic, message, now_ns)
+        if offset is None:
+            return
+        if self._prior is None:
+            self._write(LOOK_FIRST, self._messages.looks(self.looks), now_ns)
+        self._prior = self._messages.prior(offset, cells.stamp_ns)
+        self._write(PRIOR, self._prior, now_ns)
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """Writes an answer, with the age of its map in the bag's time."""
         age = 1e-9 * (now_ns - found.stamp_ns) if found.stamp_ns else float("nan")
-        for topic, message in self._messages.of_landing(found, age):
+        for topic, message in self._messages.of_landing(found, age, self._prior):
             self._write(topic, message, now_ns)
         self._unseen = (now_ns, found)
         if self._viewed_ns is None or abs(now_ns - self._viewed_ns) >= VIEWER_NS:
@@ -93,7 +113,7 @@ class Recorder:
         return writer
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:
-        kind = GRID_MAP_TYPE if topic == GRID_MAP else TOPIC_TYPES[topic]
+        kind = RECORDED_TYPES[topic]
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 f"/{topic}", kind, typestore=self._store, offered_qos_profiles=[LATCHED]

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace as changed
 from pathlib import Path
-from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -25,7 +24,6 @@ from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, ReplayError
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.look_first import look_first
 from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.elevation.prior_file import read_prior
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
@@ -94,8 +92,9 @@ def replay(
         stream.navigation = wishes.navigation
         topics = LandingTopics(wishes, opened, stream.start_ns)
         made = _make_folder(folder)
+        looks = () if prior is None else look_first(prior, Domain.of(config.domain), config)
         try:
-            history = History()
+            history, recorder = History(), None
             sinks: list[Sink] = [history]
             if record is not None:
                 from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
@@ -105,6 +104,8 @@ def replay(
                 sinks.append(stack.enter_context(recorder))
             passes = Passes(config, wishes.arguments, sinks)
             run = Run(config, stream, passes, topics, history, progress, stop, prior=prior)
+            if recorder is not None:
+                recorder.looks, recorder.offset = looks, lambda: run.prior_offset
             cells = run.map_scans(opened) if pairs is None else run.read_maps(opened, pairs)
         except BaseException:
             if made is not None:
@@ -154,19 +155,13 @@ def replay(
         "warnings": warnings,
     }
     if prior is not None:
-        summary["prior"] = _of_prior(prior, run, config)
+        found = {} if run.prior_offset is None else run.prior_offset.values
+        summary["prior"] = {**found, "look_first": [place._asdict() for place in looks]}
     ends = losses, warnings, run.interrupted, tuple(passes.changes)
     result = ReplayResult(folder, decoded, assessment, tuple(run.timings), summary, *ends)
     if folder is not None:
         write_results(folder, result, config, report, history)
     return result
-
-
-def _of_prior(prior: Prior, run: Run, config: Config) -> dict[str, Any]:
-    """Where to look first by it, and how far the map lay from it."""
-    looks = look_first(prior, Domain.of(config.domain), config)
-    found = {} if run.prior_offset is None else run.prior_offset.values
-    return {**found, "look_first": [place._asdict() for place in looks]}
 
 
 def _why_nothing(run: Run) -> str:

@@ -56,7 +56,7 @@ class Run:
         points_dropped: Points of mapped scans that are not in the map, by reason.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
         maps: Maps that were read, for a bag of maps.
-        prior: What leaves begin from; ``prior_offset`` is how far the map lay from it at the end.
+        prior: What leaves begin from; ``prior_offset`` is how far the map lies from it.
     """
 
     config: Config
@@ -74,7 +74,7 @@ class Run:
     noise_ratio: float = float("nan")
     maps: int = 0
     prior: Prior | None = None
-    prior_offset: PriorOffset | None = None
+    mapper: Mapper | None = None
 
     def __post_init__(self) -> None:
         self.intake = Intake(self.config)
@@ -90,6 +90,7 @@ class Run:
         """Maps every scan of the stream. Raises `ReplayError`: there was none that could be mapped;
         or KeyboardInterrupt: stopped before there was one."""
         stream, mapper = self.stream, Mapper(self.config, self.prior)
+        self.mapper = mapper
         self.intake = stream.intake(self.config)
         for message in self._messages(bag, stream.topics):
             began = time.perf_counter()
@@ -106,7 +107,6 @@ class Run:
         self.intake.finish()
         self._note()
         self._judge_poses(mapper)
-        self.prior_offset = mapper.prior_offset
         self._need(bool(self.timings), bag, "no scan could be mapped", "there is no scan")
         return mapper.snapshot()
 
@@ -141,6 +141,11 @@ class Run:
                 self.passes.landing_changed()
             else:
                 yield message
+
+    @property
+    def prior_offset(self) -> PriorOffset | None:
+        """As of `Mapper`."""
+        return None if self.mapper is None else self.mapper.prior_offset
 
     @property
     def points(self) -> int:

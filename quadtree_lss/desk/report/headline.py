@@ -117,6 +117,9 @@ class Fact:
     level: str = ""
 
 
+PRIOR = ("east", "north", "up")
+
+
 def best_probability(content: Content) -> float:
     """Of the best aim; NaN without a site, or where nobody asked for it."""
     found = content.sites.get("probability", np.zeros(0))
@@ -156,6 +159,10 @@ def trust(content: Content) -> tuple[str, list[Fact]]:
     ]
     if lss.assessment == "probability":
         facts.append(Fact("risk allowed at a place", f"{100.0 * lss.max_risk:.3g} %"))
+    if "east" in (prior := summary.get("prior") or {}):
+        off = "m, ".join(f"{prior[k]:+.2f} ± {prior[k + '_sigma']:.2f} " for k in PRIOR) + "m"
+        off = "refused: it is of another place" if prior["refused"] else off
+        facts.append(Fact("map from its prior, e, n, up", off, "care" if prior["refused"] else ""))
     return "care" if level == "good" and not fits else level, facts
 
 

@@ -135,8 +135,10 @@ class LockstepNodes:
 
     @property
     def told(self) -> dict[str, Any]:
-        """What guidance said last, and how the returns scatter, for a summary."""
-        return {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
+        """What guidance said last, how the returns scatter, and of the prior, for a summary."""
+        found = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
+        offset = self.prior_offset
+        return found if offset is None else {**found, "prior": offset.values}
 
     @property
     def prior_offset(self) -> PriorOffset | None:

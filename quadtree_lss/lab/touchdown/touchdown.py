@@ -129,13 +129,8 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival, longest: float = LONGE
             break
     film.append(np.r_[data.time, data.qpos[:7]])
     slid = float(np.hypot(*(data.qpos[:2] - start)))
-    outcome = OUTCOMES[0]
-    if slid > SLID * diameter or calm < CALM:
-        outcome = OUTCOMES[1]
-    if struck:
-        outcome = OUTCOMES[2]
-    if tilt > TIPPED_DEG:
-        outcome = OUTCOMES[3]
+    was = True, slid > SLID * diameter or calm < CALM, struck, tilt > TIPPED_DEG
+    outcome = OUTCOMES[max(k for k, of in enumerate(was) if of)]
     poses = np.array(film)
     poses[:, 1:4] += corner
     seconds = float(data.time)

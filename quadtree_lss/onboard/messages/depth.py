@@ -90,7 +90,6 @@ class DepthCamera:
         step, (f, _) = self._lidar.depth_step, self._info
         if self._rays is None:
             self._rays = self._look(height, width, step)
-        rows, columns = (np.arange(step // 2, n, step) for n in (height, width))
         z = np.asarray(whole[step // 2 :: step, step // 2 :: step], dtype=np.float32)
         z = z * np.float32(unit)
         with np.errstate(invalid="ignore"):
@@ -98,14 +97,15 @@ class DepthCamera:
             most = STEEP * z / np.float32(f[0])
             most += JUMP * (self._lidar.range_noise + self._lidar.stereo * z * z)
             flying = np.zeros(z.shape, dtype=np.bool_)
-            for axis, places in enumerate((rows, columns)):
-                last = (height, width)[axis] - 1
-                sides = []
-                for side in (-1, 1):
-                    at = [rows, columns]
-                    at[axis] = np.clip(places + side, 0, last)
-                    sides.append(whole[at[0][0] : at[0][-1] + 1, :][at[0] - at[0][0]][:, at[1]])
-                flying |= _between(z, *(np.float32(unit) * side for side in sides), most)
+            for of, own, limit, out in (
+                (whole[:, step // 2 :: step], z, most, flying),
+                (whole[step // 2 :: step].T, z.T, most.T, flying.T),
+            ):  # those that have a neighbour on either side
+                first, count = step // 2, len(of)
+                some = slice(int(first == 0), (count - 2 - first) // step + 1)
+                at = first + step * some.start, first + step * (some.stop - 1) + 1
+                sides = (of[at[0] + k : at[1] + k : step] * np.float32(unit) for k in (-1, 1))
+                out[some] |= _between(own[some], *sides, limit[some])
         self.edges = int(np.count_nonzero(flying))
         z[flying] = np.nan
         points = np.empty((*z.shape, 3), dtype=np.float32)

@@ -8,7 +8,7 @@ that what was rounded on the way to the wire was rounded for both.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,9 @@ STATUS_FIELDS = (
     *_of("u1", "doubts"),
     *_of("f4", "now_x now_y now_z now_probability gain wait"),
 )
+#: ... and with a prior: how far the map lies from it, and the covariance of that.
+_OF_PRIOR = _of("f4", tuple(f"prior_{of}" for of in "x y z xx xy xz yy yz zz".split()))
+PRIOR_STATUS_FIELDS = (*STATUS_FIELDS, *_OF_PRIOR)
 
 
 def record_dtype(fields: tuple[tuple[str, str], ...]) -> np.dtype[np.void]:
@@ -264,11 +267,19 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
     return out
 
 
-def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]:
-    """The one record (1,) of ``record_dtype(STATUS_FIELDS)``. ``assessment``: the answer. ``age``:
-    of its map when it is sent, s; NaN if unknown."""
+def encode_status(
+    assessment: LandingAssessment, age: float, prior: Any = None
+) -> tuple[NDArray[np.void], tuple[tuple[str, str], ...]]:
+    """The one record (1,) and its fields. ``assessment``: the answer. ``age``: of its map when it
+    is sent, s; NaN if unknown. ``prior``: the last of ``map/prior``, None without."""
     selected = assessment.selected
-    out = np.zeros(1, dtype=record_dtype(STATUS_FIELDS))
+    fields = STATUS_FIELDS if prior is None else PRIOR_STATUS_FIELDS
+    out = np.zeros(1, dtype=record_dtype(fields))
+    if prior is not None:
+        at, covariance = prior.pose.pose.position, prior.pose.covariance
+        values = at.x, at.y, at.z, *(covariance[k] for k in (0, 1, 2, 7, 8, 14))
+        for (name, _), value in zip(_OF_PRIOR, values, strict=True):
+            out[name] = value
     for axis, name in enumerate("xyz"):
         out[name] = selected.position[axis]
     out["hazard_distance"] = selected.site.hazard_distance if selected.id else np.nan
@@ -281,7 +292,7 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     for name, value in zip(names, assessment.now, strict=True):
         out[name] = value
     out["gain"], out["wait"] = assessment.gain, WAIT_S
-    return out
+    return out, fields
 
 
 def encode_observed(observed: Mask, known: Mask) -> NDArray[np.int8]:

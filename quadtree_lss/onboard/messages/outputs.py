@@ -22,7 +22,6 @@ from quadtree_lss.onboard.messages.maps import (
     CELL_FIELDS_BEFORE,
     POINT_FIELD_TYPES,
     SITE_FIELDS,
-    STATUS_FIELDS,
     decode_cells,
     decode_observed,
     encode_cells,
@@ -68,6 +67,12 @@ TOPIC_TYPES = {
 
 GRID_MAP, GRID_MAP_TYPE = "landing/grid_map", "grid_map_msgs/msg/GridMap"
 """Sent live where ``grid_map_msgs`` is installed, and always recorded."""
+RECORDED_TYPES = {
+    **TOPIC_TYPES,
+    GRID_MAP: GRID_MAP_TYPE,
+    PRIOR: SELECTED_TYPE,
+    LOOK_FIRST: POSES_TYPE,
+}
 GRID_MAP_LAYERS = (
     "elevation plane_elevation slope_deg hazard safe score probability shadow reach".split()
 )
@@ -152,10 +157,10 @@ class MessageMaker:
         yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
 
     def of_landing(
-        self, assessment: LandingAssessment, age: float = float("nan")
+        self, assessment: LandingAssessment, age: float = float("nan"), prior: Any = None
     ) -> Iterator[Named]:
         """The ``landing/`` topics, target first."""
-        yield from self.of_target(assessment, age)
+        yield from self.of_target(assessment, age, prior)
         yield from self.of_ground(assessment)
 
     def of_ground(self, assessment: LandingAssessment) -> Iterator[Named]:
@@ -209,11 +214,13 @@ class MessageMaker:
         turned = np.ascontiguousarray(values[::-1, ::-1], np.float32).ravel()
         return self._make("std_msgs/msg/Float32MultiArray", layout=layout, data=self._pack(turned))
 
-    def of_target(self, assessment: LandingAssessment, age: float) -> Iterator[Named]:
-        """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown."""
+    def of_target(
+        self, assessment: LandingAssessment, age: float, prior: Any = None
+    ) -> Iterator[Named]:
+        """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown;
+        ``prior``: the last of ``map/prior``, None without."""
         yield SELECTED, self.selected(assessment)
-        record = encode_status(assessment, age)
-        yield STATUS, self.cloud(record, STATUS_FIELDS, assessment.stamp_ns)
+        yield STATUS, self.cloud(*encode_status(assessment, age, prior), assessment.stamp_ns)
 
     def cloud(self, records: NDArray[np.void], fields: Fields, stamp: int) -> Any:
         """PointCloud2 of records (M,) or (H, W) of ``record_dtype(fields)``, packed."""

@@ -38,7 +38,7 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
+from quadtree_lss.onboard.messages.maps import PRIOR_STATUS_FIELDS, STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, cloud_records
 from quadtree_lss.onboard.messages.poses import MAX_POSITION
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Problems, Status
@@ -119,7 +119,9 @@ class AutopilotNode(Node):
 
     def _on_status(self, message: Any) -> None:
         try:
-            self._status = (self._now(), cloud_records(message, STATUS_FIELDS)[0])
+            plain = len(message.fields) == len(STATUS_FIELDS)
+            fields = STATUS_FIELDS if plain else PRIOR_STATUS_FIELDS
+            self._status = (self._now(), cloud_records(message, fields)[0])
         except MessageError as error:
             self._problems.report("status_layout", str(error))
 

@@ -99,7 +99,8 @@ class LssNode(Node):
                 ("landing/probability", OccupancyGrid),
             )
         }
-        self._target = TargetOutput(self, self._age, self._release, self._land_now)
+        prior = bool(config.prior.file)
+        self._target = TargetOutput(self, self._age, self._release, self._land_now, prior=prior)
         self._markers = MarkerPublisher(
             self,
             advertise(self, MarkerArray, "landing/markers", latched()),

@@ -16,8 +16,8 @@ from std_srvs.srv import Trigger
 
 from quadtree_lss.onboard.config.limits import LONGEST
 from quadtree_lss.onboard.core.landing.target import WAIT_S
-from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
-from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, target
+from quadtree_lss.onboard.messages.outputs import PRIOR, SELECTED, STATUS
+from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, subscribe, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
@@ -28,7 +28,8 @@ class TargetOutput:
     """Publishes the target with every assessment, and between them while there is no new one.
     ``node``: owner; a change of the target goes to its log. ``age``: age of a map by its stamp, s;
     NaN if unknown. ``release``, ``land_now``: called when somebody asks for another target, or for
-    the best within reach, which is then assessed and sent before the call returns."""
+    the best within reach, which is then assessed and sent before the call returns. ``prior``:
+    there is one, of which ``map/prior`` tells."""
 
     def __init__(
         self,
@@ -36,6 +37,8 @@ class TargetOutput:
         age: Callable[[int], float],
         release: Callable[[], None],
         land_now: Callable[[], None],
+        *,
+        prior: bool,
     ) -> None:
         self._logger, self._age, self._release = node.get_logger(), age, release
         self._land_now, self._urgent = land_now, False
@@ -44,6 +47,9 @@ class TargetOutput:
             STATUS: advertise(node, PointCloud2, STATUS, latched()),
         }
         self._result: LandingAssessment | None = None
+        self._prior: PoseWithCovarianceStamped | None = None
+        if prior:
+            subscribe(node, PoseWithCovarianceStamped, PRIOR, self._on_prior, latched())
         self._chosen = False
         self._frame = ""
         clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -90,9 +96,12 @@ class TargetOutput:
         if result is None:
             return
         maker, age = message_maker(self._frame), self._age(result.stamp_ns)
-        for topic, message in maker.of_target(result, age):
+        for topic, message in maker.of_target(result, age, self._prior):
             if topic == STATUS or self._chosen:
                 self._publishers[topic].publish(message)
+
+    def _on_prior(self, message: PoseWithCovarianceStamped) -> None:
+        self._prior = message
 
     def _log_change(self, result: LandingAssessment) -> None:
         """A line of the log where the target is another one than before."""

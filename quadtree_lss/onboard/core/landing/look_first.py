@@ -27,20 +27,17 @@ from quadtree_lss.onboard.core.tree.prior import Prior
 HALF = 3.0
 #: Places that are named.
 MOST = 5
-#: Posts that are steep: of less ease.
-EVEN = 0.5
 
 
 class Look(NamedTuple):
-    """A place to look at: map frame, m; slope of the prior there, deg, the ease of the ground
-    about, 0 to 1, and the distance to steep ground, m."""
+    """A place to look at: map frame, m; slope of the prior there, deg, and the ease of the ground
+    about, 0 to 1."""
 
     x: float
     y: float
     z: float
     slope_deg: float
     ease: float
-    room: float
 
 
 def look_first(
@@ -54,7 +51,6 @@ def look_first(
         config: The vehicle, and what way costs.
         near: (2,) x and y of where the vehicle is going, m; by default the middle of the square.
     """
-    from scipy.ndimage import distance_transform_edt
     from scipy.special import ndtr
 
     vehicle = config.vehicle
@@ -80,19 +76,8 @@ def look_first(
     within = max(0.5 * domain.size - half, 0.0)
     cost[np.abs(y - middle[1]) > within] = np.nan
     cost[:, np.abs(x - middle[0]) > within] = np.nan
-    steep = ease < EVEN
-    away = np.full(steep.shape, np.inf)
-    if steep.any():
-        away = planes.step * distance_transform_edt(~steep)
     rows, columns = best_points(cost, x, y, MOST, 2.0 * half)
-    return tuple(
-        Look(
-            float(x[j]),
-            float(y[i]),
-            float(height[i, j]),
-            float(np.degrees(np.arctan(slope[i, j]))),
-            float(about[i, j]),
-            float(away[i, j]),
-        )
-        for i, j in zip(rows, columns, strict=True)
-    )
+    at = rows, columns
+    slopes = np.degrees(np.arctan(slope[at]))
+    found = np.column_stack([x[columns], y[rows], height[at], slopes, about[at]])
+    return tuple(Look(*place) for place in found.tolist())

@@ -15,7 +15,7 @@ chi-square is of another place, unit or datum, and is not used any more.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
+from math import nan, pi
 
 import numpy as np
 
@@ -23,14 +23,14 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.geometry.morton import squeezed
 from quadtree_lss.onboard.core.tree.domain import Domain, carried
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
-from quadtree_lss.onboard.core.tree.prior import FAR, Planes, Prior, covered
+from quadtree_lss.onboard.core.tree.prior import FAR, Planes, Prior
 
 #: Shifts along x and along y, from -3 to 3 deviations.
 SHIFTS = 37
 #: A coarsest cell is compared once points describe so much of it.
 SHARE = 0.5
-#: Cells before a prior is judged, and the chance that a right one is refused.
-JUDGED, CHANCE = 8, 1e-6
+#: Cells before a prior is judged, and deviations that a right one exceeds once in a million.
+JUDGED, MOST = 8, 4.753
 #: Leaves to come begin from the offset anew, once it is known so much better.
 BETTER = 0.8
 SEEN, MEASURED = 1, 3
@@ -45,7 +45,7 @@ class PriorOffset:
         covariance: (3, 3) m^2.
         cells: Coarsest cells that were compared.
         misfit: Mean square of their gaps over what was expected; NaN without one.
-        covered: Share of the square that the prior covers.
+        covered: Share of the coarsest cells that the prior describes.
         refused: Why the prior is not used any more; empty while it is.
     """
 
@@ -59,16 +59,10 @@ class PriorOffset:
     @property
     def values(self) -> dict[str, float | int | str]:
         """By name, for diagnostics and files, m."""
-        names = ("east", "north", "up")
-        deviations = np.sqrt(self.covariance.diagonal())
-        return {
-            **dict(zip(names, self.offset.tolist(), strict=True)),
-            **{f"{k}_sigma": v for k, v in zip(names, deviations.tolist(), strict=True)},
-            "cells": self.cells,
-            "misfit": self.misfit,
-            "covered": self.covered,
-            "refused": self.refused,
-        }
+        names = ("east", "north", "up", "east_sigma", "north_sigma", "up_sigma")
+        numbers = *self.offset.tolist(), *np.sqrt(self.covariance.diagonal()).tolist()
+        of_cells = {"cells": self.cells, "misfit": self.misfit, "covered": self.covered}
+        return {**dict(zip(names, numbers, strict=True)), **of_cells, "refused": self.refused}
 
     @property
     def doubt(self) -> str:
@@ -82,10 +76,8 @@ class PriorMatch:
     """Compares a map with a prior as it grows, and says what new leaves begin from."""
 
     def __init__(self, prior: Prior, domain: Domain) -> None:
-        import scipy.ndimage  # takes half a second: not while scans wait, nor without a prior
-        import scipy.stats
+        import scipy.ndimage  # noqa: F401  takes half a second: not while scans wait
 
-        self._chi2 = scipy.stats.chi2
         self.prior, self._domain = prior, domain
         self.reset()
 
@@ -105,8 +97,9 @@ class PriorMatch:
         self._domain, self._compared = domain, compared
         self._side = domain.size / (1 << domain.min_level)
         self._planes: Planes | None = self.prior.planes(domain, self._side)
-        self._covered = covered(self.prior, domain)
         self._begin()
+        begun = self._beginning
+        self._covered = 0.0 if begun is None else float(np.isfinite(begun[:, 0]).mean())
 
     def _begin(self) -> None:
         """What leaves begin from, by the offset as it is known now."""
@@ -120,20 +113,15 @@ class PriorMatch:
         """(n^2, 5) as of `Planes.beginning`, of the square as it lies now; None where the prior
         says nothing."""
         if domain != self._domain:
-            east, north = (
-                round((new - old) / self._side)
-                for new, old in (
-                    (domain.xmin, self._domain.xmin),
-                    (domain.ymin, self._domain.ymin),
-                )
-            )
-            self._lie_on(domain, carried(self._compared, east, north, False))
+            old, side = self._domain, self._side
+            east, north = (domain.xmin - old.xmin) / side, (domain.ymin - old.ymin) / side
+            self._lie_on(domain, carried(self._compared, round(east), round(north), False))
         return self._beginning
 
     @property
     def found(self) -> PriorOffset:
         """What is known by now."""
-        misfit = self._squares / self._cells if self._cells else float("nan")
+        misfit = self._squares / self._cells if self._cells else nan
         return PriorOffset(*self._estimate(), self._cells, misfit, self._covered, self._refused)
 
     def learn(self, table: LeafTable) -> None:
@@ -149,13 +137,20 @@ class PriorMatch:
         self._compared[iy[new], ix[new]] = True
         leaf = table.rows[table.leaf_of.reshape(n * n, -1)[new]]
         weight = (described[new] & (leaf["known"] == MEASURED)).astype(np.float64)
-        total = weight.sum(axis=1)
-        with np.errstate(invalid="ignore"):
-            place = [np.sum(weight * leaf[name], axis=1) / total for name in ("x", "y", "z")]
-        for x, y, z in zip(*place, strict=True):
-            if np.isfinite(z):
-                self.compare(x, y, z)
-        self._judge()
+        some = weight.any(axis=1)
+        leaf, weight = leaf[some], weight[some] / weight[some].sum(axis=1, keepdims=True)
+        for place in zip(*(np.sum(weight * leaf[k], axis=1) for k in "xyz"), strict=True):
+            self.compare(*place)
+        # A sum of n squares, by Wilson and Hilferty.
+        third = 2.0 / (9.0 * max(self._cells, JUDGED))
+        most = self._cells * (1.0 - third + MOST * third**0.5) ** 3
+        if self._cells >= JUDGED and self._squares > most:
+            times = (self._squares / self._cells) ** 0.5
+            self._refused = (
+                f"over {self._cells} cells the ground departs from it {times:.1f} times as much as"
+                " prior.sigma, prior.offset_sigma and prior.height_sigma allow: another place,"
+                " unit or datum"
+            )
         if self._refused or (self._estimate()[1].diagonal() < BETTER**2 * self._known).any():
             self._begin()
 
@@ -179,9 +174,8 @@ class PriorMatch:
             self._squares += mean**2 / float(np.sum(weight * ((gap - mean) ** 2 + expected)))
             self._cells += 1
         # A shift by which the prior says nothing is as likely as one that is right, on average.
-        self._log -= 0.5 * np.where(known, gap**2 / expected + np.log(expected), 0.0)
-        if not known.all():
-            self._log[~known] -= 0.5 * (1.0 + np.mean(np.log(expected[known])))
+        usual = 1.0 + np.mean(np.log(expected[known]))
+        self._log -= 0.5 * np.where(known, gap**2 / expected + np.log(expected), usual)
         gain = np.where(known, self._variance / expected, 0.0)
         self._up += gain * gap
         self._variance *= 1.0 - gain
@@ -198,15 +192,3 @@ class PriorMatch:
         off = each - mean[:, None]
         within = [self._step**2 / 4.0] * 2 + [float(self._variance.ravel() @ weight)]
         return mean, off * weight @ off.T + np.diag(within)
-
-    def _judge(self) -> None:
-        """Refuse a prior of another place."""
-        if self._cells < JUDGED:
-            return
-        if self._squares > self._chi2.isf(CHANCE, self._cells):
-            times = (self._squares / self._cells) ** 0.5
-            self._refused = (
-                f"over {self._cells} cells the ground departs from it {times:.1f} times as much as"
-                " prior.sigma, prior.offset_sigma and prior.height_sigma allow: another place,"
-                " unit or datum"
-            )

@@ -20,6 +20,8 @@ if not cython.compiled:
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 #: A point stands out of curved ground if it is this many root mean square residuals above.
 OUTSTANDING = cython.declare(cython.double, 4.0)
+#: Depths of stereo err together with their neighbours': of so many one is asked for exceptions.
+ALIKE = cython.declare(cython.Py_ssize_t, 4)
 
 
 def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
@@ -116,7 +118,8 @@ def rest(
     # xi of a residual that is noise itself: the noise counts twice.
     leaf.exception_noise += 2.0 * count * above(rules.tolerance / sqrt(2.0 * variance))
     if greatest > rules.tolerance - 3.0 * sqrt(noise):
-        leaf.exception_sum += exceptions(residual, begin, end, rules.tolerance, sqrt(noise))
+        every: cython.Py_ssize_t = ALIKE if rules.stereo > 0.0 else 1
+        leaf.exception_sum += exceptions(residual, begin, end, every, rules.tolerance, sqrt(noise))
     leaf.residuals += count
 
 
@@ -125,19 +128,23 @@ def exceptions(
     residual: Array,
     begin: cython.Py_ssize_t,
     end: cython.Py_ssize_t,
+    every: cython.Py_ssize_t,
     tolerance: float,
     deviation: float,
 ) -> cython.double:
     """Eq. 48's sum of xi: probability mass beyond the roughness tolerance t.
 
-    xi = P(|e + s N(0, 1)| > t) with e the residual (N,), m, of the run ``begin`` to ``end``, and s
-    the ``deviation`` that range noise leaves in it, m. How uncertain the plane's slope is does not
-    count: of a leaf that was seen in part that is the other part's.
+    xi = P(|e + s N(0, 1)| > t) with e the residual (N,), m, of the run ``begin`` to ``end``, of
+    which one of ``every`` so many stands for all, and s the ``deviation`` that range noise leaves
+    in it, m. How uncertain the plane's slope is does not count: of a leaf that was seen in part
+    that is the other part's.
     """
-    i: cython.Py_ssize_t
-    mass = 0.0
-    for i in range(begin, end):
+    i: cython.Py_ssize_t = begin
+    asked = mass = 0.0
+    while i < end:
         e = fabs(residual[i])
         if e > tolerance - 3.0 * deviation:
             mass += above((tolerance - e) / deviation) + above((tolerance + e) / deviation)
-    return mass
+        asked += 1.0
+        i += every
+    return mass * ((end - begin) / asked)

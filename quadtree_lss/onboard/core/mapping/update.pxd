@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
-from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance, shift_origin
+from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge
 from quadtree_lss.onboard.core.mapping.features cimport Heights, update_feature

@@ -15,7 +15,7 @@ from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 if not cython.compiled:
     from math import exp, fabs, inf, nan, sqrt
 
-    from quadtree_lss.onboard.core.geometry.plane import fuse, offset_variance, shift_origin
+    from quadtree_lss.onboard.core.geometry.plane import fuse, offset_variance
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge
     from quadtree_lss.onboard.core.mapping.features import update_feature
@@ -321,7 +321,6 @@ class ScanUpdate:
         than `BEGINNING` deviations off in height or slope.
         """
         normal = cython.declare(cython.double[3])
-        basis = cython.declare(cython.double[6])
         known = cython.declare(cython.double[9])
         pose = cython.declare(cython.double[9])
         rise = cython.declare(cython.double[1])
@@ -333,47 +332,30 @@ class ScanUpdate:
         side = self.table.side(self.coarsest)
         x = ((leaf.ix + 0.5) / (1 << down) - ix - 0.5) * side
         y = ((leaf.iy + 0.5) / (1 << down) - iy - 0.5) * side
-        a = self.beginning[at, 1]
-        b = self.beginning[at, 2]
-        up = 1.0 / sqrt(a * a + b * b + 1.0)
-        off = self.beginning[at, 0] + a * x + b * y - leaf.z
-        tilt = self.beginning[at, 3] * up * up
+        a, b = self.beginning[at, 1], self.beginning[at, 2]
+        square = 1.0 / (a * a + b * b + 1.0)
+        tilt = self.beginning[at, 3] * square
         for i in range(9):
             known[i] = pose[i] = 0.0
         known[0] = known[4] = tilt
-        known[8] = self.beginning[at, 4] * up * up
-        normal[0], normal[1], normal[2] = -a * up, -b * up, up
-        basis_at(normal, basis)
-        z = a * x + b * y
-        shift_origin(
-            known,
-            basis[0] * x + basis[1] * y + basis[2] * z,
-            basis[3] * x + basis[4] * y + basis[5] * z,
-        )
+        known[8] = self.beginning[at, 4] * square + tilt * (x * x + y * y)
+        off = self.beginning[at, 0] + a * x + b * y - leaf.z
+        normal[2] = sqrt(square)
+        normal[0], normal[1] = -a * normal[2], -b * normal[2]
+        x, y = leaf.normal[0] - normal[0], leaf.normal[1] - normal[1]
         own = leaf.range_part[8] + leaf.pose_part[8]
+        turn = leaf.range_part[0] + leaf.range_part[4] + leaf.pose_part[0] + leaf.pose_part[4]
         most = BEGINNING * BEGINNING
-        x = leaf.normal[0] - normal[0]
-        y = leaf.normal[1] - normal[1]
-        z = leaf.range_part[0] + leaf.range_part[4] + leaf.pose_part[0] + leaf.pose_part[4]
-        near: cython.bint = off * off * up * up <= most * (known[8] + own)
         # A place that the prior does not cover is not a number, and not near.
-        if not (near and x * x + y * y <= most * (2.0 * tilt + z)):
+        if not (off * off * square <= most * (known[8] + own)):
             return
-        fuse(
-            normal,
-            off,
-            known,
-            pose,
-            leaf.normal,
-            leaf.range_part,
-            leaf.pose_part,
-            0.0,
-            True,
-            rise,
-        )
+        if not (x * x + y * y <= most * (2.0 * tilt + turn)):
+            return
+        of_range = leaf.range_part
+        of_pose = leaf.pose_part
+        fuse(normal, off, known, pose, leaf.normal, of_range, of_pose, 0.0, True, rise)
         for i in range(9):
-            leaf.range_part[i] = known[i]
-            leaf.pose_part[i] = pose[i]
+            of_range[i], of_pose[i] = known[i], pose[i]
         leaf.z += rise[0]
 
     def _apart(self, leaf: Record, run: Record) -> cython.bint:
