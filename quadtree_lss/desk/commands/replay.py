@@ -38,7 +38,6 @@ Ctrl-C stops at once.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = common.add_command(commands, "replay", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
@@ -76,22 +75,11 @@ def _run(options: argparse.Namespace) -> int:
     out = options.out if options.out is not None else new_folder(Path("results"))
     report = "" if options.no_report else ", draws the report"
     then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
+    how = common.given(options, *common.TOPICS, "start", "duration", "record")
+    how |= {"report": not options.no_report, "landing": common.landing_of(options)}
     with Interruption(then) as interruption, ProgressBar("replay", "s", options.verbose) as bar:
-        result = replay(
-            options.bag,
-            out,
-            config,
-            scan_topic=options.scan_topic,
-            pose_topic=options.pose_topic,
-            poses=options.poses,
-            start=options.start,
-            duration=options.duration,
-            report=not options.no_report,
-            record=options.record,
-            landing=common.landing_of(options),
-            progress=bar.update,
-            stop=interruption.asked,
-        )
+        how |= {"progress": bar.update, "stop": interruption.asked}
+        result = replay(options.bag, out, config, **how)
     if options.out is None and link_latest(out) is None:
         latest = out.parent / "latest"
         warn(f"warning: {latest} does not point at these results: it is not a link")
@@ -124,21 +112,12 @@ def _publish(options: argparse.Namespace) -> int:
     except ImportError as error:
         msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
         raise QuadtreeLssError(msg) from None
+    how = common.given(options, *common.TOPICS[:2], "start", "duration", "remap")
+    how |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
     with ProgressBar("play", "s", options.verbose) as bar:
-        report = play(
-            options.bag,
-            rate=1.0 if options.rate is None else options.rate,
-            scan_topic=options.scan_topic,
-            pose_topic=options.pose_topic,
-            start=options.start,
-            duration=options.duration,
-            namespace=options.namespace or "",
-            remap=options.remap,
-            progress=bar.update,
-        )
-    sent = f"{report.scans} scans and {report.poses} poses"
-    if report.maps:
-        sent = f"{report.maps} maps"
+        report = play(options.bag, **how, progress=bar.update)
+    scans = f"{report.scans} scans and {report.poses} poses"
+    sent = f"{report.maps} maps" if report.maps else scans
     if options.json:
         common.print_json(asdict(report))
     else:

@@ -20,7 +20,6 @@ Results are those of replay; coordinates are the model's, which must be in metre
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = common.add_command(commands, "sites", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("dem", type=common.named, metavar="DEM", help="elevation model, m, z up")

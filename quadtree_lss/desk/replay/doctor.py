@@ -107,11 +107,9 @@ class Heard:
             self._poses.append((stamp_ns(msg.header), place, unit, known))
 
     def add_gimbal(self, msg: Any) -> None:
-        """One angle of the gimbal."""
         self._gimbal.append(mount_from_message(msg))
 
     def findings(self, config: Config) -> list[Finding]:
-        """What is wrong with covariances, frames, axes, units, lag and mount."""
         found = []
         if self._poses and not any(known for *_, known in self._poses):
             sigmas = config.pose.unknown_position_sigma, config.pose.unknown_attitude_sigma_deg
@@ -342,7 +340,6 @@ def _judged(flight: _Flight, config: Config) -> list[Finding]:
 
 
 def _state(cost: float, above: float, mended: float) -> str:
-    """What speaks for it."""
     words = [f"{100 * above:.0f} % of the ground lies above the lidar"] * (above > MOST_ABOVE)
     if np.isfinite(mended):
         far = f"{cost:.2g} m" if np.isfinite(cost) else "not at all"

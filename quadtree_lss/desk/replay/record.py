@@ -59,7 +59,6 @@ class Recorder:
             shutil.rmtree(self._path, ignore_errors=True)
 
     def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
-        """Writes a map."""
         if self._maps:
             for topic, message in self._messages.of_map(take()):
                 self._write(topic, message, now_ns)

@@ -135,7 +135,6 @@ def risks(of: Reliability | None) -> dict[str, float | int | None]:
 
 
 def keep(case: Case, folder: Path) -> None:
-    """Bag, truth, results with their page, and figures of the evaluation."""
     config = load_config([], case.parameters)
     options: dict[str, Any] = dict(case.conditions)
     simulate(

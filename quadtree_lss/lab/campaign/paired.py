@@ -43,7 +43,6 @@ class Comparison:
     unpaired: int
 
     def table(self) -> str:
-        """Aligned lines for people."""
         head = ("", "first", "second", "difference", "95 % interval", "better / worse", "flight")
         rows = [head]
         for d in self.differences:
@@ -60,7 +59,6 @@ class Comparison:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
         rows = {}
         for difference in self.differences:
             content = asdict(difference)

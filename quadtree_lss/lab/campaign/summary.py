@@ -42,7 +42,6 @@ class Line:
     events: int | None = None
 
     def cells(self) -> tuple[str, str, str, str, str]:
-        """For a table."""
         q = self.quantity
         digits = f".{q.digits}f"
         flight = "–" if self.worst_flight is None else str(self.worst_flight)
@@ -154,7 +153,6 @@ class CampaignResult:
 
     @property
     def failed(self) -> dict[int, str]:
-        """Why flights failed, by number."""
         return {index: r.error for index, r in self.records.items() if r.error}
 
     @cached_property
@@ -177,7 +175,6 @@ class CampaignResult:
         return found
 
     def table(self) -> str:
-        """Aligned lines for people."""
         lines = []
         for name, part in self.lines:
             rows = [
@@ -190,7 +187,6 @@ class CampaignResult:
         return "\n".join(lines).rstrip()
 
     def as_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
         parts = [
             {"name": name, "quantities": {row.quantity.name: _line_dict(row) for row in rows}}
             for name, rows in self.lines
@@ -241,7 +237,6 @@ def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
 
 
 def _csv(records: Iterable[Record]) -> str:
-    """A row for each flight."""
     rows = [
         {
             "flight": record.index,

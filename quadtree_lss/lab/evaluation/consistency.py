@@ -25,7 +25,6 @@ class Consistency:
     scans: int
 
     def table(self) -> str:
-        """Both tests in aligned lines, like Table 2."""
         lines = [f"{'Prefit residuals':<24}{'below':>9}{'above':>9}{'both':>9}"]
         for name, of in (
             ("one degree of freedom", self.counts.one_degree),

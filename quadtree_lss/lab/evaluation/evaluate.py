@@ -153,7 +153,6 @@ class ComparisonResult:
     figures: tuple[Path, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Scores by the name of the run, ready for JSON."""
         return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
 
     def table(self) -> str:

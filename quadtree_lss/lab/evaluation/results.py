@@ -136,7 +136,6 @@ def _check_length(path: Path, name: str, array: NDArray[Any], length: int, of: s
 
 
 def load_truth(path: str | Path) -> Truth:
-    """Read ``truth.npz``."""
     file = Path(path)
     return truth_of(_arrays(file, _TRUTH, (*_TRUTH_EXTRA, *_TRUTH_NAMES)), file)
 

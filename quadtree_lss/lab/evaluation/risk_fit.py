@@ -172,7 +172,6 @@ def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
 
 
 def _signs(terms: tuple[Term, ...]) -> Array:
-    """(1 + steps,) that steps keep."""
     return np.concatenate([[0.0], *(np.full(_rows(t) * (len(t.knots) - 1), t.sign) for t in terms)])
 
 
@@ -194,14 +193,12 @@ def unfitted() -> RiskModel:
 
 
 def _steps(cause: Cause) -> Array:
-    """Constant and steps of a cause."""
     return np.concatenate(
         [[cause.constant], *(np.diff(curve.odds, axis=1).ravel() for curve in cause.curves)]
     )
 
 
 def _model(steps: list[Array]) -> RiskModel:
-    """The model of constants and steps, by cause."""
     causes = {}
     for (name, terms), own in zip(TERMS.items(), steps, strict=True):
         curves, at = [], 1

@@ -49,14 +49,12 @@ class EvaluationResult:
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Numbers only, ready for JSON; None stands for a number that does not exist."""
         values = asdict(self)
         values.pop("out")
         values.pop("figures")
         return {key: plain(value) for key, value in values.items()}
 
     def table(self) -> str:
-        """A few aligned lines for people."""
         e, d = self.elevation, self.detection
         times = f"{show(self.map_ms_median, '.2f')} / {show(self.map_ms_p99, '.2f', ' ms')}"
         rows = [

@@ -151,7 +151,6 @@ class BagRecorder:
         self._writer.close()
 
     def write(self, topic: str, received_ns: int, message: Any) -> None:
-        """Write one message."""
         if topic not in self._topics:
             self._topics[topic] = self._connection(topic)
         connection = self._topics[topic]
