@@ -187,25 +187,17 @@ def test_a_scanning_lidar_maps_level_ground_level(tmp_path):
 
 
 def test_without_report_an_old_one_does_not_stay(bag, tmp_path):
-    old = [tmp_path / "report.html", tmp_path / "figures" / "score.png"]
-    other = tmp_path / "figures" / "mine.png"
-    other.parent.mkdir()
-    for path in (*old, other):
+    names = "report.html figures/score.png evaluation/evaluation.json"
+    old = [tmp_path / name for name in (*names.split(), "evaluation/fig09_quadtree_and_scans.png")]
+    others = [tmp_path / "figures" / "mine.png", tmp_path / "evaluation" / "notes.txt"]
+    for path in (*old, *others):
+        path.parent.mkdir(exist_ok=True)
         path.write_text("of an earlier run")
     replay(bag, tmp_path, CONFIG, report=False)
-    assert not any(path.exists() for path in old) and other.exists()
-
-
-def test_an_evaluation_of_an_earlier_run_does_not_stay(bag, tmp_path):
-    folder = tmp_path / "evaluation"
-    folder.mkdir()
-    for name in ("evaluation.json", "fig09_quadtree_and_scans.png", "notes.txt"):
-        (folder / name).write_text("old")
+    assert not any(path.exists() for path in old) and all(path.exists() for path in others)
+    others[1].unlink()
     replay(bag, tmp_path, CONFIG, report=False)
-    assert [path.name for path in folder.iterdir()] == ["notes.txt"]
-    (folder / "notes.txt").unlink()
-    replay(bag, tmp_path, CONFIG, report=False)
-    assert not folder.exists()
+    assert not others[1].parent.exists()
 
 
 def test_the_summary_says_which_bag_it_is_of_wherever_it_is_read(bag, tmp_path, monkeypatch):
