@@ -32,11 +32,15 @@ def stand(
     worst: Array,
 ) -> None:
     """Steepest resting plane, and how far the ground rises above any of them, to ``worst`` (K, 2):
-    tangent of the slope, and rise in m. ``elevation``: (ny, nx) posts, m. ``frame``: (4,) place of
-    the first post and steps between posts: x, y, dx, dy, m. ``points``: (K, 2) centres of landers,
-    all of each over the posts, m. ``heading``: (4 yaws, 2) cosine and sine of the pads' directions,
-    once round the circle. ``radius``, ``pad_radius``: of the circle on which the pads stand and of
-    a pad, m."""
+    tangent of the slope, and rise in m.
+
+    Args:
+        elevation: (ny, nx) posts, m.
+        frame: (4,) place of the first post and steps between posts: x, y, dx, dy, m.
+        points: (K, 2) centres of landers, all of each over the posts, m.
+        heading: (4 yaws, 2) cosine and sine of the pads' directions, once round the circle.
+        radius, pad_radius: Of the circle on which the pads stand and of a pad, m.
+    """
     cython.declare(k=cython.Py_ssize_t, p=cython.Py_ssize_t, q=cython.Py_ssize_t)
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, r=cython.Py_ssize_t)
     pads: cython.Py_ssize_t = heading.shape[0]

@@ -38,11 +38,16 @@ def march(
     speed: Array,
     ranges: Array,
 ) -> None:
-    """Set the range of every ray to its first hit, NaN where it has none. ``elevation``: (ny, nx)
-    posts, m. ``far``, ``middle``, ``near``: highest post within one window of each block of 64, 16
-    and 4 posts. ``box``: (2,) height of the lowest and of the highest post, m. ``start``: (3,)
-    where the rays begin: posts, posts, m. ``speed``: (N, 3) what a ray covers per unit of its
-    range: posts, posts, m. ``ranges``: (N,), set."""
+    """Set the range of every ray to its first hit, NaN where it has none.
+
+    Args:
+        elevation: (ny, nx) posts, m.
+        far, middle, near: Highest post within one window of each block of 64, 16 and 4 posts.
+        box: (2,) height of the lowest and of the highest post, m.
+        start: (3,) where the rays begin: posts, posts, m.
+        speed: (N, 3) what a ray covers per unit of its range: posts, posts, m.
+        ranges: (N,), set.
+    """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(axis=cython.Py_ssize_t, entering=cython.bint)
     cython.declare(x=cython.double, y=cython.double, z=cython.double)

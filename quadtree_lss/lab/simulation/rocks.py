@@ -17,12 +17,16 @@ else:
 @cython.locals(rocks=cython.double[:, ::1], axis=cython.double[::1])
 @cython.locals(posts=cython.Py_ssize_t[:, ::1], stones=cython.double[:, ::1])
 def lay(rocks: Array, axis: Array, posts: Index, stones: Array, heaped: cython.bint) -> None:
-    """Raise the posts under rocks, one after the other, to the highest rock there. ``rocks``: (n,
-    n) heights of rocks over the ground, changed in place, m. ``axis``: (n,) coordinates of the
-    posts, m. ``posts``: (K, 4) of each rock: first row and the one after the last, columns alike.
-    ``stones``: (K, 7) x, y, height, half axes, cosine and sine of the longer one's heading.
-    ``heaped``: whether each lies on those below its centre, 0.6 of their height and 0.6 m up at the
-    most."""
+    """Raise the posts under rocks, one after the other, to the highest rock there.
+
+    Args:
+        rocks: (n, n) heights of rocks over the ground, changed in place, m.
+        axis: (n,) coordinates of the posts, m.
+        posts: (K, 4) of each rock: first row and the one after the last, columns alike.
+        stones: (K, 7) x, y, height, half axes, cosine and sine of the longer one's heading.
+        heaped: Whether each lies on those below its centre, 0.6 of their height and 0.6 m up at
+            the most.
+    """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     base = 0.0
     with cython.nogil:
