@@ -30,19 +30,8 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 # No part of ROS, and not in every Ubuntu: the nodes do without.
 OF_BAGS = ("rosbags", "zstandard", "lz4", "apsw", "ruamel")
-COMMANDS = (
-    replay,
-    compare,
-    export,
-    view,
-    info,
-    config,
-    simulate,
-    evaluate,
-    campaign,
-    fly,
-    fit_risk,
-)
+DESK = (replay, compare, export, view, info, config)
+LAB = (simulate, evaluate, campaign, fly, fit_risk)
 REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11' zstandard"
 
 
@@ -131,7 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     version = f"quadtree_lss {quadtree_lss.__version__} ({build.name()})"
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command in COMMANDS:
+    for command in (*DESK, *LAB):
         command.add(commands)
     return parser
 
