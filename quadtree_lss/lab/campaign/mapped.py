@@ -100,7 +100,7 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> dict[st
         "mean_error": elevation.mean,
         "maximum": elevation.maximum,
         "leaves": scores.leaves_estimated,
-        "scans": int(results.stamps_ns.size),
+        "scans": int(results.timing["stamp_ns"].size),
         "noise_ratio": results.summary["range_noise_ratio"],
         "truly_safe": 100.0 * float(truth.safe.mean()),
         "true_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(rise_x, rise_y))))),

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from quadtree_lss.desk.replay.files import plain, write_bytes
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
@@ -102,10 +102,8 @@ def rate_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[f
     """Bounds of a rate from ``events`` in ``trials`` (Clopper and Pearson), both sides together."""
     if trials == 0:
         return float("nan"), float("nan")
-    tail = 0.5 * (1.0 - confidence)
-    low = float(beta.ppf(tail, events, trials - events + 1)) if events else 0.0
-    high = float(beta.ppf(1.0 - tail, events + 1, trials - events)) if events < trials else 1.0
-    return low, high
+    bounds = binomtest(events, trials).proportion_ci(confidence)
+    return float(bounds.low), float(bounds.high)
 
 
 def badness(quantity: Quantity, record: Record) -> float:

@@ -105,13 +105,13 @@ def scores_of(
     results: Results, truth: Truth, heights: metrics.ErrorField, safety: metrics.SafetyField
 ) -> EvaluationResult:
     """Those of one run, of the fields of its errors and of its safety."""
-    verdicts = metrics.site_verdicts(results.sites[:_TOP], truth)
-    cells = results.cells
-    times = results.map_ms if results.map_ms.size else np.array([math.nan])
+    verdicts = metrics.site_verdicts(results.positions[:_TOP], truth)
+    cells, times = results.map, results.timing["map_ms"]
+    times = times if times.size else np.array([math.nan])
     return EvaluationResult(
         elevation=metrics.elevation_error(heights),
         detection=metrics.detection(safety),
-        sites=len(results.sites),
+        sites=len(results.positions),
         unsafe_in_top_five=verdicts.count("unsafe"),
         unknown_in_top_five=verdicts.count("unknown"),
         site_verdicts=verdicts,
