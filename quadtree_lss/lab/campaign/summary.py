@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -16,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from quadtree_lss.desk.replay.files import plain, write_bytes
+from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
 from quadtree_lss.lab.campaign.store import Record, Store, read_record
 from quadtree_lss.lab.campaign.study import Study
@@ -182,7 +180,7 @@ class CampaignResult:
 
     def as_dict(self) -> dict[str, Any]:
         parts = [
-            {"name": name, "quantities": {row.quantity.name: _line_dict(row) for row in rows}}
+            {"name": name, "quantities": {row.quantity.name: numbers(row) for row in rows}}
             for name, rows in self.lines
         ]
         worst = {q.name: [list(pair) for pair in pairs] for q, pairs in self.worst()}
@@ -201,10 +199,9 @@ class CampaignResult:
         return content
 
 
-def _line_dict(line: Line) -> dict[str, Any]:
-    content = asdict(line)
-    del content["quantity"]
-    return content
+def numbers(row: Any) -> dict[str, Any]:
+    """Fields of a row of a table but for its quantity."""
+    return {name: value for name, value in asdict(row).items() if name != "quantity"}
 
 
 def write_summary(result: CampaignResult, store: Store) -> None:
@@ -214,7 +211,7 @@ def write_summary(result: CampaignResult, store: Store) -> None:
     files = [store.path(result.study.case(index)).name for index in result.records]
     text = json.dumps({**result.as_dict(), "files": files}, indent=1, allow_nan=False)
     write_bytes(result.out / "campaign.json", (text + "\n").encode())
-    write_bytes(result.out / "flights.csv", _csv(result.records.values()).encode())
+    _write_flights(result.out / "flights.csv", result.records.values())
     for name, content in page_files(result, store.times()).items():
         write_bytes(result.out / name, content)
 
@@ -230,21 +227,10 @@ def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
     return kind, {r.index: r for r in records if not r.error}
 
 
-def _csv(records: Iterable[Record]) -> str:
-    rows = [
-        {
-            "flight": record.index,
-            "seed": record.seed,
-            "scenario": record.scenario,
-            **record.labels,
-            **record.figures,
-            "error": record.error,
-        }
-        for record in records
-    ]
+def _write_flights(path: Path, records: Iterable[Record]) -> None:
+    rows = []
+    for r in records:
+        of = {"flight": r.index, "seed": r.seed, "scenario": r.scenario}
+        rows.append(of | r.labels | r.figures | {"error": r.error})
     names = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    write_csv(path, names, ([row.get(name) for name in names] for row in rows))
