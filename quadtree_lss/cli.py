@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = argparse.Namespace()
     try:
         parser = _parser()
-        if "_ARGCOMPLETE" in os.environ:  # the shell asks
+        if "_ARGCOMPLETE" in os.environ:  # eval "$(register-python-argcomplete quadtree-lss)"
             import argcomplete
 
             argcomplete.autocomplete(parser)
