@@ -86,7 +86,8 @@ class Bag:
         """Raw messages of the topics with start_ns <= time of reception < stop_ns.
 
         One file after the other, as they were recorded; files of one time, such as one per topic,
-        are joined by the time of reception."""
+        are joined by the time of reception.
+        """
         for files in _of_one_time(self._files):
             streams = (file.messages(topics, start_ns, stop_ns) for file in files)
             yield from heapq.merge(*streams, key=lambda message: message.received_ns)
@@ -203,7 +204,8 @@ class MessageBag(Bag):
 def _of_one_time(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
     """Files in their order, grouped with those before them whose time and no topic they share.
 
-    Files of the same topics are parts of one recording, whose clock may have stepped back."""
+    Files of the same topics are parts of one recording, whose clock may have stepped back.
+    """
     groups: list[list[RecordedFile]] = []
     for file in files:
         if groups and any(_beside(file, other) for other in groups[-1]):

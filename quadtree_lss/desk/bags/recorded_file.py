@@ -108,7 +108,8 @@ class RecordedFile(ABC):
     ) -> Iterator[RawMessage]:
         """Messages with start_ns <= time of reception < stop_ns; None for all topics.
 
-        In the order of their times or, if a clock stepped back, in that of the file."""
+        In the order of their times or, if a clock stepped back, in that of the file.
+        """
         wanted = [c for c, (name, _) in self.topics.items() if topics is None or name in topics]
         times = self.index["time_ns"]
         chosen = np.isin(self.index["channel"], wanted) & (times >= start_ns) & (times < stop_ns)
@@ -298,7 +299,8 @@ def mend_times(times: NDArray[np.int64]) -> int:
     """Takes impossible times of messages one after the other to be their neighbours', in place.
 
     A time is impossible if it is negative, or lies more than an hour from its neighbours, which
-    agree with each other; the first and the last if it lies a year away. Returns how many were."""
+    agree with each other; the first and the last if it lies a year away. Returns how many were.
+    """
     bad = times < 0
     if len(times) >= 3:
         exact = times.astype(np.float64)

@@ -68,7 +68,8 @@ class Ros1File(ChunkedFile):
     def _record(self, place: int) -> tuple[Fields, int, int] | None:
         """Fields, place and length of the data of a record; None if none begins here.
 
-        The data of a chunk, which may be the last one and cut, may lead beyond the file."""
+        The data of a chunk, which may be the last one and cut, may lead beyond the file.
+        """
         start = self._read(place, _LENGTH.size)
         length = _LENGTH.unpack(start)[0] if len(start) == _LENGTH.size else 0
         if not 0 < length <= MOST_HEADER:

@@ -34,7 +34,8 @@ class UsageError(QuadtreeLssError):
 class Parser(argparse.ArgumentParser):
     """As of argparse; a word that is not known comes with the nearest one that is.
 
-    What begins as a negative number, as a place may, is no option."""
+    What begins as a negative number, as a place may, is no option.
+    """
 
     def __init__(self, *args: Any, **named: Any) -> None:
         super().__init__(*args, **named)
@@ -240,7 +241,8 @@ def landing_of(options: argparse.Namespace) -> dict[str, Any]:
 def polygon(text: str) -> tuple[list[list[float]] | None]:
     """``'0,0 9,0 9,9'``, or ``none``.
 
-    A tuple of one, so that ``none``, which lifts what a bag says, differs from no option."""
+    A tuple of one, so that ``none``, which lifts what a bag says, differs from no option.
+    """
     corners = _numbers(text)
     if corners is not None and len(corners) < 3:
         msg = f"'{text}' has {len(corners)} corners; a polygon has three or more"

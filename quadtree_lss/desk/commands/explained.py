@@ -41,8 +41,12 @@ explain vehicle` shows each value and rule. Old names (`lss.vehicle_diameter`, `
 
 
 def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
-    """Each file by itself over the defaults: all that is wrong with it, a line each. ``paths``: the
-    files. ``node``: full name of a node that is to get something of each."""
+    """Each file by itself over the defaults: all that is wrong with it, a line each.
+
+    Args:
+        paths: The files.
+        node: Full name of a node that is to get something of each.
+    """
     return {str(path): _errors_of(path, node) for path in paths}
 
 

@@ -36,8 +36,11 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def page_in(folder: Path) -> Path:
-    """The page of what is in a folder, made where there are only results. Raises
-    `QuadtreeLssError`: there is nothing to be shown."""
+    """The page of what is in a folder, made where there are only results.
+
+    Raises:
+        QuadtreeLssError: there is nothing to be shown.
+    """
     for name in PAGES:
         if (folder / name).is_file():
             return folder / name

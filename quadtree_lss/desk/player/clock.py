@@ -34,7 +34,8 @@ class PlayTime:
 
     It spins the ``node`` that owns these. ``rate`` is bag seconds per second; the time goes out on
     ``/clock``, standing still while paused. ``pressed`` gives the keys pressed since the last call:
-    a space toggles."""
+    a space toggles.
+    """
 
     def __init__(self, node: Node, rate: float, pressed: Callable[[], str]) -> None:
         self.paused = False
@@ -104,7 +105,8 @@ def keys_pressed() -> Iterator[Callable[[], str]]:
     """Gives what was pressed in the terminal since it was asked last, not at the end of a line.
 
     Without a terminal, or in the background of one, no key is ever pressed. Ctrl-C and Ctrl-Z do
-    what they always do."""
+    what they always do.
+    """
     if sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
         yield lambda: ""
         return

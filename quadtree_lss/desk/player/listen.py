@@ -36,9 +36,15 @@ class ListenError(QuadtreeLssError):
 
 
 def record_live(path: Path, seconds: float) -> Path:
-    """Writes what is sent of clouds, poses, gimbal angles and transforms. ``path``: of the bag,
-    which is not there yet. ``seconds``: from the first cloud or pose on, and so long it waits for
-    one. Raises `ListenError`: none came."""
+    """Writes what is sent of clouds, poses, gimbal angles and transforms.
+
+    Args:
+        path: Of the bag, which is not there yet.
+        seconds: From the first cloud or pose on, and so long it waits for one.
+
+    Raises:
+        ListenError: none came.
+    """
     context = Context()
     rclpy.init(context=context)
     node = Node("doctor", context=context)
@@ -65,8 +71,12 @@ def record_live(path: Path, seconds: float) -> Path:
 
 
 class _Recorder:
-    """Subscribes to what appears, and writes its bytes. ``topics``: type by name. ``count``:
-    messages."""
+    """Subscribes to what appears, and writes its bytes.
+
+    Attributes:
+        topics: Type by name.
+        count: Messages.
+    """
 
     def __init__(self, node: Node, writer: Writer) -> None:
         self._node, self._writer, self._store = node, writer, typestore(False, HEARD)

@@ -106,13 +106,20 @@ def play(
     no scans is played on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses,
     or maps, have a subscriber, and at the end until all was acknowledged. The services
     ``/bag_player/pause``, ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of
-    its terminal. ``rate``: bag seconds per second. ``scan_topic``, ``pose_topic``, ``start``,
-    ``duration``: as of `replay.replay`. ``wait``: how long to wait for subscribers, s.
-    ``namespace``, ``remap``: of the topics published on; ``FROM:=TO`` as after ``-r`` of a node.
-    ``domain_id``: ROS domain, that of the environment if None. ``progress``: called with the
-    seconds of the bag that are played and those to play. Raises `BagError`, `ReplayError`: the bag
-    cannot be read, its topics or the part are not clear. `PlayError`: ROS 1 bag, rate not positive
-    and finite, no subscriber in time."""
+    its terminal.
+
+    Args:
+        rate: Bag seconds per second.
+        scan_topic, pose_topic, start, duration: As of `replay.replay`.
+        wait: How long to wait for subscribers, s.
+        namespace, remap: Of the topics published on; ``FROM:=TO`` as after ``-r`` of a node.
+        domain_id: ROS domain, that of the environment if None.
+        progress: Called with the seconds of the bag that are played and those to play.
+
+    Raises:
+        BagError, ReplayError: the bag cannot be read, its topics or the part are not clear.
+        PlayError: ROS 1 bag, rate not positive and finite, no subscriber in time.
+    """
     if not 0.0 < rate < math.inf:
         raise PlayError(f"rate {rate:g} is not positive and finite")
     path = Path(bag)

@@ -59,7 +59,8 @@ class Comparison:
     (``gained``, ``lost``), and ground that one alone has seen. ``sites_kept`` are pairs of ranks of
     the same place, ``sites_gained`` and ``sites_lost`` those without another near by.
     ``difference`` (ny, nx) is the second less the first height at the first's grid points, m; NaN
-    where not compared."""
+    where not compared.
+    """
 
     first: Results
     second: Results

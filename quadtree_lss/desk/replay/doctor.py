@@ -53,9 +53,14 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 
 
 class Finding(NamedTuple):
-    """Something that is wrong, or to know. ``key``: short name. ``text``: what, in one line.
-    ``mend``: what to do about it, in one line; empty where nothing need be done. ``fatal``: whether
-    nothing can be mapped."""
+    """Something that is wrong, or to know.
+
+    Attributes:
+        key: Short name.
+        text: What, in one line.
+        mend: What to do about it, in one line; empty where nothing need be done.
+        fatal: Whether nothing can be mapped.
+    """
 
     key: str
     text: str
@@ -204,8 +209,12 @@ class _Flight:
 
         In each cell with `FEWEST` points of two scans z = a + b x + c y is fitted; of the variances
         of what is left the median over the points counts. Infinite where scans do not overlap.
-        ``origins``, ``turns``: (K, 3) and (K, 3, 3) of the lidar. ``scale``: of the points.
-        ``chosen``: of the scans; None for all."""
+
+        Args:
+            origins, turns: (K, 3) and (K, 3, 3) of the lidar.
+            scale: Of the points.
+            chosen: Of the scans; None for all.
+        """
         points, of = scale * self.points, self.of
         if chosen is not None:
             points, of = points[chosen[of]], of[chosen[of]]

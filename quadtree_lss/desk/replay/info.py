@@ -41,7 +41,8 @@ class TopicInfo:
     ``rate`` is by the stamps, Hz; of clouds and poses that would not be used by their reception, of
     other topics unknown. ``frames`` counts the messages of each frame name, ``backward`` the stamps
     smaller than the one before. ``delay`` is the median time of reception less stamp, s; ``layout``
-    a cloud's fields with type and offset, size and organisation; ``points`` their median number."""
+    a cloud's fields with type and offset, size and organisation; ``points`` their median number.
+    """
 
     name: str
     type: str
@@ -63,7 +64,8 @@ class BagInfo:
     ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; of two topics, empty if not
     found. Some scans could be mapped (``scans_with_pose``, with ``points``), others not
     (``scans_dropped``, by reason), and so it is with the former's points. ``findings`` say what is
-    wrong, with what mends it, and what to know; ``losses`` what cannot be read, one line each."""
+    wrong, with what mends it, and what to know; ``losses`` what cannot be read, one line each.
+    """
 
     path: str
     kind: str
@@ -207,7 +209,11 @@ def _read(
 
 
 def _hear(heard: Heard, bag: Bag, message: RawMessage, stream: Stream, seen: _Stamps) -> None:
-    """A message as it stands. Raises `MessageError`: it cannot be read."""
+    """A message as it stands.
+
+    Raises:
+        MessageError: it cannot be read.
+    """
     if message.topic == stream.gimbal:
         heard.add_gimbal(bag.decode(message.raw, GIMBAL_TYPE))
         return

@@ -42,10 +42,18 @@ class Sink(Protocol):
 
 class Passes:
     """Makes maps at most ``publish.rate`` times a second of the bag's time, answers at most
-    ``publish.lss_rate`` times, and the last state always. ``config``: rates and everything about
-    landing sites. ``restrictions``: keyword arguments of ``LandingSiteSelector.assess`` at the
-    time. ``sinks``: get maps and answers. ``cells``: the last map, as its message gives it to
-    ``lss_node``. ``last``: the last answer. ``lss_ms``: what it took. ``changes``: of the target.
+    ``publish.lss_rate`` times, and the last state always.
+
+    Args:
+        config: Rates and everything about landing sites.
+        restrictions: Keyword arguments of ``LandingSiteSelector.assess`` at the time.
+        sinks: Get maps and answers.
+
+    Attributes:
+        cells: The last map, as its message gives it to ``lss_node``.
+        last: The last answer.
+        lss_ms: What it took.
+        changes: Of the target.
     """
 
     def __init__(
@@ -99,7 +107,8 @@ class Passes:
     def _make_map(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
         """A map that nobody looks at need not be taken.
 
-        Where the next one is due before an answer is, it either comes first or is the same."""
+        Where the next one is due before an answer is, it either comes first or is the same.
+        """
         self._map.sent(now_ns)
         if self._began_ns is None or now_ns < self._began_ns:  # a recorder's clock stepped back
             self._began_ns = now_ns

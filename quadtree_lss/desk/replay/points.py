@@ -29,10 +29,14 @@ def points_warning(
     missed_at: tuple[float, float] | None = None,
     why: str = "",
 ) -> str | None:
-    """Why less than half of the points enter the map, in one line; None if more do. ``points``,
-    ``dropped``: as for `points_line`. ``domain``: is named, with its place, when points missed it.
-    ``missed_at``: middle of a scan that missed it, x and y in the map frame, m. ``why``: of
-    `lost_points.likely_reason` for that scan."""
+    """Why less than half of the points enter the map, in one line; None if more do.
+
+    Args:
+        points, dropped: As for `points_line`.
+        domain: Is named, with its place, when points missed it.
+        missed_at: Middle of a scan that missed it, x and y in the map frame, m.
+        why: Of `lost_points.likely_reason` for that scan.
+    """
     used = points - sum(dropped.values())
     if not points or 2 * used >= points:
         return None

@@ -29,9 +29,15 @@ LATCHED = ros.Qos(*_KEPT, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_T
 
 class Recorder:
     """Context manager that writes the output topics into a new mcap bag: a sink of `Passes`.
-    ``path``: folder to write, which must not exist. ``frame``: of the map. ``maps``: write maps
-    too; not for a bag that holds them already. Raises `ReplayError`: ``path`` exists or cannot be
-    written."""
+
+    Args:
+        path: Folder to write, which must not exist.
+        frame: Of the map.
+        maps: Write maps too; not for a bag that holds them already.
+
+    Raises:
+        ReplayError: ``path`` exists or cannot be written.
+    """
 
     def __init__(self, path: Path, frame: str, *, maps: bool = True) -> None:
         self._path, self._maps = path, maps

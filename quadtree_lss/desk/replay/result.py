@@ -41,7 +41,8 @@ class ReplayResult:
     ``cells`` are as decoded from their message, ``timings`` a row per mapped scan, empty for a bag
     of maps; ``losses`` say what could not be read of the bag, ``warnings`` each kind of trouble
     with the messages and how often it occurred, a line each; ``targets`` are the changes of the
-    target; ``interrupted``: it was stopped before the bag's end."""
+    target; ``interrupted``: it was stopped before the bag's end.
+    """
 
     out: Path | None
     cells: CellMap
@@ -87,7 +88,8 @@ def run_summary(
 ) -> dict[str, Any]:
     """Scans, points, leaves, times in ms, memory, versions and configuration of a run.
 
-    Without a scan, as for a bag of maps, the times of a map update are NaN."""
+    Without a scan, as for a bag of maps, the times of a map update are NaN.
+    """
     map_ms = np.array([row.map_ms for row in timings] or [np.nan])
     return {
         "scans": len(timings),

@@ -78,7 +78,8 @@ def write_report(out: Path) -> None:
 def _remove_report(out: Path) -> None:
     """Takes away page, figures and evaluation of an earlier run, which would contradict this one.
 
-    Of the folder ``evaluation`` those files go that `evaluate` writes."""
+    Of the folder ``evaluation`` those files go that `evaluate` writes.
+    """
     (out / REPORT).unlink(missing_ok=True)
     for name in FIGURES:
         (out / "figures" / f"{name}.png").unlink(missing_ok=True)
@@ -149,7 +150,8 @@ def grid_of(assessment: LandingAssessment) -> Grid:
 class Results:
     """What a replay wrote; each file is read when it is asked for.
 
-    Every attribute raises `ResultsError` if its file cannot be read."""
+    Every attribute raises `ResultsError` if its file cannot be read.
+    """
 
     folder: Path
 

@@ -39,15 +39,25 @@ Progress = Callable[[float, float], None]
 
 @dataclass
 class Run:
-    """What has been done so far. ``config``: everything that can be set. ``stream``: what is read.
-    ``passes``: gets the maps as they come. ``landing``: hears areas, keep-outs and targets as they
-    come. ``history``: notes where the lidar looked. ``progress``: see `Progress`. ``stop``: asked
-    after each message; True ends the run there, which is then ``interrupted``. ``done_ns``: time of
-    reception up to which the bag was processed. ``timings``: a row per mapped scan.
-    ``points_dropped``: points of mapped scans that are not in the map, by reason.
-    ``refused_divisions``: cells that ``mapping.max_cells`` left whole. ``maps``: maps that were
-    read, for a bag of maps. ``prior``: what leaves begin from; ``prior_offset`` is how far the map
-    lay from it at the end."""
+    """What has been done so far.
+
+    Args:
+        config: Everything that can be set.
+        stream: What is read.
+        passes: Gets the maps as they come.
+        landing: Hears areas, keep-outs and targets as they come.
+        history: Notes where the lidar looked.
+        progress: See `Progress`.
+        stop: Asked after each message; True ends the run there, which is then ``interrupted``.
+
+    Attributes:
+        done_ns: Time of reception up to which the bag was processed.
+        timings: A row per mapped scan.
+        points_dropped: Points of mapped scans that are not in the map, by reason.
+        refused_divisions: Cells that ``mapping.max_cells`` left whole.
+        maps: Maps that were read, for a bag of maps.
+        prior: What leaves begin from; ``prior_offset`` is how far the map lay from it at the end.
+    """
 
     config: Config
     stream: Stream
@@ -208,7 +218,8 @@ class Run:
     def losses(self) -> list[str]:
         """Messages of maps and of what is asked of landing that could not be decoded, a line each.
 
-        `Stream` tells of the others."""
+        `Stream` tells of the others.
+        """
         keys = [key for key in self._notices if key.endswith("_encoding")]
         others = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
         return [one_line(f"{self._notices[k]} messages lost: {self._texts[k]}") for k in others]

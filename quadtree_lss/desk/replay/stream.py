@@ -70,13 +70,21 @@ class Span:
 
 @dataclass
 class Stream:
-    """Scans and poses of an open bag, or of a part of it. ``scan_topic``, ``pose_topic``: topics
-    asked for, None to find them. ``start``, ``duration``: part in s after the bag's first message,
-    None for all there is. ``bag``: path of the bag, absolute. ``scans``, ``poses``, ``gimbal``:
-    topics that are read; the last is empty without a gimbal. ``pose_type``, ``scan_type``: of the
-    messages. ``camera``: topic of the CameraInfo of depth images, empty for clouds. ``start_ns``,
-    ``stop_ns``: times of reception: start_ns <= t < stop_ns. ``seconds``: length of the part.
-    ``navigation``: hears the poses."""
+    """Scans and poses of an open bag, or of a part of it.
+
+    Args:
+        scan_topic, pose_topic: Topics asked for, None to find them.
+        start, duration: Part in s after the bag's first message, None for all there is.
+
+    Attributes:
+        bag: Path of the bag, absolute.
+        scans, poses, gimbal: Topics that are read; the last is empty without a gimbal.
+        pose_type, scan_type: Of the messages.
+        camera: Topic of the CameraInfo of depth images, empty for clouds.
+        start_ns, stop_ns: Times of reception: start_ns <= t < stop_ns.
+        seconds: Length of the part.
+        navigation: Hears the poses.
+    """
 
     scan_topic: str | None = None
     pose_topic: str | None = None

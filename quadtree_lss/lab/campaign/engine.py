@@ -61,14 +61,23 @@ def campaign(
     stop: Callable[[], bool] | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> CampaignResult:
-    """Flies what of a study has no file yet, and writes the summary. ``study``: see
-    `study.read_study`. ``out``: folder; flights that were flown there are not flown again.
-    ``where``: who flies. ``add``: flights more than the study has, of all combinations together.
-    ``rerun``: numbers of flights to fly again. ``rerun_failed``: fly those again that failed.
-    ``progress``: see `Progress`. ``stop``: asked now and then; once it answers True, what is done
-    is kept and summed up. ``tell``: gets the address of the dashboard. Raises `CampaignError`: the
-    study cannot be flown there, or Dask is not installed. `KeyboardInterrupt`: stopped before a
-    flight was done."""
+    """Flies what of a study has no file yet, and writes the summary.
+
+    Args:
+        study: See `study.read_study`.
+        out: Folder; flights that were flown there are not flown again.
+        where: Who flies.
+        add: Flights more than the study has, of all combinations together.
+        rerun: Numbers of flights to fly again.
+        rerun_failed: Fly those again that failed.
+        progress: See `Progress`.
+        stop: Asked now and then; once it answers True, what is done is kept and summed up.
+        tell: Gets the address of the dashboard.
+
+    Raises:
+        CampaignError: the study cannot be flown there, or Dask is not installed.
+        KeyboardInterrupt: stopped before a flight was done.
+    """
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
         study = _extended(study, store.added(add) if add else store.added())
@@ -104,8 +113,11 @@ def campaign(
 
 
 def flagged(out: str | Path) -> list[int]:
-    """The flights that the campaign's page names as the worst. Raises `CampaignError`: there is no
-    campaign."""
+    """The flights that the campaign's page names as the worst.
+
+    Raises:
+        CampaignError: there is no campaign.
+    """
     try:
         worst = json.loads((Path(out) / "campaign.json").read_text("utf-8"))["worst"]
         return sorted({int(index) for pairs in worst.values() for index, _ in pairs})
@@ -114,8 +126,11 @@ def flagged(out: str | Path) -> list[int]:
 
 
 def keep(study: Study, out: str | Path, index: int) -> Path:
-    """Flies flight ``index`` again; returns the folder with what it left. Raises `CampaignError`:
-    there is no such flight."""
+    """Flies flight ``index`` again; returns the folder with what it left.
+
+    Raises:
+        CampaignError: there is no such flight.
+    """
     store = Store(out)
     with store.opened():
         count = replace(study, repeats=study.repeats + store.added()).count

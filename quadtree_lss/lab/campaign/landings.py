@@ -19,7 +19,8 @@ CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault reference 
 def settings_of(case: Case) -> tuple[FlightSettings, bool]:
     """What is flown, and whether it is compared with the least propellant.
 
-    The scenario is the avoidance; ``fault`` is one as of ``--fault``."""
+    The scenario is the avoidance; ``fault`` is one as of ``--fault``.
+    """
     given: dict[str, Any] = dict(case.conditions)
     reference, fault = bool(given.pop("reference", False)), given.pop("fault", None)
     given |= {"avoidance": case.scenario, "config": dict(case.parameters)}

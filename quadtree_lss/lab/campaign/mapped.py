@@ -62,7 +62,10 @@ def fly_in_memory(
     scenario: str, seed: int, config: Config, conditions: Any
 ) -> tuple[Results, Truth, float]:
     """Results and truth of a simulated flight without a bag, the same to the bit as with one.
-    Returns both, and the CPU seconds that the truth took."""
+
+    Returns:
+        Both, and the CPU seconds that the truth took.
+    """
     simulation = Simulation(scenario, seed, **conditions)
     results = results_of(replay(in_memory(simulation), None, config, report=False))
     began = time.process_time()
@@ -115,7 +118,8 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> dict[st
 def risks(of: Reliability | None) -> dict[str, float | int | None]:
     """Scores of the predicted risks, and how many grid points failed of those told such a risk.
 
-    By bin of ``TOLD``, beside how many were expected to. Of a map without risks there are none."""
+    By bin of ``TOLD``, beside how many were expected to. Of a map without risks there are none.
+    """
     bins = {} if of is None else {one.low: one for one in of.bins}
     found: dict[str, float | int | None] = {
         "brier": None if of is None else of.brier,

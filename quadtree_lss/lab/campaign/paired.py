@@ -67,7 +67,8 @@ class Comparison:
 def compare_campaigns(first: str | Path, second: str | Path) -> Comparison:
     """Compare two campaigns' folders, whose flights are paired by number and seed.
 
-    Raises `CampaignError` if they are of different kinds or have no pair."""
+    Raises `CampaignError` if they are of different kinds or have no pair.
+    """
     (kind, one), (other_kind, two) = read_campaign(Path(first)), read_campaign(Path(second))
     if kind != other_kind:
         raise CampaignError(f"{first} is of kind {kind}, {second} of {other_kind}")

@@ -135,8 +135,12 @@ def groups(study: Study, records: Iterable[Record]) -> list[tuple[str, list[Reco
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What a campaign found. ``records``: flights by number, failed ones too. ``interrupted``:
-    stopped before all were flown."""
+    """What a campaign found.
+
+    Attributes:
+        records: Flights by number, failed ones too.
+        interrupted: Stopped before all were flown.
+    """
 
     out: Path
     study: Study

@@ -47,9 +47,13 @@ def consistency(
     """Map a bag as ``replay`` would; before each scan compare its points with the map as it is.
 
     With ``results``, only the scans that were mapped into these, which must be the same.
-    ``progress`` is called with the number of scans mapped so far. Raises `BagError`: the bag cannot
-    be read or its topics are ambiguous. `EvaluationError`: no point of it fell on ground that was
-    already mapped, or the scans are not those of the results."""
+    ``progress`` is called with the number of scans mapped so far.
+
+    Raises:
+        BagError: the bag cannot be read or its topics are ambiguous.
+        EvaluationError: no point of it fell on ground that was already mapped, or the scans are
+            not those of the results.
+    """
     rows: dict[int, list[int]] = {}
     if results is not None:
         columns = [results.timing[name].tolist() for name in COLUMNS[:4]]
@@ -81,7 +85,8 @@ def _check(report: ScanReport, row: list[int], exact: bool, bag: str | Path) -> 
     """Compare a scan, and the map after it, with its row of ``timing.csv``.
 
     Results of another version can only be asked for the points (not ``exact``). Of another
-    processor leaves may differ by the few whose statistics lie on a threshold to the last bit."""
+    processor leaves may differ by the few whose statistics lie on a threshold to the last bit.
+    """
     points, used, leaves = row
     near = abs(report.leaves - leaves) <= 2 + leaves // 100
     if report.points == points and (not exact or (report.points_used == used and near)):

@@ -47,7 +47,8 @@ def evaluate(
     ``summary.json`` names if it is still there; ``progress(done, total)`` counts its scans.
 
     Raises `EvaluationError` when a file is missing or malformed, when results, truth and bag are
-    not of one flight (`provenance.check_truth`), or when the map and the truth do not overlap."""
+    not of one flight (`provenance.check_truth`), or when the map and the truth do not overlap.
+    """
     results, truth = load_results(results_dir), load_truth(truth_path)
     given = None if bag is None else Path(bag)
     doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
@@ -88,7 +89,8 @@ def evaluate(
 def score(results: Results, truth: Truth) -> EvaluationResult:
     """The scores alone; nothing is written, and there is no Table 2.
 
-    Raises `EvaluationError` when the map and the truth do not overlap."""
+    Raises `EvaluationError` when the map and the truth do not overlap.
+    """
     safety = metrics.safety_field(results.grid, truth)
     if not safety.scored.size:
         raise EvaluationError("the map does not overlap the scanned box")
@@ -189,7 +191,8 @@ def compare(
 
     Each is evaluated as by `evaluate`, into ``out/<name>``; what shows them together goes into
     ``out`` (default: a new folder ``results/<time>``). Runs bear the names of their directories.
-    Raises `EvaluationError` as `evaluate` does, and for two directories of one name."""
+    Raises `EvaluationError` as `evaluate` does, and for two directories of one name.
+    """
     folders = [Path(directory) for directory in results_dirs]
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < len(names):

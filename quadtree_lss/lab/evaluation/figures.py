@@ -52,7 +52,8 @@ def draw_all(
     """Draw every figure of one run into ``folder``; returns the paths.
 
     A map of one level only stands for the paper's fixed-resolution map (Figs. 10, 13 instead of 9,
-    12), one of several flights for FF13 + FF14 (Fig. 24 instead of 23)."""
+    12), one of several flights for FF13 + FF14 (Fig. 24 instead of 23).
+    """
     sites = {"sites": results.positions[:TOP]}
     fixed, several = _fixed(results.map), truth.flights_of(results.timing["stamp_ns"]) > 1
     cells = "fig10_fixed_resolution_and_scans" if fixed else "fig09_quadtree_and_scans"
@@ -206,7 +207,8 @@ def _elevation_estimate(heights: ErrorField, truth: Truth) -> Figure:
 def _elevation_error(heights: ErrorField, truth: Truth, *, centred: bool) -> Figure:
     """Estimate minus truth over seen ground (Figs. 12, 13; ``centred``, without the mean, Fig. 20).
 
-    The scale holds 99 % of the errors; the paper's saturates at 3 m, where most do not show."""
+    The scale holds 99 % of the errors; the paper's saturates at 3 m, where most do not show.
+    """
     box = _seen_box(heights)
     mean = float(np.nanmean(heights.error)) if centred and heights.seen.any() else 0.0
     error = heights.error - mean
@@ -278,7 +280,8 @@ def _score(results: Results, truth: Truth, sites: Mapping[str, Array]) -> Figure
 def _selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, Array]) -> Figure:
     """Sites of one or several runs over the mapped elevation (Fig. 25).
 
-    The paper shows binned measurements below them; results hold no points, so the map does here."""
+    The paper shows binned measurements below them; results hold no points, so the map does here.
+    """
     figure, axes = _map("Selected landing sites over the mapped terrain", _around(truth))
     estimate = np.where(heights.seen, heights.estimate, np.nan)
     _relief(figure, axes, heights.x, heights.y, estimate, estimate, "estimated elevation [m]")

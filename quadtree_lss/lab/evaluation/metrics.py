@@ -61,7 +61,8 @@ class ErrorField:
 class Detection:
     """Hazard and safe detection (Table 3) over seen ground with small holes filled.
 
-    Ground that is seen but not yet mapped is scored, too: it is unknown, as the holes are."""
+    Ground that is seen but not yet mapped is scored, too: it is unknown, as the holes are.
+    """
 
     hazardous_found: float
     """Fraction of the truly hazardous grid points not called safe; unknown counts as hazardous."""
@@ -101,7 +102,8 @@ class MissedPlace:
     """A patch of hazardous ground called safe: centre (m), grid points, how deep in it.
 
     ``relief`` is how far the highest post that the lander can touch there, at (``peak_x``,
-    ``peak_y``), stands above the median of its surroundings (m)."""
+    ``peak_y``), stands above the median of its surroundings (m).
+    """
 
     x: float
     y: float
@@ -181,9 +183,10 @@ def fill_holes(seen: Mask, spacing: float, width: float = 2.0) -> Mask:
 def safety_field(grid: Grid, truth: Truth) -> SafetyField:
     """Bring the map's verdict and the truth to the same grid points of the scanned box.
 
-    Grid points that both have are compared. Where they share none, the contact simulation is run at
-    the map's own: reading a safety map between its grid points would by itself cost several per
-    cent."""
+    Grid points that both have are compared. Where they share none, the contact simulation is run
+    at the map's own: reading a safety map between its grid points would by itself cost several
+    per cent.
+    """
     xmin, xmax, ymin, ymax = truth.box
     i, in_x = _matches(grid.x, truth.safe_x, xmin, xmax)
     j, in_y = _matches(grid.y, truth.safe_y, ymin, ymax)
@@ -257,7 +260,8 @@ def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
 
     A site on a grid point of the true safety map takes its verdict from there; any other, inside or
     outside the scanned box, is simulated on the DEM. Where the lander would reach over the edge of
-    the DEM nothing is known."""
+    the DEM nothing is known.
+    """
     lander = truth.lander
     known = on_dem(truth.x, truth.y, sites[:, :2], lander)
     safe = contact_safe(truth.x, truth.y, truth.elevation, sites[:, :2], lander)
@@ -345,7 +349,8 @@ def scores(risk: Array, failed: Mask, weight: Array | None = None) -> tuple[floa
 def reliability(risk: Array, failed: Mask) -> Reliability | None:
     """Of risks and what was true (any shape); None if nobody asked for risks.
 
-    A risk of 1 is no prediction: there the lander would reach unseen ground."""
+    A risk of 1 is no prediction: there the lander would reach unseen ground.
+    """
     asked = np.isfinite(risk) & (risk < 1.0)
     if not asked.any():
         return None

@@ -40,7 +40,8 @@ def check_truth(
     Every mapped scan must be one the truth knows by its stamp. Flights of several seeds have the
     same stamps; they are told apart by the seed and by the bag that the truth names, as far as the
     files tell. A bag of another name may be the same flight, moved or converted: where both are at
-    hand their first scans decide. Raises `EvaluationError`: they are of different flights."""
+    hand their first scans decide. Raises `EvaluationError`: they are of different flights.
+    """
     _check_stamps(results, results_dir, truth, truth_path)
     seed = results.summary.get("seed")
     if seed is not None and truth.seed is not None and seed != truth.seed:

@@ -24,11 +24,17 @@ LANDER, HALF = 3.7, 30.0
 
 @dataclass(frozen=True)
 class Family:
-    """What flights of a kind draw from; None is as the configuration has it. ``grounds``: names in
-    `FIELDS`, or ``any``, ``mixed`` or ``bare``. ``views``: names in `VIEWS`. ``diameter``: of the
-    vehicle, m; clearance: over it; slopes: that it stands on, deg. ``cells``: along the diameter.
-    ``noise``: of a range over the clearance; told: times that the mapping is told. ``outliers``:
-    shares of false returns. ``weight``: in a fit, beside others."""
+    """What flights of a kind draw from; None is as the configuration has it.
+
+    Attributes:
+        grounds: Names in `FIELDS`, or ``any``, ``mixed`` or ``bare``.
+        views: Names in `VIEWS`.
+        diameter: Of the vehicle, m; clearance: over it; slopes: that it stands on, deg.
+        cells: Along the diameter.
+        noise: Of a range over the clearance; told: times that the mapping is told.
+        outliers: Shares of false returns.
+        weight: In a fit, beside others.
+    """
 
     grounds: tuple[str, ...] = tuple(FIELDS)
     views: tuple[str, ...] = ("morpheus",)

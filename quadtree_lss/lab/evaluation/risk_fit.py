@@ -70,8 +70,13 @@ TERMS: dict[str, tuple[Term, ...]] = {
 
 
 def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
-    """The likeliest model. ``places``: (K, len(ASKED)) what was asked of each place. ``failed``:
-    (K,) whether the lander failed there. ``weight``: (K,) of each landing."""
+    """The likeliest model.
+
+    Args:
+        places: (K, len(ASKED)) what was asked of each place.
+        failed: (K,) whether the lander failed there.
+        weight: (K,) of each landing.
+    """
     columns = [_columns(places, terms) for terms in TERMS.values()]
     ends = np.cumsum([part.shape[1] for part in columns])
     begin = np.concatenate([_steps(unfitted().causes[name]) for name in CAUSES])

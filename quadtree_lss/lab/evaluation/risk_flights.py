@@ -52,9 +52,13 @@ TAKEN = 500
 @dataclass(frozen=True)
 class Mapped:
     """A map at a time of a flight, and what was true at the grid points of its finest lattice.
-    ``config``: it was mapped with. ``part``: of the flight. ``cells``: the map, as its message
-    gives it. ``slope``, ``rise``: (n + 1, n + 1) of the worst true contact, over run and m; NaN if
-    not known."""
+
+    Attributes:
+        config: It was mapped with.
+        part: Of the flight.
+        cells: The map, as its message gives it.
+        slope, rise: (n + 1, n + 1) of the worst true contact, over run and m; NaN if not known.
+    """
 
     config: Config
     part: float
@@ -76,9 +80,14 @@ class Mapped:
 
 
 def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = None) -> list[Mapped]:
-    """A simulated flight, mapped, after each of `PARTS` of it. ``family``: what it draws from.
-    ``seed``: of all that is drawn. ``config``: vehicle, noise and cells of families that vary none;
-    and how to map. ``terrain``: at the scale of `LANDER`; None for one of the family."""
+    """A simulated flight, mapped, after each of `PARTS` of it.
+
+    Args:
+        family: What it draws from.
+        seed: Of all that is drawn.
+        config: Vehicle, noise and cells of families that vary none; and how to map.
+        terrain: At the scale of `LANDER`; None for one of the family.
+    """
     rng = np.random.default_rng([seed, 77])
     own, noise, outliers = _drawn(rng, family, config)
     vehicle = own.vehicle
@@ -166,10 +175,13 @@ def lander_of(config: Config) -> LandingGear:
 
 @dataclass(frozen=True)
 class Landings:
-    """Landings at the grid points of a map. ``raster``, ``around``, ``worst``: the map, what lies
-    about its points, and contacts there. ``counts``: (n + 1, n + 1) where all ground under the
-    lander is seen and the truth is known. ``failed``: (K,) of these: whether the lander fails
-    there."""
+    """Landings at the grid points of a map.
+
+    Attributes:
+        raster, around, worst: The map, what lies about its points, and contacts there.
+        counts: (n + 1, n + 1) where all ground under the lander is seen and the truth is known.
+        failed: (K,) of these: whether the lander fails there.
+    """
 
     raster: TerrainRaster
     around: Surroundings
@@ -239,11 +251,17 @@ def fit_risk(
     families: Iterable[str] = tuple(FAMILIES),
     progress: Progress | None = None,
 ) -> RiskModel:
-    """Flies, and fits; each family has its weight, however many flights it has. ``config``:
-    vehicle, noise and cells of families that vary none. ``seeds``: dealt to the families in turn, a
-    flight each. ``families``: names in `FAMILIES`. ``progress``: gets the flights that are done and
-    those there are. Raises `EvaluationError`: there is no such family, or no seed or no landing for
-    one."""
+    """Flies, and fits; each family has its weight, however many flights it has.
+
+    Args:
+        config: Vehicle, noise and cells of families that vary none.
+        seeds: Dealt to the families in turn, a flight each.
+        families: Names in `FAMILIES`.
+        progress: Gets the flights that are done and those there are.
+
+    Raises:
+        EvaluationError: there is no such family, or no seed or no landing for one.
+    """
     names = list(dict.fromkeys(families))
     for name in names:
         if name not in FAMILIES:

@@ -25,7 +25,8 @@ class EvaluationResult:
     Sites are those of the first five ranks: ``site_verdicts`` has one word for each, in order, and
     ``unknown_in_top_five`` counts those that the truth cannot judge. ``missed`` are the hazardous
     places called safe. ``risk`` is None if the results tell none, ``consistency`` unless the bag
-    was at hand; ``notes`` say what could not be done or checked, and why."""
+    was at hand; ``notes`` say what could not be done or checked, and why.
+    """
 
     elevation: metrics.ElevationError
     detection: metrics.Detection

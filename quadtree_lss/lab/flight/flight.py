@@ -91,11 +91,16 @@ class Sample(NamedTuple):
 
 class Flight:
     """One flight of a seed (of ground, start, navigation and lidar); ``ground`` where it was made
-    before. ``began``: position and velocity (3,) at the start, m, m/s. ``time``: s of flight.
-    ``outcome``: empty in flight, then ``touchdown``, ``aborted`` or ``time``. ``samples``,
-    ``outlines``: ten a second; edges of the field of view on the ground, two a second. ``active``:
-    faults that hold now, by kind; ``failed`` all that began, until when, s. ``areas``: (V, 2)
-    polygons of what could be reached, with their time, s."""
+    before.
+
+    Attributes:
+        began: Position and velocity (3,) at the start, m, m/s.
+        time: s of flight.
+        outcome: Empty in flight, then ``touchdown``, ``aborted`` or ``time``.
+        samples, outlines: Ten a second; edges of the field of view on the ground, two a second.
+        active: Faults that hold now, by kind; ``failed`` all that began, until when, s.
+        areas: (V, 2) polygons of what could be reached, with their time, s.
+    """
 
     def __init__(self, seed: int, settings: FlightSettings, ground: Ground | None = None) -> None:
         seeds = np.random.SeedSequence(seed).spawn(4)

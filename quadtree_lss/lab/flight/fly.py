@@ -119,7 +119,8 @@ def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict
 def least_propellant(flight: Flight) -> dict[str, Any]:
     """The convex reference from the flight's start to where it came down, and the ratio to it.
 
-    To the same gate with the same speed; from there down both fly alike."""
+    To the same gate with the same speed; from there down both fly alike.
+    """
     none = {"reference": None, "propellant_ratio": None}
     if flight.outcome != "touchdown":
         return none

@@ -116,7 +116,8 @@ class Gimbal:
 
         They are as narrow as the footprint will be at the end of the pass, f. Of a square of half
         side h a pass of T s sees all if (2 h)^2 <= ((1 - overlap) f)^2 T rate, less a tenth for
-        turning round. Where that is not the area it looks about the aim."""
+        turning round. Where that is not the area it looks about the aim.
+        """
         centre = self.centre if target is None else target
         seconds = self.plan.survey if target is None else self.plan.closer
         half = self.half

@@ -23,16 +23,23 @@ from quadtree_lss.onboard.arrays import Array
 
 @dataclass(frozen=True)
 class Rules:
-    """How it is flown; m, s. ``limits``: of paths that can be flown. ``ease``: factor on the
-    greatest tilt and thrust of the path that is flown, while there is a choice: the rest is for
-    diverts and errors. ``gate``: height over the aim from which it is straight down.
-    ``gate_speed``, ``touchdown_speed``: downwards there, and to the ground. ``hover``: height over
-    the aim at which to wait for a target. ``patience``: how long. ``miss``: 1 sigma, along x and
-    along y, that ``landing/dispersion`` tells besides navigation's: more than a touchdown misses by
-    (0.1 m), since a target on the edge of safe ground is soon withdrawn. ``zone``: radius of the
-    landing zone, which the area of ``landing/area`` holds whole. ``headings``, ``reach``: of that
-    area: how many vertices, and how far they may be. ``reserve``: propellant that no divert may
-    touch, kg."""
+    """How it is flown; m, s.
+
+    Attributes:
+        limits: Of paths that can be flown.
+        ease: Factor on the greatest tilt and thrust of the path that is flown, while there is a
+            choice: the rest is for diverts and errors.
+        gate: Height over the aim from which it is straight down.
+        gate_speed, touchdown_speed: Downwards there, and to the ground.
+        hover: Height over the aim at which to wait for a target.
+        patience: How long.
+        miss: 1 sigma, along x and along y, that ``landing/dispersion`` tells besides navigation's:
+            more than a touchdown misses by (0.1 m), since a target on the edge of safe ground is
+            soon withdrawn.
+        zone: Radius of the landing zone, which the area of ``landing/area`` holds whole.
+        headings, reach: Of that area: how many vertices, and how far they may be.
+        reserve: Propellant that no divert may touch, kg.
+    """
 
     limits: Limits = field(default_factory=Limits)
     ease: float = 0.9
@@ -65,11 +72,21 @@ class Decision(NamedTuple):
 
 
 class Pilot:
-    """Guidance with its decisions. ``vehicle``: what it flies. ``rules``: how. ``planned``: (3,)
-    point to be flown to until something is known. ``avoid``: false flies to the planned point
-    whatever is said. ``commit_height``: ``lss.commit_height``: lower over the aim, no other target
-    is flown to, m. ``aim``: (3,) where it is going to land by now. ``target``: the one that holds,
-    None while there is none. ``mode``: see above. ``decisions``: what was done, in order."""
+    """Guidance with its decisions.
+
+    Args:
+        vehicle: What it flies.
+        rules: How.
+        planned: (3,) point to be flown to until something is known.
+        avoid: False flies to the planned point whatever is said.
+        commit_height: ``lss.commit_height``: lower over the aim, no other target is flown to, m.
+
+    Attributes:
+        aim: (3,) where it is going to land by now.
+        target: The one that holds, None while there is none.
+        mode: See above.
+        decisions: What was done, in order.
+    """
 
     def __init__(
         self, vehicle: Vehicle, rules: Rules, planned: Array, *, avoid: bool, commit_height: float

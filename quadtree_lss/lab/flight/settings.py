@@ -30,11 +30,16 @@ class FlightError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that goes wrong once. ``kind``: ``kill_lss``, ``kill_mapping`` (it comes back with
-    its checkpoint), ``forget_mapping`` (it comes back with an empty map), ``pose_gap``,
-    ``pose_jump`` (2 m east, 1 m up, and back), ``lidar_gap``, ``keep_out`` (4 m about where the
-    lander is going), ``land_now`` (somebody calls that service). ``height``: over the aim at which
-    it begins, m. ``seconds``: how long it lasts; a keep-out stays, and so does ``land_now``."""
+    """Something that goes wrong once.
+
+    Attributes:
+        kind: ``kill_lss``, ``kill_mapping`` (it comes back with its checkpoint), ``forget_mapping``
+            (it comes back with an empty map), ``pose_gap``, ``pose_jump`` (2 m east, 1 m up, and
+            back), ``lidar_gap``, ``keep_out`` (4 m about where the lander is going),
+            ``land_now`` (somebody calls that service).
+        height: Over the aim at which it begins, m.
+        seconds: How long it lasts; a keep-out stays, and so does ``land_now``.
+    """
 
     kind: str
     height: float
@@ -62,18 +67,25 @@ class Fault:
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """Everything about a flight but its seed. ``avoidance``: one of `AVOIDANCE`. ``terrain``:
-    ``.npz`` as of ``simulate --terrain``; empty for a field of rocks and craters.
-    ``rock_abundance``: share of the ground that rocks cover; None for 0.05 on that field, and none
-    on a terrain, over 100 m of which they are strewn otherwise. ``range_noise``, ``outliers``,
-    ``dropouts``: of the lidar. ``half``: half side of the candidate area about the planned point,
-    m. ``slant_range``, ``speed``: at the start, on a glide slope of ``glide_slope_deg``.
-    ``scatter``: 1 sigma of the start's place, m; the speed's is a twentieth of it, m/s. ``config``:
-    parameters by dotted key, over ``config/flight.yaml``. ``vehicle``, ``rules``, ``plan``: see
-    there. ``faults``: what goes wrong. ``answer_delay``: from a pass's begin to its answer at the
-    guidance in lock-step, s. ``longest``: flights are ended after so many seconds. ``judge``:
-    ``contact``, four rigid pads set down, or ``physics`` beside it: legs that come down as the
-    flight does (extra ``physics``)."""
+    """Everything about a flight but its seed.
+
+    Attributes:
+        avoidance: One of `AVOIDANCE`.
+        terrain: ``.npz`` as of ``simulate --terrain``; empty for a field of rocks and craters.
+        rock_abundance: Share of the ground that rocks cover; None for 0.05 on that field, and none
+            on a terrain, over 100 m of which they are strewn otherwise.
+        range_noise, outliers, dropouts: Of the lidar.
+        half: Half side of the candidate area about the planned point, m.
+        slant_range, speed: At the start, on a glide slope of ``glide_slope_deg``.
+        scatter: 1 sigma of the start's place, m; the speed's is a twentieth of it, m/s.
+        config: Parameters by dotted key, over ``config/flight.yaml``.
+        vehicle, rules, plan: See there.
+        faults: What goes wrong.
+        answer_delay: From a pass's begin to its answer at the guidance in lock-step, s.
+        longest: Flights are ended after so many seconds.
+        judge: ``contact``, four rigid pads set down, or ``physics`` beside it: legs that come down
+            as the flight does (extra ``physics``).
+    """
 
     avoidance: str = "package"
     terrain: str = ""
@@ -109,7 +121,8 @@ def flight_settings(values: Mapping[str, Any]) -> FlightSettings:
     """From plain values by name, as a study's file holds them.
 
     ``faults`` are texts as of `Fault.read`; ``vehicle``, ``rules`` and ``plan`` mappings. Raises
-    `FlightError`: a name that does not exist, or a value that cannot be used."""
+    `FlightError`: a name that does not exist, or a value that cannot be used.
+    """
     base = FlightSettings()
     known = {item.name for item in fields(FlightSettings)}
     given = dict(values)

@@ -16,11 +16,17 @@ EARTH_G = 9.80665
 
 @dataclass(frozen=True)
 class Vehicle:
-    """What the lander can do: a small lunar lander; kg, N, s, degrees. ``mass``: at the start, with
-    ``propellant``. ``propellant``: of it, to be burnt. ``isp``: specific impulse. ``thrust_min``,
-    ``thrust_max``: of the engine, which is never off in flight. ``thrust_rate``: greatest change of
-    thrust per second. ``tilt_max_deg``, ``tilt_rate_deg``: of the thrust from the vertical; of its
-    turn per second. ``delay``: from a command to its first effect. ``gravity``: of the body, m/s^2.
+    """What the lander can do: a small lunar lander; kg, N, s, degrees.
+
+    Attributes:
+        mass: At the start, with ``propellant``.
+        propellant: Of it, to be burnt.
+        isp: Specific impulse.
+        thrust_min, thrust_max: Of the engine, which is never off in flight.
+        thrust_rate: Greatest change of thrust per second.
+        tilt_max_deg, tilt_rate_deg: Of the thrust from the vertical; of its turn per second.
+        delay: From a command to its first effect.
+        gravity: Of the body, m/s^2.
     """
 
     mass: float = 1800.0

@@ -17,8 +17,9 @@ from quadtree_lss.onboard.arrays import Array
 class HazardField:
     """What lies on the field; lengths in metres, rates per square metre.
 
-    Rocks follow the size-frequency law of Golombek and Rapp: rocks larger than D cover the fraction
-    F(D) = k exp(−q D) of the ground, q = 1.79 + 0.152/k."""
+    Rocks follow the size-frequency law of Golombek and Rapp: rocks larger than D cover the
+    fraction F(D) = k exp(−q D) of the ground, q = 1.79 + 0.152/k.
+    """
 
     size: float = 100.0
     post: float = 0.1
@@ -59,7 +60,8 @@ def sample_rock_diameters(
 ) -> Array:
     """Diameters (m) of the rocks on ``area`` (m²): a Poisson number, sizes by the law.
 
-    The cover of a rock is π D²/4, so the number density is n(D) = 4 k q exp(−q D)/(π D²)."""
+    The cover of a rock is π D²/4, so the number density is n(D) = 4 k q exp(−q D)/(π D²).
+    """
     if not (0.0 < smallest < largest and abundance > 0.0):
         msg = "rocks: need 0 < smallest < largest diameter and a positive abundance"
         raise SimulationError(msg)
@@ -161,7 +163,8 @@ def _lay(
 ) -> None:
     """Ellipsoids about ``centres`` (K, 2): diameters, heights, axes and headings, (K,) each.
 
-    Their plan area is π D²/4."""
+    Their plan area is π D²/4.
+    """
     diameters, heights, axes, yaws = sizes
     long, short = 0.5 * diameters / np.sqrt(axes), 0.5 * diameters * np.sqrt(axes)
     reach = long[:, None]

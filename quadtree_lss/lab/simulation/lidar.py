@@ -46,7 +46,8 @@ class FlashLidar:
     """Square array of ``pixels``² beams over a square field of view.
 
     Frame of Eq. 14: z along the boresight, x right, y down. Row 0 is the upper edge (largest
-    elevation angle), column 0 the left one (smallest azimuth)."""
+    elevation angle), column 0 the left one (smallest azimuth).
+    """
 
     field_of_view_deg: float
     pixels: int = 128
@@ -87,7 +88,8 @@ class FlashLidar:
         """Measured points (pixels, pixels, 3) in the lidar frame, NaN = no return.
 
         Ranges have Gaussian noise (Eq. 13); a fraction ``outliers`` is off by up to ±
-        ``outlier_error`` metres, a fraction ``dropouts`` is lost."""
+        ``outlier_error`` metres, a fraction ``dropouts`` is lost.
+        """
         ranges = self.true_ranges(surface, position_map, rotation_map_lidar)
         ranges = ranges + generator.normal(0.0, self.range_noise, ranges.shape)
         if self.outliers > 0.0:
@@ -106,7 +108,8 @@ class StereoCamera(FlashLidar):
 
     Disparities have Gaussian noise, which the window of the matching makes common to 3 x 3 pixels;
     half of the pixels at an edge take a depth between the near and the far. A square field of view,
-    the lesser of the two, is the outline."""
+    the lesser of the two, is the outline.
+    """
 
     field_of_view_deg: float = 64.0
     columns: int = 640

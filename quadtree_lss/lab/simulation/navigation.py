@@ -16,7 +16,8 @@ class Estimate:
     """Estimated lidar poses: positions (n, 3), rotations_map_lidar (n, 3, 3) and covariance.
 
     ``covariance`` (6, 6) is that of PoseWithCovariance: x, y, z and the rotation about the fixed
-    axes X, Y, Z of the map (m², m·rad, rad²)."""
+    axes X, Y, Z of the map (m², m·rad, rad²).
+    """
 
     positions: Array
     rotations: Array
@@ -32,7 +33,8 @@ class WhiteNavigation:
     """Independent errors at every pose, equal on all axes, and their true covariance.
 
     The attitude error is the right perturbation of Eq. 16; being isotropic, it has the same
-    covariance about the fixed axes."""
+    covariance about the fixed axes.
+    """
 
     position_sigma: float = 0.5
     attitude_sigma_deg: float = 0.01
@@ -54,7 +56,8 @@ class DriftingNavigation:
     """A constant bias and a slow first-order Gauss–Markov drift, with a conservative covariance.
 
     Errors are about the fixed axes of the map. The claimed standard deviation is that of bias and
-    drift together times ``conservatism``."""
+    drift together times ``conservatism``.
+    """
 
     position_bias: float = 0.03
     position_drift: float = 0.01

@@ -50,7 +50,8 @@ def contact_safe(
     """Whether a lander centred at each of ``points`` (K, 2), map frame, m, stands safely: (K,).
 
     ``x`` (nx,), ``y`` (ny,), ``elevation`` (ny, nx) are the DEM. A point whose lander would reach
-    over the edge of the DEM is unsafe."""
+    over the edge of the DEM is unsafe.
+    """
     lander = lander or LandingGear()
     slope, rise = worst_contact(x, y, elevation, points, lander)
     return np.asarray(
@@ -64,8 +65,9 @@ def worst_contact(
     """The worst over yaws and resting planes, for landers at each of ``points`` (K, 2).
 
     Tangent of the slope (K,), and how far the highest post within the circle is above the plane
-    (K,) in m; infinite where the lander would reach over the edge of the DEM. What remains to the
-    limits says by how much a place is safe or unsafe."""
+    (K,) in m; infinite where the lander would reach over the edge of the DEM. What remains to
+    the limits says by how much a place is safe or unsafe.
+    """
     posts_x, posts_y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     centres = np.asarray(points, np.float64).reshape(-1, 2)
     on = on_dem(posts_x, posts_y, centres, lander)

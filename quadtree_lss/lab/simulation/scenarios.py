@@ -68,14 +68,19 @@ LIMITS = {
 class Conditions:
     """What the user asks of a flight; None for the scenario's own.
 
-    Raises `SimulationError` for values that make no sense. ``duration``, ``range_noise``: of the
-    flight, s; one sigma of a range, m. ``terrain``: a DEM or the path of one. ``outliers``,
-    ``dropouts``: shares of false and of missing returns. ``glide_slope_deg``: of the morpheus
-    scenario. ``navigation_error``: how many times the usual errors of morpheus and descent.
-    ``conservatism``: how many times its errors the navigation claims. ``rocks``: share of the
-    ground that rocks cover, the k of Golombek and Rapp (a made field has 0.05); on a given terrain
-    rocks are added, over 100 m about its centre at most. ``slope_deg``: root mean square slope of a
-    made field (1.5)."""
+    Attributes:
+        duration, range_noise: Of the flight, s; one sigma of a range, m.
+        terrain: A DEM or the path of one.
+        outliers, dropouts: Shares of false and of missing returns.
+        glide_slope_deg: Of the morpheus scenario.
+        navigation_error: How many times the usual errors of morpheus and descent.
+        conservatism: How many times its errors the navigation claims.
+        rocks: Share of the ground that rocks cover, the k of Golombek and Rapp (a made field has
+            0.05); on a given terrain rocks are added, over 100 m about its centre at most.
+        slope_deg: Root mean square slope of a made field (1.5).
+
+    Raises `SimulationError` for values that make no sense.
+    """
 
     duration: float | None = None
     terrain: Terrain | str | Path | None = None
@@ -265,7 +270,8 @@ def _looking_down(
 class Scenario:
     """A named flight: how to plan it, how long it lasts (s), what it needs, its field's scale.
 
-    The truth is that of ``lander`` unless another is given."""
+    The truth is that of ``lander`` unless another is given.
+    """
 
     plan: Callable[[Conditions, Terrain | None, float, int], FlightPlan]
     duration: float
@@ -288,7 +294,8 @@ def plans(
 ) -> list[FlightPlan]:
     """Flights over one ground, made or read.
 
-    Raises `SimulationError` if there is no such scenario, or if they do not fit the terrain."""
+    Raises `SimulationError` if there is no such scenario, or if they do not fit the terrain.
+    """
     if scenario not in SCENARIOS:
         msg = f"unknown scenario {scenario!r}; there are {', '.join(sorted(SCENARIOS))}"
         raise SimulationError(msg)

@@ -78,20 +78,21 @@ def simulate(
     stop: Callable[[], bool] | None = None,
     **conditions: Any,
 ) -> SimulationResult:
-    """Simulate ``scenario`` (see `scenarios`) into a ROS 2 bag; the same arguments give the same
-    messages.
+    """Simulate ``scenario`` (see `scenarios`) into a ROS 2 bag; the same arguments
+    give the same messages.
 
     Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
     lidar's estimated pose in frame ``map``, with covariance); of ``depth`` ``/depth/image`` and
-    ``/depth/camera_info`` instead of the former. ``truth.npz`` goes into the bag's parent
-    directory, with the bag's name and the seed; one of another bag that is there is replaced with
-    ``overwrite`` only, as is a bag. ``flights`` > 1 flies again over the same ground with new
+    ``/depth/camera_info`` instead of the former. ``truth.npz`` goes into the bag's
+    parent directory, with the bag's name and the seed; one of another bag that is there is replaced
+    with ``overwrite`` only, as is a bag. ``flights`` > 1 flies again over the same ground with new
     navigation errors, into the same bag. ``lander`` is whose safety is in the truth; ``conditions``
     are those of `scenarios.Conditions`. ``progress(done, total)`` is called after every scan,
     ``stop`` asked before every message: True ends it there.
 
     Raises `SimulationError` for options that make no sense and for what would be overwritten,
-    KeyboardInterrupt if it is stopped before the first scan."""
+    KeyboardInterrupt if it is stopped before the first scan.
+    """
     path = Path(bag_path)
     simulation = Simulation(scenario, seed, flights=flights, **conditions)
     safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None

@@ -69,7 +69,8 @@ class Simulation:
     messages.
 
     ``legs`` are the flights, and what has been flown; ``stopped`` tells whether `messages` was
-    stopped. Raises `SimulationError`: options that make no sense."""
+    stopped. Raises `SimulationError`: options that make no sense.
+    """
 
     def __init__(self, scenario: str, seed: int, *, flights: int = 1, **conditions: Any) -> None:
         if flights < 1:

@@ -38,7 +38,8 @@ class Surface(Protocol):
 def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: ArrayLike) -> Array:
     """Elevation (m) at map coordinates of any equal shape; NaN outside the posts.
 
-    Posts (nx,), (ny,) ascend in equal steps; ``elevation`` is (ny, nx)."""
+    Posts (nx,), (ny,) ascend in equal steps; ``elevation`` is (ny, nx).
+    """
     x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
     nx, ny = posts_x.size, posts_y.size
     u = (x_map - posts_x[0]) / (float(posts_x[-1] - posts_x[0]) / (nx - 1))
@@ -58,8 +59,9 @@ def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: 
 class Terrain:
     """A heightfield: posts ``x`` (nx,), ``y`` (ny,) and ``elevation`` (ny, nx), metres, z up.
 
-    Axes ascend in equal steps; between posts the surface is bilinear. Raises `SimulationError` when
-    the arrays do not fit together or hold values that are not finite."""
+    Axes ascend in equal steps; between posts the surface is bilinear. Raises `SimulationError`
+    when the arrays do not fit together or hold values that are not finite.
+    """
 
     x: Array
     y: Array
@@ -141,9 +143,10 @@ class Parabola:
     def cast(self, origin_map: Array, directions_map: Array) -> Array:
         """Range (N,) to the first hit; NaN where a ray misses.
 
-        The surface is the higher of plane and paraboloid, hence the first hit is the nearer of the
-        two. The height above the paraboloid is concave along a ray, so a ray that starts above it
-        meets it at the larger root."""
+        The surface is the higher of plane and paraboloid, hence the first hit is the nearer of
+        the two. The height above the paraboloid is concave along a ray, so a ray that starts
+        above it meets it at the larger root.
+        """
         o, d = np.asarray(origin_map, float), np.asarray(directions_map, float)
         with np.errstate(divide="ignore", invalid="ignore"):
             plane = np.where(d[:, 2] < 0.0, -o[2] / d[:, 2], np.inf)

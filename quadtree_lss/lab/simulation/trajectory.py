@@ -21,8 +21,9 @@ def look_at(
     """Rotations (..., 3, 3) that take the lidar frame (z boresight, x right, y down) to map.
 
     ``position_map`` and ``target_map`` are (..., 3), m. The image's upper edge points toward
-    ``up_map``; where the boresight is parallel to that (looking straight down with the default), it
-    points to the map's north (+y)."""
+    ``up_map``; where the boresight is parallel to that (looking straight down with the default),
+    it points to the map's north (+y).
+    """
     sight = np.asarray(target_map, float) - np.asarray(position_map, float)
     boresight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
     right = np.cross(boresight, up_map)
@@ -56,8 +57,9 @@ def _constant(duration: float, point: ArrayLike) -> CubicHermiteSpline:
 def section_vi_trajectory(target_z: float = 0.0) -> Trajectory:
     """Section VI: the cubic through both end positions and velocities, 60 s.
 
-    From (100, −100, 500) m at (−5, −5, −5) m/s to rest 20 m above the origin; the boresight always
-    points at (10, 0) m on the ground."""
+    From (100, −100, 500) m at (−5, −5, −5) m/s to rest 20 m above the origin; the boresight
+    always points at (10, 0) m on the ground.
+    """
     position = CubicHermiteSpline(
         [0.0, 60.0], [[100.0, -100.0, 500.0], [0.0, 0.0, 20.0]], [[-5.0, -5.0, -5.0], [0.0] * 3]
     )
@@ -71,7 +73,8 @@ class Sweep:
     The vehicle flies along +x toward the centre of the box. Strips run along y, from the near edge
     to the far one and back and forth; they overlap by at least ``overlap`` of the footprint.
     ``margin`` is swept beyond the box, so that a vehicle standing at its edge stands on seen
-    ground."""
+    ground.
+    """
 
     centre_map: tuple[float, float, float]
     half_x: float

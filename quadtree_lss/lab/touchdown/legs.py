@@ -34,14 +34,22 @@ DEEP = 5.0
 
 @dataclass(frozen=True)
 class Legs:
-    """What touches down; kg, m, N, s. ``gear``: circle of the pads, radius of a pad (of a skid's
-    bar), clearance under the body. ``mass``, ``gravity``: at touchdown; of the body landed on,
-    m/s^2. ``centre``: height of the centre of mass over the pads. ``gyration``: radii of gyration
-    about the body's axes across (x, y) and along (z). ``body``: radius of the body over that of the
-    pads' circle. ``lift``: of the body's underside over the clearance: the stroke where that is of
-    crushed struts. ``friction``: of feet on the ground. ``crush``: force at which a strut gives
-    way, 0 for springs; of each foot. ``stiffness``, ``damping``: of springs, N/m, N s/m.
-    ``stroke``: that a strut gives way at most. ``skids``: two bars instead of four pads."""
+    """What touches down; kg, m, N, s.
+
+    Attributes:
+        gear: Circle of the pads, radius of a pad (of a skid's bar), clearance under the body.
+        mass, gravity: At touchdown; of the body landed on, m/s^2.
+        centre: Height of the centre of mass over the pads.
+        gyration: Radii of gyration about the body's axes across (x, y) and along (z).
+        body: Radius of the body over that of the pads' circle.
+        lift: Of the body's underside over the clearance: the stroke where that is of crushed
+            struts.
+        friction: Of feet on the ground.
+        crush: Force at which a strut gives way, 0 for springs; of each foot.
+        stiffness, damping: Of springs, N/m, N s/m.
+        stroke: That a strut gives way at most.
+        skids: Two bars instead of four pads.
+    """
 
     gear: LandingGear = LandingGear()
     mass: float = 1760.0

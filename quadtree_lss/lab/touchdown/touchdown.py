@@ -41,10 +41,15 @@ class NoPhysics(SimulationError):
 
 @dataclass(frozen=True)
 class Arrival:
-    """The last moment of free flight, map frame; m, rad, s. ``x``, ``y``: of the middle of the
-    pads' plane; its height follows from the ground. ``velocity``: (3,) of the centre of mass.
-    ``up``: (3,) unit vector of the vehicle's axis. ``heading``: of its x axis, from the map's.
-    ``turn``: (3,) angular velocity."""
+    """The last moment of free flight, map frame; m, rad, s.
+
+    Attributes:
+        x, y: Of the middle of the pads' plane; its height follows from the ground.
+        velocity: (3,) of the centre of mass.
+        up: (3,) unit vector of the vehicle's axis.
+        heading: Of its x axis, from the map's.
+        turn: (3,) angular velocity.
+    """
 
     x: float
     y: float
@@ -64,15 +69,21 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Landed:
-    """What became of a touchdown. ``outcome``: the worst of `OUTCOMES`: stands; slid farther than
-    `SLID`, or still slides; body strike, the ground reached into it before it tipped; tipped,
-    `TIPPED_DEG` and more. ``tilt_deg``, ``most_tilt_deg``: from the vertical at the end; the most
-    there was. ``slid``: from where it touched to where it is, horizontally, m. ``stroke``: of the
-    strut that gave way most, m. ``struck``: the ground reached into the body. ``seconds``: until it
-    rested. ``gained``: mechanical energy that it ever gained, over the kinetic energy that it came
-    with and its weight times the clearance. There is none to gain: it says how good the engine's
-    contacts were. ``film``: (T, 8) time, place of the middle of the pads' plane in the map,
-    quaternion w, x, y, z."""
+    """What became of a touchdown.
+
+    Attributes:
+        outcome: The worst of `OUTCOMES`: stands; slid farther than `SLID`, or still slides; body
+            strike, the ground reached into it before it tipped; tipped, `TIPPED_DEG` and more.
+        tilt_deg, most_tilt_deg: From the vertical at the end; the most there was.
+        slid: From where it touched to where it is, horizontally, m.
+        stroke: Of the strut that gave way most, m.
+        struck: The ground reached into the body.
+        seconds: Until it rested.
+        gained: Mechanical energy that it ever gained, over the kinetic energy that it came with and
+            its weight times the clearance. There is none to gain: it says how good the engine's
+            contacts were.
+        film: (T, 8) time, place of the middle of the pads' plane in the map, quaternion w, x, y, z.
+    """
 
     outcome: str
     tilt_deg: float
@@ -86,8 +97,12 @@ class Landed:
 
 
 def touch(legs: Legs, terrain: Terrain, arrival: Arrival, longest: float = LONGEST) -> Landed:
-    """One touchdown; the same for the same arguments. Raises `NoPhysics`: the extra ``physics`` is
-    not installed. `SimulationError`: the touchdown is too near to the edge of the terrain."""
+    """One touchdown; the same for the same arguments.
+
+    Raises:
+        NoPhysics: the extra ``physics`` is not installed.
+        SimulationError: the touchdown is too near to the edge of the terrain.
+    """
     mujoco = engine()
     model, data, corner = placed(legs, terrain, arrival)
     posts, diameter = ground(legs, terrain, arrival), legs.gear.diameter
