@@ -39,6 +39,8 @@ from quadtree_lss.onboard.config.settings import Config, LssConfig
 BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 LIMITS = (0.001, 0.002, 0.003, 0.005, 0.008, 0.012, 0.02, 0.03, 0.05)
 RESAMPLED = 500
+TILE = 2.2
+"""Side of the tiles, diameters, whose failures are taken for independent."""
 HALF, POST = 40.0, 0.1
 #: Views of real terrains, in turn.
 REAL = ("whole", "thin", "few", "views")
@@ -151,7 +153,10 @@ def judge(mapped: Mapped) -> Judged:
     model = unfitted()
     landings = land(mapped, model)
     asked = landings.asked(table_of(model, mapped.config))
-    tiles = landings.tiles(mapped.config.vehicle.diameter)
+    finest = landings.raster.domain.finest_size
+    side = max(1, round(TILE * mapped.config.vehicle.diameter / finest))
+    row, column = np.argwhere(landings.counts).T // side
+    tiles = 10_000 * row + column
     return Judged(asked, landings.failed, tiles, mapped.part)
 
 

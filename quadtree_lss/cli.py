@@ -13,17 +13,7 @@ from collections.abc import Callable, Sequence
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.desk.commands import (
-    compare,
-    completion,
-    config,
-    doctor,
-    export,
-    info,
-    replay,
-    sites,
-    view,
-)
+from quadtree_lss.desk.commands import compare, config, export, info, replay, view
 from quadtree_lss.desk.commands.common import (
     DONE,
     ERROR,
@@ -34,13 +24,14 @@ from quadtree_lss.desk.commands.common import (
     UsageError,
     print_json,
 )
-from quadtree_lss.desk.commands.completion import complete
 from quadtree_lss.desk.commands.console import first_line, quiet, say
 from quadtree_lss.lab.commands import campaign, evaluate, fit_risk, fly, simulate
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 # No part of ROS, and not in every Ubuntu: the nodes do without.
 OF_BAGS = ("rosbags", "zstandard", "lz4", "apsw", "ruamel")
+DESK = (replay, compare, export, view, info, config)
+LAB = (simulate, evaluate, campaign, fly, fit_risk)
 REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11' zstandard"
 
 
@@ -50,7 +41,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = argparse.Namespace()
     try:
         parser = _parser()
-        complete(parser)
+        if "_ARGCOMPLETE" in os.environ:  # eval "$(register-python-argcomplete quadtree-lss)"
+            import argcomplete
+
+            argcomplete.autocomplete(parser)
         options = parser.parse_args(arguments)
         run: Callable[[argparse.Namespace], int] = options.run
         with quiet(getattr(options, "quiet", False), getattr(options, "json", False)):
@@ -126,20 +120,8 @@ def _parser() -> argparse.ArgumentParser:
     version = f"quadtree_lss {quadtree_lss.__version__} ({build.name()})"
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    replay.add(commands)
-    sites.add(commands)
-    compare.add(commands)
-    export.add(commands)
-    view.add(commands)
-    info.add(commands)
-    doctor.add(commands)
-    config.add(commands)
-    simulate.add(commands)
-    evaluate.add(commands)
-    campaign.add(commands)
-    fly.add(commands)
-    fit_risk.add(commands)
-    completion.add(commands)
+    for command in (*DESK, *LAB):
+        command.add(commands)
     return parser
 
 

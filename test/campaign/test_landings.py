@@ -8,7 +8,8 @@ import pytest
 from quadtree_lss.lab.campaign.kinds import Case
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.campaign.study import read_study
-from quadtree_lss.lab.flight.fly import fly
+from quadtree_lss.lab.flight.fly import flown
+from quadtree_lss.lab.flight.settings import flight_settings
 
 STUDIES = Path(__file__).parents[2] / "studies"
 STUDY = """\
@@ -32,10 +33,8 @@ def test_a_case_flies_as_the_function_does(study):
     case = study.case(1)
     assert (case.scenario, case.index) == ("perfect", 1)
     figures = FLY.fly(case).figures
-    alone = fly(
-        case.seed,
-        {"avoidance": "perfect", "slant_range": 260.0, "speed": 26.0, "rock_abundance": 0.1},
-    )
+    given = {"avoidance": "perfect", "slant_range": 260.0, "speed": 26.0, "rock_abundance": 0.1}
+    alone = flown(case.seed, flight_settings(given)).figures
     for name in ("x", "y", "propellant", "safe", "time"):
         assert figures[name] == alone[name]
     assert figures["one"] == 1 and figures["unsafe"] + figures["aborted"] + figures["safe"] == 1

@@ -23,30 +23,24 @@ def _records(**columns):
     ]
 
 
-def test_counted_events_name_the_flight_that_had_most():
-    records = _records(unsafe=[0, 1, 2, 0], judged=[5, 5, 4, 0])
-    line = line_of(Quantity("unsafe", "Unsafe", of="judged"), records)
+UNSAFE = Quantity("unsafe", "Unsafe", of="judged")
+SAFE = Quantity("safe", "Safe", worst="smallest", of="one")
+
+
+def test_counted_events_and_the_flight_that_had_most_or_lacked_what_should_be():
+    line = line_of(UNSAFE, _records(unsafe=[0, 1, 2, 0], judged=[5, 5, 4, 0]))
     assert (line.events, line.count, line.worst_flight) == (3, 14, 2)
-    assert line.low < 3 / 14 < line.high
-    assert line.cells()[1] == "3 of 14"
+    assert line.low < 3 / 14 < line.high and line.cells()[1] == "3 of 14"
+    assert line_of(SAFE, _records(safe=[1, 1, 0, 1], one=[1] * 4)).worst_flight == 2
+    assert line_of(SAFE, _records(safe=[1, 1], one=[1, 1])).worst_flight is None
 
 
-def test_what_was_never_tried_has_no_rate():
-    quantity = Quantity("unsafe", "Unsafe", of="judged")
-    cells = line_of(quantity, _records(unsafe=[0], judged=[0])).cells()
-    assert cells == ("Unsafe", "0 of 0", "–", "–", "–")
-
-
-def test_of_what_should_happen_the_flight_that_lacks_it_is_named():
-    quantity = Quantity("safe", "Safe", worst="smallest", of="one")
-    assert line_of(quantity, _records(safe=[1, 1, 0, 1], one=[1] * 4)).worst_flight == 2
-    assert line_of(quantity, _records(safe=[1, 1], one=[1, 1])).worst_flight is None
-
-
-def test_no_event_bounds_the_rate_and_blames_nobody():
-    line = line_of(Quantity("unsafe", "Unsafe", of="judged"), _records(unsafe=[0], judged=[200]))
+def test_no_event_bounds_the_rate_and_blames_nobody_and_of_no_trial_there_is_none():
+    line = line_of(UNSAFE, _records(unsafe=[0], judged=[200]))
     assert line.worst_flight is None and line.low == 0.0
     assert line.high == pytest.approx(1.0 - 0.025 ** (1 / 200))
+    cells = line_of(UNSAFE, _records(unsafe=[0], judged=[0])).cells()
+    assert cells == ("Unsafe", "0 of 0", "–", "–", "–")
 
 
 def test_a_figure_that_a_flight_lacks_is_left_out():

@@ -38,7 +38,7 @@ desk.replay: build onboard.config onboard.core onboard.messages desk.report desk
 desk.replay: plot desk.bags onboard.elevation
 desk.player: onboard.messages onboard.nodes desk.bags desk.replay
 desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report desk.player
-lab.simulation: build onboard.elevation
+lab.simulation: build onboard.elevation onboard.messages
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
 lab.flight: onboard.elevation lab.simulation lab.touchdown
 lab.touchdown: lab.simulation

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+
 import numpy as np
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -148,26 +150,34 @@ class LandingRecorder(Recorder):
         self.write(topic, message, POINT, received_ns)
 
 
-def write_ros2(path, *, plugin="mcap", compression=None, **options):
-    """A rosbag2 directory; compression None, "file" or "message"."""
-    storage = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[plugin]
-    writer = Writer(path, version=9, storage_plugin=storage)
-    if compression:
-        mode = {"file": CompressionMode.FILE, "message": CompressionMode.MESSAGE}[compression]
-        writer.set_compression(mode, CompressionFormat.ZSTD)
+@contextmanager
+def recording(path, kind=Recorder, plugin="mcap", compression=None):
+    """Recorder of a rosbag2 directory, with compression "file" or "message", or of a ROS 1 file
+    ``….bag``, with BZ2 or LZ4."""
+    ros1 = path.suffix == ".bag"
+    if ros1:
+        writer = Ros1Writer(path)
+        if compression:
+            writer.set_compression(Ros1Writer.CompressionFormat[compression])
+    else:
+        writer = Writer(path, version=9, storage_plugin=StoragePlugin[plugin.upper()])
+        if compression:
+            mode = CompressionMode[compression.upper()]
+            writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
-        flight(Recorder(writer), **options)
+        yield kind(writer, ros1)
+
+
+def write_ros2(path, *, plugin="mcap", compression=None, **options):
+    """A rosbag2 directory of a `flight`."""
+    with recording(path, plugin=plugin, compression=compression) as recorder:
+        flight(recorder, **options)
     return path
 
 
 def write_ros1(path, *, compression="", **options):
-    """A ROS 1 bag file; compression BZ2 or LZ4."""
-    writer = Ros1Writer(path)
-    if compression:
-        writer.set_compression(Ros1Writer.CompressionFormat[compression])
-    with writer:
-        flight(Recorder(writer, ros1=True), **options)
-    return path
+    """A ROS 1 bag file of a `flight`."""
+    return write_ros2(path, compression=compression, **options)
 
 
 def storage_file(path):

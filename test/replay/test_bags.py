@@ -59,15 +59,6 @@ def test_ros1_bags(tmp_path, reference):
     assert found == reference[1] and not losses
 
 
-def test_a_directory_without_metadata_is_read_and_reported(tmp_path, reference):
-    path = write_ros2(tmp_path / "bag")
-    (path / "metadata.yaml").unlink()
-    found, losses = content(path)
-    assert found == reference[1]
-    (loss,) = losses
-    assert "metadata.yaml" in loss
-
-
 def test_times_are_in_bag_order_and_may_be_limited(reference):
     path, found = reference
     times = [entry[1] for entry in found]

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 from installed import PREFIX
-from replay.recordings import storage_file, write_ros2
+from replay.recordings import write_ros2
 
 from quadtree_lss.cli import main, main_replay_bag, without_ros_arguments
 
@@ -57,21 +57,6 @@ def test_a_replay_imports_nothing_that_it_does_not_use(bag, tmp_path):
     code += f"print('there:', [name for name in {slow} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.splitlines()[-1] == "there: []"
-
-
-def test_verbose_shows_a_progress_bar(bag, tmp_path, capsys):
-    _, _, err = run(capsys, "replay", bag, "--out", tmp_path, *FAST, "-v")
-    assert "replay" in err and "%" in err
-
-
-def test_a_damaged_bag_gives_exit_code_3(tmp_path, capsys):
-    path = write_ros2(tmp_path / "bag")
-    file = storage_file(path)
-    file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
-    code, out, err = run(capsys, "replay", path, "--out", tmp_path / "out", *FAST)
-    assert code == 3
-    assert "truncated" in err and "scans mapped" in out
-    assert (tmp_path / "out" / "cells.npz").exists()
 
 
 @pytest.mark.parametrize(

@@ -207,9 +207,3 @@ def completions(line):
 )
 def test_the_shell_completes(line, word):
     assert word in completions(line)
-
-
-def test_what_the_shell_reads_names_the_program(capsys):
-    for shell in ("bash", "zsh", "fish"):
-        code, out, _ = run(capsys, "completion", shell)
-        assert code == 0 and "quadtree-lss" in out and "_ARGCOMPLETE" in out

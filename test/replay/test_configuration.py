@@ -35,10 +35,6 @@ def message(*paths, **overrides):
     return str(caught.value)
 
 
-def test_no_file_gives_the_defaults():
-    assert load_config() == Config()
-
-
 @pytest.mark.parametrize("name", SHIPPED)
 @pytest.mark.parametrize("form", ["{}", "{}.yaml", "config/{}.yaml"])
 def test_shipped_configurations_are_found_by_name_from_anywhere(name, form, tmp_path, monkeypatch):

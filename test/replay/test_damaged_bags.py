@@ -18,14 +18,12 @@ from replay.recordings import (
     CLOUD,
     GROUND,
     SECOND,
-    Recorder,
     flight,
+    recording,
     storage_file,
     write_ros1,
     write_ros2,
 )
-from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadtree_lss.cli import main
 from quadtree_lss.desk.bags.bag import Bag, BagError
@@ -62,8 +60,8 @@ STORAGES = {
 
 def chunked(path, shift=lambda k: 0, **more):
     """An mcap bag with compressed chunks; message k is received ``shift(k)`` ns later."""
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        flight(shifted(Recorder(writer), shift), **more)
+    with recording(path) as recorder:
+        flight(shifted(recorder, shift), **more)
     file = storage_file(path)
     file.write_bytes(with_chunks(file.read_bytes(), "zstd"))
     return path
@@ -194,15 +192,10 @@ def test_a_recorder_clock_that_steps_back_costs_no_scan(tmp_path, storage, back)
     def shift(k):
         return -back if k > 40 else 0
 
-    path = tmp_path / "flight.bag"
-    across = 24 if "one" in storage else 150
-    if storage == "ros1":
-        with Ros1Writer(path) as writer:
-            flight(shifted(Recorder(writer, ros1=True), shift), scans=SCANS, across=across)
-    else:
-        plugin = StoragePlugin.SQLITE3 if storage == "sqlite3" else StoragePlugin.MCAP
-        with Writer(path, version=9, storage_plugin=plugin) as writer:
-            flight(shifted(Recorder(writer), shift), scans=SCANS, across=across)
+    path = tmp_path / ("flight.bag" if storage == "ros1" else "flight")
+    with recording(path, plugin="sqlite3" if storage == "sqlite3" else "mcap") as recorder:
+        across = 24 if "one" in storage else 150
+        flight(shifted(recorder, shift), scans=SCANS, across=across)
     result = run_replay(path, None, CONFIG)
     assert result.summary["scans"] == SCANS and not result.losses
     assert any("clock stepped back" in line for line in result.warnings)
@@ -319,12 +312,11 @@ def test_messages_that_cannot_be_decoded_are_losses(tmp_path):
 
 
 def test_a_keep_out_that_cannot_be_decoded_is_a_loss(tmp_path):
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        recorder = Recorder(writer)
+    with recording(tmp_path / "bag") as recorder:
         flight(recorder)
         kind = "geometry_msgs/msg/PolygonStamped"
-        topic = writer.add_connection("/landing/keep_out", kind, typestore=recorder.store)
-        writer.write(topic, 1_700_000_000 * SECOND, b"\x00\x01\x00\x00none")
+        topic = recorder.writer.add_connection("/landing/keep_out", kind, typestore=recorder.store)
+        recorder.writer.write(topic, 1_700_000_000 * SECOND, b"\x00\x01\x00\x00none")
     result = run_replay(tmp_path / "bag", None, CONFIG)
     (line,) = result.losses
     assert "1 messages lost: landing/keep_out" in line and not len(result.assessment.sites.score)
@@ -333,8 +325,7 @@ def test_a_keep_out_that_cannot_be_decoded_is_a_loss(tmp_path):
 def test_numbers_that_mean_the_same_agree(tmp_path):
     """Of messages recorded, taken and refused, by replay and by info."""
     path = tmp_path / "bag"
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        recorder = Recorder(writer)
+    with recording(path) as recorder:
         flight(recorder, scans=SCANS)
         pose = recorder.pose(10**9, (0, 0, 9.0))
         last = 10**9 * 1_700_000_100

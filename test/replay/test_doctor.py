@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from replay.recordings import CLOUD, POSE, SECOND, START, Recorder, write_ros2
+from replay.recordings import CLOUD, POSE, SECOND, START, recording, write_ros2
 from replay.test_cli import run
-from rosbags.rosbag2 import StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.replay.info import inspect_bag
@@ -64,8 +63,7 @@ class Good:
 
     def write(self, path):
         rng = np.random.default_rng(70011)
-        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            recorder = Recorder(writer)
+        with recording(path) as recorder:
             for t in self.pose_times:
                 place, turn = body(t)
                 turn = turn * self.mount if self.of_lidar else turn

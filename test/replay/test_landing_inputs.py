@@ -8,8 +8,7 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import GROUND, KEEP_OUT, SECOND, START, LandingRecorder, flight
-from rosbags.rosbag2 import StoragePlugin, Writer
+from replay.recordings import GROUND, KEEP_OUT, SECOND, START, LandingRecorder, flight, recording
 
 from quadtree_lss.cli import main
 from quadtree_lss.desk.bags.bag import Bag, BagError
@@ -30,8 +29,7 @@ WEST = [(-15.0, -15.0), (0.0, -15.0), (0.0, 15.0), (-15.0, 15.0)]
 
 def write(path, say=lambda recorder: None):
     """A flight in which ``say`` asks something of landing first."""
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        recorder = LandingRecorder(writer)
+    with recording(path, LandingRecorder) as recorder:
         say(recorder)
         flight(recorder)
     return path

@@ -11,6 +11,7 @@ from __future__ import annotations
 import difflib
 import heapq
 import tempfile
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -49,10 +50,15 @@ class Topic:
 class Bag:
     """Context manager that opens a bag for reading. ``path``: rosbag2 directory (mcap or sqlite3,
     also without its metadata), a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file; each also
-    compressed with zstd. Raises `BagError`: there is nothing to read."""
+    compressed with zstd. ``topics`` are those recorded, by name; ``start_ns`` and ``end_ns`` times
+    of reception of the first and the last message; ``notes`` what to know of the recording, a line
+    each. Raises `BagError`: there is nothing to read."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.topics: list[Topic] = []
+        self.start_ns = self.end_ns = 0
+        self.notes: list[str] = []
         self._stack = ExitStack()
         self._files: list[RecordedFile] = []
         self._losses: list[str] = []
@@ -69,36 +75,10 @@ class Bag:
         self._stack.close()
 
     @property
-    def topics(self) -> list[Topic]:
-        """Recorded topics by name."""
-        types: dict[str, str] = {}
-        counts: dict[str, int] = {}
-        for file in self._files:
-            types |= dict(file.topics.values())
-            for name, count in file.counts.items():
-                counts[name] = counts.get(name, 0) + count
-        return [Topic(name, types[name], counts.get(name, 0)) for name in sorted(types)]
-
-    @property
-    def start_ns(self) -> int:
-        """Time of reception of the first message of any topic."""
-        return min(file.start_ns for file in self._files)
-
-    @property
-    def end_ns(self) -> int:
-        """Time of reception of the last message of any topic."""
-        return max(file.end_ns for file in self._files)
-
-    @property
     def losses(self) -> list[str]:
         """One line for each piece that could not be read, so far."""
         lines = self._losses + [loss for file in self._files for loss in file.losses]
         return [one_line(line) for line in lines]
-
-    @property
-    def notes(self) -> list[str]:
-        """What to know of the recording, one line each."""
-        return [one_line(note) for file in self._files for note in file.notes]
 
     def messages(
         self, topics: Collection[str], start_ns: int = 0, stop_ns: int = LAST_NS
@@ -143,8 +123,17 @@ class Bag:
         if not self._files:
             lost = "; ".join(self.losses) or "it is empty"
             raise BagError(f"{self.path}: no message can be read: {lost}")
+        types: dict[str, str] = {}
+        counts: Counter[str] = Counter()
+        for file in self._files:
+            types |= dict(file.topics.values())
+            counts.update(file.counts)
+        self.topics = [Topic(name, types[name], counts[name]) for name in sorted(types)]
+        self.start_ns = min(file.start_ns for file in self._files)
+        self.end_ns = max(file.end_ns for file in self._files)
+        self.notes = [one_line(note) for file in self._files for note in file.notes]
         self._ros1 = self._files[0].ros1
-        self._store = typestore(self._ros1, {topic.type for topic in self.topics} & set(OURS))
+        self._store = typestore(self._ros1, set(types.values()) & set(OURS))
 
     def _paths(self) -> list[Path]:
         if self.path.is_file():
@@ -195,36 +184,20 @@ class MessageBag(Bag):
         messages: Iterable[tuple[str, int, Any]],
     ) -> None:
         super().__init__(Path(name))
-        self._topics, self._span_ns, self._messages = list(topics), span_ns, messages
+        self.topics, self._messages = list(topics), messages
+        self.start_ns, self.end_ns = span_ns
 
     def _open(self) -> None:
         return
 
-    @property
-    def topics(self) -> list[Topic]:
-        """As of `Bag`."""
-        return self._topics
-
-    @property
-    def start_ns(self) -> int:
-        """As of `Bag`."""
-        return self._span_ns[0]
-
-    @property
-    def end_ns(self) -> int:
-        """As of `Bag`."""
-        return self._span_ns[1]
-
     def messages(
         self, topics: Collection[str], start_ns: int = 0, stop_ns: int = LAST_NS
     ) -> Iterator[RawMessage]:
-        """As of `Bag`; what stands for the bytes is the message itself."""
         for topic, received_ns, message in self._messages:
             if topic in topics and start_ns <= received_ns < stop_ns:
                 yield RawMessage(topic, received_ns, message)
 
     def decode(self, raw: Any, msgtype: str) -> Any:
-        """As of `Bag`."""
         return raw
 
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from quadtree_lss.desk.bags.bag import Bag, BagError, Topic, likely_bag
 from quadtree_lss.desk.bags.message_types import POSE_TYPE, SCAN_TYPE, typestore
-from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.bags.recorded_file import LAST_NS, RawMessage
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.desk.exchange.clouds import READERS, read_clouds
-from quadtree_lss.desk.exchange.poses import PoseTable, read_poses
+from quadtree_lss.desk.exchange.poses import read_poses
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import one_line
@@ -34,9 +34,7 @@ SECOND_NS = 10**9
 _UNITS_NS = (1, 10**3, 10**6, 10**9)
 
 
-def open_recording(
-    path: str | Path, poses: str | Path | None = None, frame: str = "map"
-) -> Bag | CloudFiles:
+def open_recording(path: str | Path, poses: str | Path | None = None, frame: str = "map") -> Bag:
     """A bag, or point clouds: a file or a folder of them. ``path``: of the bag or the clouds.
     ``poses``: file of poses for clouds in the lidar's axes; None for clouds in the map frame.
     ``frame``: name of the map frame, of clouds. Raises `BagError`: there is nothing to read, or a
@@ -61,55 +59,26 @@ def is_clouds(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() in READERS
 
 
-class CloudFiles:
-    """Context manager that gives the clouds of a file or folder and their poses (`open_recording`)
-    as `bags.Bag` gives its messages, on ``/lidar/points`` and ``/nav/pose``."""
+class CloudFiles(Bag):
+    """The clouds of a file or folder and their poses (`open_recording`), on ``/lidar/points`` and
+    ``/nav/pose``; what stands for the bytes of a message is its number."""
 
     def __init__(self, path: Path, poses: Path | None, frame: str) -> None:
-        self.path = path
-        self.losses: list[str] = []
-        self.notes: list[str] = []
+        super().__init__(path)
         self._poses_path = poses
         types = typestore(ros1=False, wanted=(SCAN_TYPE, POSE_TYPE)).types
         self._of_lidar = MessageMaker(types, np.asarray, "lidar")
         self._of_map = MessageMaker(types, np.asarray, frame)
         self._read = lru_cache(maxsize=1)(read_clouds)
-
-    def __enter__(self) -> CloudFiles:
-        try:
-            self._open()
-        except ExchangeError as error:
-            raise BagError(str(error)) from None
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._read.cache_clear()
-
-    @property
-    def topics(self) -> list[Topic]:
-        """What there is to read."""
-        count = len(self._scans) if self._poses is None else len(self._poses.stamp_ns)
-        scans = Topic(SCAN_TOPIC, SCAN_TYPE, len(self._scans))
-        return [scans, Topic(POSE_TOPIC, POSE_TYPE, count)]
-
-    @property
-    def start_ns(self) -> int:
-        """First stamp."""
-        return min(stamp for stamp, *_ in (*self._scans, *self._pose_stamps()))
-
-    @property
-    def end_ns(self) -> int:
-        """Last stamp."""
-        return max(stamp for stamp, *_ in (*self._scans, *self._pose_stamps()))
+        self._stack.callback(self._read.cache_clear)
 
     def messages(
-        self, topics: Collection[str], start_ns: int = 0, stop_ns: int = 2**63 - 1
+        self, topics: Collection[str], start_ns: int = 0, stop_ns: int = LAST_NS
     ) -> Iterator[RawMessage]:
-        """Those of the topics with start_ns <= stamp < stop_ns, in the order of their stamps."""
-        kinds = {POSE_TOPIC: self._pose_stamps(), SCAN_TOPIC: self._scans}
+        kinds = {POSE_TOPIC: self._pose_stamps, SCAN_TOPIC: [stamp for stamp, *_ in self._scans]}
         streams = [
-            [RawMessage(name, row[0], str(k).encode()) for k, row in enumerate(rows)]
-            for name, rows in kinds.items()
+            [RawMessage(name, stamp, str(k).encode()) for k, stamp in enumerate(stamps)]
+            for name, stamps in kinds.items()
             if name in topics
         ]
         for message in heapq.merge(*streams, key=lambda message: message.received_ns):
@@ -117,17 +86,23 @@ class CloudFiles:
                 yield message
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
-        """The message of that number. Raises `MessageError`: ``encoding`` if its file cannot be
-        read."""
-        number = int(raw)
+        make = self._cloud_message if msgtype == SCAN_TYPE else self._pose_message
         try:
-            if msgtype == SCAN_TYPE:
-                return self._cloud_message(number)
-            return self._pose_message(number)
+            return make(int(raw))
         except ExchangeError as error:
             raise MessageError("encoding", str(error)) from None
 
     def _open(self) -> None:
+        try:
+            self._find()
+        except ExchangeError as error:
+            raise BagError(str(error)) from None
+        scans, poses = len(self._scans), len(self._pose_stamps)
+        self.topics = [Topic(SCAN_TOPIC, SCAN_TYPE, scans), Topic(POSE_TOPIC, POSE_TYPE, poses)]
+        stamps = [*self._pose_stamps, *(stamp for stamp, *_ in self._scans)]
+        self.start_ns, self.end_ns = min(stamps), max(stamps)
+
+    def _find(self) -> None:
         files = [self.path]
         if self.path.is_dir():
             files = [p for p in self.path.iterdir() if p.suffix.lower() in READERS]
@@ -140,18 +115,21 @@ class CloudFiles:
             try:
                 clouds, stamps = self._read(file)
             except ExchangeError as error:
-                self.losses.append(one_line(error))
+                self._losses.append(one_line(error))
                 continue
             found += [(file, k, None if stamps is None else stamps[k]) for k in range(len(clouds))]
             corners += [_corners(cloud) for cloud in clouds]
         if not found:
-            raise BagError("; ".join(self.losses) or f"{self.path}: there is no point cloud")
+            raise BagError("; ".join(self._losses) or f"{self.path}: there is no point cloud")
         stamps_ns = [stamp for _, _, stamp in found if stamp is not None]
         if len(stamps_ns) < len(found):
             stamps_ns = self._stamps([file for file, *_ in found])
         rows = zip(stamps_ns, found, strict=True)
         self._scans = sorted((int(t), str(file), k) for t, (file, k, _) in rows)
-        if self._poses is None:
+        self._pose_stamps = [stamp for stamp, *_ in self._scans]
+        if self._poses is not None:
+            self._pose_stamps = self._poses.stamp_ns.tolist()
+        else:
             low, high = np.nanmin(corners, axis=(0, 1)), np.nanmax(corners, axis=(0, 1))
             self._eye = np.round(np.append(0.5 * (low + high)[:2], high[2] + ABOVE))
             self.notes.append(
@@ -177,38 +155,23 @@ class CloudFiles:
             f" of the poses ({span} s), and {len(files)} clouds are not {len(known)} poses"
         )
 
-    def _pose_stamps(self) -> list[tuple[int]]:
-        if self._poses is None:
-            return [(stamp,) for stamp, *_ in self._scans]
-        return [(int(stamp),) for stamp in self._poses.stamp_ns]
-
-    def _points(self, number: int) -> NDArray[Any]:
-        _, file, k = self._scans[number]
-        return self._read(Path(file))[0][k]
-
     def _cloud_message(self, number: int) -> Any:
-        points = self._points(number)
+        stamp, file, k = self._scans[number]
+        points = self._read(Path(file))[0][k]
         if self._poses is None:
             points = (points - self._eye) @ LOOKING_DOWN
         kind = "f4" if points.dtype == np.float32 else "f8"
         fields = tuple((axis, kind) for axis in "xyz")
         records = np.ascontiguousarray(points, f"<{kind}").view(record_dtype(fields))[..., 0]
-        return self._of_lidar.cloud(records, fields, self._scans[number][0])
+        return self._of_lidar.cloud(records, fields, stamp)
 
     def _pose_message(self, number: int) -> Any:
-        table = self._poses if self._poses is not None else self._from_above(number)
-        row = number if self._poses is not None else 0
-        turn, covariance = table.xyzw[row], table.covariance[row]
-        return self._of_map.pose(int(table.stamp_ns[row]), table.position[row], turn, covariance)
-
-    def _from_above(self, number: int) -> PoseTable:
-        sigmas = np.repeat([0.01, ATTITUDE_SIGMA], 3)
-        return PoseTable(
-            np.array([self._scans[number][0]]),
-            self._eye[None],
-            np.array([[1.0, 0.0, 0.0, 0.0]]),
-            np.diag(sigmas**2).reshape(1, 36),
-        )
+        stamp, table = self._pose_stamps[number], self._poses
+        if table is not None:
+            of = table.position[number], table.xyzw[number], table.covariance[number]
+            return self._of_map.pose(stamp, *of)
+        covariance = np.diag(np.repeat([0.01, ATTITUDE_SIGMA], 3) ** 2).reshape(36)
+        return self._of_map.pose(stamp, self._eye, (1.0, 0.0, 0.0, 0.0), covariance)
 
 
 def _corners(points: NDArray[Any]) -> Array:

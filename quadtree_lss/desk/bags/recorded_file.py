@@ -97,12 +97,10 @@ class RecordedFile(ABC):
 
     @property
     def start_ns(self) -> int:
-        """Least time of reception."""
         return int(self.index["time_ns"].min(initial=LAST_NS))
 
     @property
     def end_ns(self) -> int:
-        """Greatest time of reception."""
         return int(self.index["time_ns"].max(initial=0))
 
     def messages(
@@ -184,7 +182,6 @@ class ChunkedFile(RecordedFile):
             raise
 
     def close(self) -> None:
-        """As of `RecordedFile`."""
         self._file.close()
 
     @abstractmethod

@@ -24,8 +24,6 @@ _STEPS = 100_000
 
 
 class SqliteFile(RecordedFile):
-    """A rosbag2 sqlite3 file."""
-
     def _open(self) -> None:
         self._faults: Counter[str] = Counter()
         self._unread: dict[int, str] = {}
@@ -45,7 +43,6 @@ class SqliteFile(RecordedFile):
             self._faults[str(error)] += 1
 
     def close(self) -> None:
-        """As of `RecordedFile`."""
         self._database.close()
 
     @property

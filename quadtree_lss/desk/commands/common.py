@@ -20,6 +20,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 CLOUDS = "rosbag2 folder, .mcap, .db3, ROS 1 .bag; or point clouds: a file or a folder of them"
 POSES = "poses of point clouds, TUM or CSV; without it they are taken to be in the map frame"
+TOPICS = ("scan_topic", "pose_topic", "poses")
 DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
 EXIT_CODES = """exit codes:
   0 done   1 error   2 wrong usage   3 done in part (damaged input)   130 interrupted
@@ -41,7 +42,6 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
-        """Raises `UsageError`."""
         raise UsageError(f"{message} ({self.prog} --help)")
 
     def parse_args(  # type: ignore[override]
@@ -75,8 +75,6 @@ def add_command(
     run: Callable[[argparse.Namespace], int],
     text: str,
     examples: str,
-    *,
-    as_json: bool = True,
 ) -> argparse.ArgumentParser:
     """A subcommand with its help and the options that all have."""
     parser = commands.add_parser(
@@ -91,9 +89,13 @@ def add_command(
     add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
     text = "progress bar even without a terminal; where internal errors come from"
     add("-v", "--verbose", action="store_true", help=text)
-    if as_json:
-        add("--json", action="store_true", help="print the result as JSON, for scripts")
+    add("--json", action="store_true", help="print the result as JSON, for scripts")
     return parser
+
+
+def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """Options as arguments of a function that calls them the same."""
+    return {name: getattr(options, name) for name in names}
 
 
 def named(text: str) -> Path:
@@ -144,7 +146,6 @@ def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
 
 
 def add_topics(parser: argparse.ArgumentParser, *, poses: bool = True) -> None:
-    """``--scan-topic``, ``--pose-topic``, and ``--poses`` of point clouds."""
     add = parser.add_argument
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
@@ -179,7 +180,6 @@ def parameter_settings(prefix: str, **_: Any) -> list[str]:
 
 
 def add_config_options(parser: argparse._ActionsContainer) -> None:
-    """``--config`` and ``--set``."""
     config = parser.add_argument(
         "--config",
         action="append",
@@ -200,7 +200,6 @@ def add_config_options(parser: argparse._ActionsContainer) -> None:
 
 
 def overrides(options: argparse.Namespace) -> dict[str, Any]:
-    """What ``--set`` says, by key."""
     found: dict[str, Any] = {}
     for item in options.set:
         key, equals, value = item.partition("=")
@@ -216,7 +215,6 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def chosen_config(options: argparse.Namespace) -> Config:
-    """The configuration that ``--config`` and ``--set`` ask for."""
     return load_config(options.config, overrides(options), origin="--set")
 
 
@@ -286,5 +284,4 @@ def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
 
 
 def print_json(content: Mapping[str, Any]) -> None:
-    """A result for scripts."""
     print(json.dumps(content, indent=2, allow_nan=False))

@@ -21,7 +21,6 @@ compare by: quadtree-lss evaluate A B --truth truth.npz
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = add_command(commands, "compare", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("first", type=named, metavar="A", help="folder that replay or sites wrote")

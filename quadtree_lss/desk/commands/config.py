@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.completion import names_of_action
 from quadtree_lss.desk.commands.console import ProgressBar, show, warn
 from quadtree_lss.desk.commands.explained import (
     check_files,
@@ -18,7 +18,11 @@ from quadtree_lss.desk.commands.explained import (
 from quadtree_lss.onboard.config.limits import slow
 from quadtree_lss.onboard.config.loading import dump_config, load_config
 from quadtree_lss.onboard.config.risk import doubt
-from quadtree_lss.onboard.config.settings import config_from_values, values_from_config
+from quadtree_lss.onboard.config.settings import (
+    config_from_values,
+    parameters,
+    values_from_config,
+)
 
 ACTIONS = ("print", "check", "explain", "suggest")
 TEXT = (
@@ -41,7 +45,6 @@ ACTION is print (the default), check, explain or suggest.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = common.add_command(commands, "config", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("action", nargs="?", choices=ACTIONS, default="print", metavar="ACTION")
@@ -58,6 +61,18 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "suggest for a vehicle of this diameter and clearance, m"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
     add("--plain", action="store_true", help="print without the explanations")
+
+
+def names_of_action(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
+    """What a shell offers: keys and sections to explain, files to check, bags."""
+    from argcomplete.completers import FilesCompleter
+
+    if parsed_args.action == "explain":
+        names = [row.name for row in parameters()]
+        return [*sorted({name.partition(".")[0] for name in names}), *names]
+    if parsed_args.action == "check":
+        return common.config_names(prefix)
+    return list(FilesCompleter()(prefix))
 
 
 def vehicle(text: str) -> dict[str, float]:

@@ -59,7 +59,6 @@ class ProgressBar:
             self._bar.close()
 
     def update(self, done: float, total: float) -> None:
-        """Sets the bar."""
         if self._bar is not None:
             self._bar.total = total
             self._bar.n = done
@@ -105,7 +104,6 @@ class Interruption:
             signal.signal(signal.SIGINT, self._before)
 
     def asked(self) -> bool:
-        """Whether there was a Ctrl-C."""
         return self._asked
 
     def _note(self, number: int, frame: object) -> None:
@@ -200,7 +198,6 @@ def show(text: str) -> None:
 
 
 def say(text: str) -> None:
-    """One line on stderr."""
     print(f"quadtree-lss: {one_line(text)}", file=sys.stderr)
 
 

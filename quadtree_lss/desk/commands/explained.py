@@ -79,7 +79,6 @@ def explain(name: str) -> list[Parameter]:
 
 
 def explain_text(row: Parameter) -> str:
-    """One parameter for people."""
     unit = f" {row.unit}" if row.unit else ""
     lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
     lines.append(f"  default  {scalar_text(row.default)}{unit}")
@@ -121,7 +120,6 @@ def parameter_as_dict(row: Parameter) -> dict[str, object]:
 
 
 def parameter_table() -> str:
-    """The whole document."""
     parts = [INTRODUCTION]
     for section, rows in groupby(parameters(), key=lambda row: row.name.partition(".")[0]):
         parts.append("\n".join([f"\n## {section}\n", *_table(rows)]) + "\n")

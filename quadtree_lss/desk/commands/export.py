@@ -27,7 +27,6 @@ Without --crs or --origin the map frame has no place on the Earth, and there is 
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = add_command(commands, "export", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     default = Path("results/latest")

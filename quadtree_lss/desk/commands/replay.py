@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss replay``."""
+"""``quadtree-lss replay``, and ``sites``: landing sites on an elevation model."""
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import (
@@ -17,6 +18,9 @@ from quadtree_lss.desk.commands.console import (
     warn,
 )
 from quadtree_lss.onboard.errors import QuadtreeLssError
+
+if TYPE_CHECKING:
+    from quadtree_lss.desk.replay.result import ReplayResult
 
 TEXT = "Map a recorded bag and rank landing sites, offline and deterministically."
 EXAMPLES = """examples:
@@ -35,21 +39,30 @@ EXAMPLES = """examples:
 Ctrl-C ends the replay there: the results are those of what was processed so far. A second
 Ctrl-C stops at once.
 """
+SITES = "Rank landing sites straight on an elevation model: GeoTIFF, or .npz with x, y, elevation."
+SITES_EXAMPLES = """examples:
+  quadtree-lss sites dem.tif                                    (results in results/<time>, latest)
+  quadtree-lss sites apollo15.npz --set vehicle.diameter=9 --out apollo
+  quadtree-lss sites dem.tif --area='0,0 400,0 400,400 0,400'   (cuts the model to the area)
+
+Results are those of replay; coordinates are the model's, which must be in metres with north up.
+"""
+OUT = "folder for the results (default results/<time>)"
+NO_REPORT = "no figures and no report.html"
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
+    """Declares the subcommands."""
     parser = common.add_command(commands, "replay", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
-    text = "folder for the results (default results/<time>)"
-    add("--out", metavar="DIR", type=common.named, help=text)
+    add("--out", metavar="DIR", type=common.named, help=OUT)
     common.add_config_options(parser)
     common.add_topics(parser)
     text = "begin S seconds into the bag"
     add("--start", metavar="S", type=common.not_negative, default=0.0, help=text)
     add("--duration", metavar="D", type=common.positive, help="process D seconds only")
-    add("--no-report", action="store_true", help="no figures and no report.html")
+    add("--no-report", action="store_true", help=NO_REPORT)
     text = "write what the nodes would publish, as mcap"
     add("--record", metavar="BAG", type=common.named, help=text)
     add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
@@ -58,6 +71,13 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "another name for a topic that --publish sends, as of ros2 run; may be repeated"
     add("--remap", metavar="FROM:=TO", action="append", default=[], help=text)
     add("--rate", metavar="R", type=common.positive, help="speed of --publish (default 1)")
+    parser = common.add_command(commands, "sites", _sites, SITES, SITES_EXAMPLES)
+    add = parser.add_argument
+    add("dem", type=common.named, metavar="DEM", help="elevation model, m, z up")
+    add("--out", metavar="DIR", type=common.named, help=OUT)
+    common.add_config_options(parser)
+    add("--no-report", action="store_true", help=NO_REPORT)
+    common.add_landing_options(parser, "")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -69,46 +89,54 @@ def _run(options: argparse.Namespace) -> int:
         options.parser.error(
             "--namespace and --remap are for --publish: without it nothing is sent"
         )
-    from quadtree_lss.desk.replay.files import link_latest, new_folder
     from quadtree_lss.desk.replay.replay import replay
 
-    config = common.chosen_config(options)
-    out = options.out if options.out is not None else new_folder(Path("results"))
+    config, out = common.chosen_config(options), _folder(options)
     report = "" if options.no_report else ", draws the report"
     then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
+    how = common.given(options, *common.TOPICS, "start", "duration", "record")
+    how |= {"report": not options.no_report, "landing": common.landing_of(options)}
     with Interruption(then) as interruption, ProgressBar("replay", "s", options.verbose) as bar:
-        result = replay(
-            options.bag,
-            out,
-            config,
-            scan_topic=options.scan_topic,
-            pose_topic=options.pose_topic,
-            poses=options.poses,
-            start=options.start,
-            duration=options.duration,
-            report=not options.no_report,
-            record=options.record,
-            landing=common.landing_of(options),
-            progress=bar.update,
-            stop=interruption.asked,
-        )
-    if options.out is None and link_latest(out) is None:
-        latest = out.parent / "latest"
-        warn(f"warning: {latest} does not point at these results: it is not a link")
-    for line in result.warnings:
-        warn(f"warning: {line}")
-    for line in result.losses:
-        warn(f"damaged: {line}")
-    if options.json:
-        common.print_json(result.as_dict())
-    else:
-        print_result(result)
+        how |= {"progress": bar.update, "stop": interruption.asked}
+        result = replay(options.bag, out, config, **how)
+    _tell(options, result, out, "warning")
     if result.interrupted:
         say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
     if result.losses:
         warn("the bag is damaged: everything readable was processed")
         return common.IN_PART
+    return common.DONE
+
+
+def _folder(options: argparse.Namespace) -> Path:
+    from quadtree_lss.desk.replay.files import new_folder
+
+    return new_folder(Path("results")) if options.out is None else options.out
+
+
+def _tell(options: argparse.Namespace, result: ReplayResult, out: Path, word: str) -> None:
+    from quadtree_lss.desk.replay.files import link_latest
+
+    if options.out is None and link_latest(out) is None:
+        latest = out.parent / "latest"
+        warn(f"warning: {latest} does not point at these results: it is not a link")
+    for line in result.warnings:
+        warn(f"{word}: {line}")
+    for line in result.losses:
+        warn(f"damaged: {line}")
+    if options.json:
+        common.print_json(result.as_dict())
+    else:
+        print_result(result)
+
+
+def _sites(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.elevation_model import rank_sites
+
+    config, out = common.chosen_config(options), _folder(options)
+    how = {"report": not options.no_report, "landing": common.landing_of(options)}
+    _tell(options, rank_sites(options.dem, out, config, **how), out, "note")
     return common.DONE
 
 
@@ -124,21 +152,12 @@ def _publish(options: argparse.Namespace) -> int:
     except ImportError as error:
         msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
         raise QuadtreeLssError(msg) from None
+    how = common.given(options, *common.TOPICS[:2], "start", "duration", "remap")
+    how |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
     with ProgressBar("play", "s", options.verbose) as bar:
-        report = play(
-            options.bag,
-            rate=1.0 if options.rate is None else options.rate,
-            scan_topic=options.scan_topic,
-            pose_topic=options.pose_topic,
-            start=options.start,
-            duration=options.duration,
-            namespace=options.namespace or "",
-            remap=options.remap,
-            progress=bar.update,
-        )
-    sent = f"{report.scans} scans and {report.poses} poses"
-    if report.maps:
-        sent = f"{report.maps} maps"
+        report = play(options.bag, **how, progress=bar.update)
+    scans = f"{report.scans} scans and {report.poses} poses"
+    sent = f"{report.maps} maps" if report.maps else scans
     if options.json:
         common.print_json(asdict(report))
     else:

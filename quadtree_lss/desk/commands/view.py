@@ -26,7 +26,6 @@ Of results without a page (replay --no-report) the page is made.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = add_command(commands, "view", _run, TEXT, EXAMPLES)
     default = Path("results/latest")
     text = "folder of a replay, flight, campaign or evaluation (default results/latest)"

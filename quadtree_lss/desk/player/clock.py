@@ -73,7 +73,6 @@ class PlayTime:
             self._look(PERIOD_S if self.paused else min(left, PERIOD_S))
 
     def shutdown(self) -> None:
-        """Ends the services."""
         self._executor.shutdown()
 
     def _look(self, wait: float) -> None:

@@ -251,7 +251,6 @@ def _write(out: Path, result: Comparison) -> None:
 
 
 def _picture(result: Comparison) -> bytes:
-    """Height difference, and safe ground of both, with the sites."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
@@ -107,11 +107,9 @@ class Heard:
             self._poses.append((stamp_ns(msg.header), place, unit, known))
 
     def add_gimbal(self, msg: Any) -> None:
-        """One angle of the gimbal."""
         self._gimbal.append(mount_from_message(msg))
 
     def findings(self, config: Config) -> list[Finding]:
-        """What is wrong with covariances, frames, axes, units, lag and mount."""
         found = []
         if self._poses and not any(known for *_, known in self._poses):
             sigmas = config.pose.unknown_position_sigma, config.pose.unknown_attitude_sigma_deg
@@ -129,17 +127,16 @@ class Heard:
         if len(stamps) < 2:
             return None
         start = int(stamps[0])
-        places = np.array([by_stamp[s][0] for s in stamps.tolist()])
-        turns = np.array([by_stamp[s][1] for s in stamps.tolist()])
-        body = _Path(1e-9 * (stamps - start), places, turns)
+        places, turns = map(np.array, zip(*(by_stamp[s] for s in stamps.tolist()), strict=True))
+        body = _Path(1e-9 * (stamps - start), places, Rotation.from_quat(turns))
         mount = fixed_mount(config.mount) if self.mount is None else self.mount
-        gimbal = None
-        if config.mount.gimbal and len(self._gimbal) > 1:
-            angles = sorted(self._gimbal, key=lambda pose: pose.stamp_ns)
-            rotations = np.array([a.rotation_map_lidar for a in angles])
-            times = np.array([1e-9 * (a.stamp_ns - start) for a in angles])
-            offsets = np.array([a.position for a in angles])
-            gimbal = _Path(times, offsets, quaternion_from_rotation(rotations))
+        gimbal, angles = None, {angle.stamp_ns: angle for angle in self._gimbal}
+        if config.mount.gimbal and len(angles) > 1:
+            times = np.array(sorted(angles))
+            poses = [angles[stamp] for stamp in times.tolist()]
+            rotations = Rotation.from_matrix(np.array([a.rotation_map_lidar for a in poses]))
+            offsets = np.array([a.position for a in poses])
+            gimbal = _Path(1e-9 * (times - start), offsets, rotations)
         scans = [(1e-9 * (stamp - start), points) for stamp, points in self._scans]
         scans = [(t, points) for t, points in scans if 0.0 <= t <= body.times[-1]]
         if len(scans) < 3:
@@ -158,18 +155,14 @@ def _thinned(scans: list[Any], every: int) -> list[Any]:
 class _Path:
     """Poses over time, at any time in between."""
 
-    def __init__(self, times: Array, places: Array, turns: Array) -> None:
-        self.times, self._places, self._turns = times, places, turns
+    def __init__(self, times: Array, places: Array, turns: Rotation) -> None:
+        self.times, self._places, self._turns = times, places, Slerp(times, turns)
 
     def at(self, times: Array) -> tuple[Array, Array]:
         """Places (K, 3) and rotations (K, 3, 3) at times (K,) s; at an end where beyond it."""
-        k = np.clip(np.searchsorted(self.times, times) - 1, 0, len(self.times) - 2)
-        share = (times - self.times[k]) / (self.times[k + 1] - self.times[k])
-        share = np.clip(share, 0.0, 1.0)[:, None]
-        places = self._places[k] + share * (self._places[k + 1] - self._places[k])
-        before, after = self._turns[k], self._turns[k + 1]
-        sign = np.where(np.sum(before * after, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-        return places, rotation_from_quaternion((1.0 - share) * before + share * sign * after)
+        times = np.clip(times, self.times[0], self.times[-1])
+        places = [np.interp(times, self.times, along) for along in self._places.T]
+        return np.column_stack(places), self._turns(times).as_matrix()
 
 
 class _Flight:
@@ -342,7 +335,6 @@ def _judged(flight: _Flight, config: Config) -> list[Finding]:
 
 
 def _state(cost: float, above: float, mended: float) -> str:
-    """What speaks for it."""
     words = [f"{100 * above:.0f} % of the ground lies above the lidar"] * (above > MOST_ABOVE)
     if np.isfinite(mended):
         far = f"{cost:.2g} m" if np.isfinite(cost) else "not at all"

@@ -179,7 +179,6 @@ def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
 
 
 def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
-    """``hazards`` as the topic has it, and ``landing``: free where landing is allowed."""
     grid = results.grid
     hazard, safe = np.asarray(grid["hazard"]), np.asarray(grid["safe"])
     maps = {

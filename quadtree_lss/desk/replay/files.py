@@ -42,7 +42,6 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Writes JSON; numbers that are not finite become null."""
     text = json.dumps(plain(content), indent=2, allow_nan=False)
     write_bytes(path, (text + "\n").encode())
 
@@ -61,7 +60,6 @@ def plain(value: Any) -> Any:
 
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Writes a table."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)

@@ -34,7 +34,6 @@ class Thinned(Generic[T]):
         self._last: list[T] = []
 
     def add(self, item: T) -> None:
-        """One more."""
         self._last = [item]
         if self._count % self._step == 0:
             if len(self._kept) == self._limit:
@@ -45,7 +44,6 @@ class Thinned(Generic[T]):
         self._count += 1
 
     def all(self) -> list[T]:
-        """Those that are kept, in their order."""
         return [*self._kept, *self._last]
 
 
@@ -60,7 +58,6 @@ class History:
         """Maps are not kept: what they show, answers do."""
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
-        """An answer: what is seen, where landing is allowed, how likely, sites and target."""
         sites = found.sites
         ranked = sites.id, sites.position, sites.score, sites.probability
         self._answers.add(
@@ -76,7 +73,6 @@ class History:
         )
 
     def scan(self, scan: ReadyScan) -> None:
-        """A scan that was mapped."""
         points = scan.points_lidar.reshape(-1, 3)[::_EVERY]
         ground = points @ scan.pose.rotation_map_lidar[:2].T + scan.pose.position[:2]
         ground = ground[np.isfinite(ground[:, 0]) & np.isfinite(ground[:, 1])]

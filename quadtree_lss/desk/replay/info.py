@@ -284,7 +284,6 @@ OF_OTHER_TYPES = ("PoseStamped", "TransformStamped", "VehicleOdometry", "TFMessa
 
 
 def told(finding: Finding) -> str:
-    """In one line."""
     return f"{finding.text}; mend: {finding.mend}" if finding.mend else finding.text
 
 

@@ -71,7 +71,6 @@ class Passes:
         self.changes: list[TargetChange] = []
 
     def changed(self) -> None:
-        """There is a new map."""
         self._map.changed = True
 
     def landing_changed(self) -> None:
@@ -79,7 +78,6 @@ class Passes:
         self._landing.changed = True
 
     def land_now(self) -> None:
-        """As the service of lss_node."""
         self._selector.land_now()
         self._landing.changed, self._landing.due_ns = True, 0
 

@@ -57,7 +57,6 @@ class Span:
     last_ns: int = 0
 
     def add(self, time_ns: int) -> None:
-        """One more."""
         self.first_ns = min(self.first_ns, time_ns) if self.count else time_ns
         self.last_ns = max(self.last_ns, time_ns) if self.count else time_ns
         self.count += 1
@@ -139,11 +138,9 @@ class Stream:
 
     @property
     def topics(self) -> list[str]:
-        """Those that are read."""
         return [name for name in (self.scans, self.poses, self.gimbal, self.camera) if name]
 
     def messages(self, bag: Bag) -> Iterator[RawMessage]:
-        """The messages, in the order of the bag."""
         return bag.messages(self.topics, self.start_ns, self.stop_ns)
 
     def intake(self, config: Config) -> Intake:

@@ -97,7 +97,6 @@ class _Seen:
         self._above: list[float] = []
 
     def add(self, scan: ReadyScan, config: Config, every: int) -> None:
-        """Looks at every so-manieth scan."""
         self._scans += 1
         if (self._scans - 1) % every:
             return
@@ -187,5 +186,4 @@ def _scatter(rays: Array, ranges: Array, chosen: slice) -> Array:
 
 
 def _rounded(value: float) -> float:
-    """To two digits."""
     return float(f"{value:.2g}")

@@ -84,7 +84,6 @@ class Quantity:
 
     @property
     def title(self) -> str:
-        """Label with the unit."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
@@ -112,7 +111,6 @@ class Kind:
     by: tuple[str, ...] = ()
 
     def quantity(self, name: str) -> Quantity:
-        """The one of that name."""
         for quantity in self.quantities:
             if quantity.name == name:
                 return quantity

@@ -34,7 +34,6 @@ def settings_of(case: Case) -> tuple[FlightSettings, bool]:
 
 
 def fly(case: Case) -> Flown:
-    """Figures of one flight."""
     began = time.process_time()
     settings, reference = settings_of(case)
     found = lockstep.flown(case.seed, settings, reference=reference).figures
@@ -55,7 +54,6 @@ def fly(case: Case) -> Flown:
 
 
 def keep(case: Case, folder: Path) -> None:
-    """Record, picture and page of the flight."""
     from quadtree_lss.lab.flight.flight_page import write_flight
 
     settings, reference = settings_of(case)

@@ -103,7 +103,7 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> dict[st
         "mean_error": elevation.mean,
         "maximum": elevation.maximum,
         "leaves": scores.leaves_estimated,
-        "scans": int(results.stamps_ns.size),
+        "scans": int(results.timing["stamp_ns"].size),
         "noise_ratio": results.summary["range_noise_ratio"],
         "truly_safe": 100.0 * float(truth.safe.mean()),
         "true_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(rise_x, rise_y))))),
@@ -135,7 +135,6 @@ def risks(of: Reliability | None) -> dict[str, float | int | None]:
 
 
 def keep(case: Case, folder: Path) -> None:
-    """Bag, truth, results with their page, and figures of the evaluation."""
     config = load_config([], case.parameters)
     options: dict[str, Any] = dict(case.conditions)
     simulate(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity, kind_of
 from quadtree_lss.lab.campaign.store import Record
-from quadtree_lss.lab.campaign.summary import bootstrap, number, read_campaign
+from quadtree_lss.lab.campaign.summary import bootstrap, number, numbers, read_campaign
 from quadtree_lss.lab.evaluation.results import aligned
 
 
@@ -43,7 +43,6 @@ class Comparison:
     unpaired: int
 
     def table(self) -> str:
-        """Aligned lines for people."""
         head = ("", "first", "second", "difference", "95 % interval", "better / worse", "flight")
         rows = [head]
         for d in self.differences:
@@ -60,12 +59,7 @@ class Comparison:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        rows = {}
-        for difference in self.differences:
-            content = asdict(difference)
-            del content["quantity"]
-            rows[difference.quantity.name] = content
+        rows = {d.quantity.name: numbers(d) for d in self.differences}
         whole: dict[str, Any] = plain({"differences": rows, "unpaired": self.unpaired})
         return whole
 
@@ -86,13 +80,9 @@ def compare_campaigns(first: str | Path, second: str | Path) -> Comparison:
     if not pairs:
         raise CampaignError(f"{first} and {second} have no flight of the same number and seed")
     quantities = kind_of(kind).quantities
-    differences = (_difference(quantity, pairs) for quantity in quantities)
-    return Comparison(
-        Path(first),
-        Path(second),
-        tuple(d for d in differences if d is not None),
-        len(one) + len(two) - 2 * len(pairs),
-    )
+    differences = filter(None, (_difference(quantity, pairs) for quantity in quantities))
+    unpaired = len(one) + len(two) - 2 * len(pairs)
+    return Comparison(Path(first), Path(second), tuple(differences), unpaired)
 
 
 def _difference(quantity: Quantity, pairs: list[tuple[Record, Record]]) -> Difference | None:

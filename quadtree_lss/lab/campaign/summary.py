@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,9 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
+from scipy.stats import binomtest
 
-from quadtree_lss.desk.replay.files import plain, write_bytes
+from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
 from quadtree_lss.lab.campaign.store import Record, Store, read_record
 from quadtree_lss.lab.campaign.study import Study
@@ -42,7 +40,6 @@ class Line:
     events: int | None = None
 
     def cells(self) -> tuple[str, str, str, str, str]:
-        """For a table."""
         q = self.quantity
         digits = f".{q.digits}f"
         flight = "–" if self.worst_flight is None else str(self.worst_flight)
@@ -103,10 +100,8 @@ def rate_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[f
     """Bounds of a rate from ``events`` in ``trials`` (Clopper and Pearson), both sides together."""
     if trials == 0:
         return float("nan"), float("nan")
-    tail = 0.5 * (1.0 - confidence)
-    low = float(beta.ppf(tail, events, trials - events + 1)) if events else 0.0
-    high = float(beta.ppf(1.0 - tail, events + 1, trials - events)) if events < trials else 1.0
-    return low, high
+    bounds = binomtest(events, trials).proportion_ci(confidence)
+    return float(bounds.low), float(bounds.high)
 
 
 def badness(quantity: Quantity, record: Record) -> float:
@@ -154,7 +149,6 @@ class CampaignResult:
 
     @property
     def failed(self) -> dict[int, str]:
-        """Why flights failed, by number."""
         return {index: r.error for index, r in self.records.items() if r.error}
 
     @cached_property
@@ -177,7 +171,6 @@ class CampaignResult:
         return found
 
     def table(self) -> str:
-        """Aligned lines for people."""
         lines = []
         for name, part in self.lines:
             rows = [
@@ -190,9 +183,8 @@ class CampaignResult:
         return "\n".join(lines).rstrip()
 
     def as_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
         parts = [
-            {"name": name, "quantities": {row.quantity.name: _line_dict(row) for row in rows}}
+            {"name": name, "quantities": {row.quantity.name: numbers(row) for row in rows}}
             for name, rows in self.lines
         ]
         worst = {q.name: [list(pair) for pair in pairs] for q, pairs in self.worst()}
@@ -211,10 +203,9 @@ class CampaignResult:
         return content
 
 
-def _line_dict(line: Line) -> dict[str, Any]:
-    content = asdict(line)
-    del content["quantity"]
-    return content
+def numbers(row: Any) -> dict[str, Any]:
+    """Fields of a row of a table but for its quantity."""
+    return {name: value for name, value in asdict(row).items() if name != "quantity"}
 
 
 def write_summary(result: CampaignResult, store: Store) -> None:
@@ -224,7 +215,7 @@ def write_summary(result: CampaignResult, store: Store) -> None:
     files = [store.path(result.study.case(index)).name for index in result.records]
     text = json.dumps({**result.as_dict(), "files": files}, indent=1, allow_nan=False)
     write_bytes(result.out / "campaign.json", (text + "\n").encode())
-    write_bytes(result.out / "flights.csv", _csv(result.records.values()).encode())
+    _write_flights(result.out / "flights.csv", result.records.values())
     for name, content in page_files(result, store.times()).items():
         write_bytes(result.out / name, content)
 
@@ -240,22 +231,10 @@ def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
     return kind, {r.index: r for r in records if not r.error}
 
 
-def _csv(records: Iterable[Record]) -> str:
-    """A row for each flight."""
-    rows = [
-        {
-            "flight": record.index,
-            "seed": record.seed,
-            "scenario": record.scenario,
-            **record.labels,
-            **record.figures,
-            "error": record.error,
-        }
-        for record in records
-    ]
+def _write_flights(path: Path, records: Iterable[Record]) -> None:
+    rows = []
+    for r in records:
+        of = {"flight": r.index, "seed": r.seed, "scenario": r.scenario}
+        rows.append(of | r.labels | r.figures | {"error": r.error})
     names = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    write_csv(path, names, ([row.get(name) for name in names] for row in rows))

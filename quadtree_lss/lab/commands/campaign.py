@@ -25,7 +25,6 @@ second one stops at once.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = common.add_command(commands, "campaign", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("what", nargs="+", metavar="STUDY.yaml", help="a study; or: compare DIR DIR")

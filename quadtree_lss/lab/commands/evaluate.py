@@ -19,7 +19,6 @@ Many flights at once: quadtree-lss campaign.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = add_command(commands, "evaluate", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     text = "folder that replay wrote, or several"

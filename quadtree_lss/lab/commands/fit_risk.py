@@ -23,7 +23,6 @@ SEEDS = "90000-90219"
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = common.add_command(commands, "fit-risk", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("--out", required=True, type=common.named, metavar="YAML", help="file to write")

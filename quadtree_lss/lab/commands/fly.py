@@ -29,7 +29,6 @@ LONGEST = 100.0
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = common.add_command(commands, "fly", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     text = "of ground, start, navigation, lidar"

@@ -9,6 +9,8 @@ from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say
 
 SCENARIOS = ("morpheus", "parabola", "descent", "drone", "depth")
+GIVEN = "seed duration terrain range_noise outliers dropouts flights rocks".split()
+GIVEN += ["navigation_error", "overwrite"]
 TEXT = "Simulate a flight: a bag, and truth.npz beside it."
 FLIGHTS = """flights:
   morpheus   the paper's Section VII: 20 s at 20 Hz on a 30 degree glide slope, 450 m off, 1 degree
@@ -37,7 +39,6 @@ stops at once and leaves no bag.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommand."""
     parser = common.add_command(commands, "simulate", _run, TEXT, FLIGHTS + EXAMPLES)
     add = parser.add_argument
     add("scenario", choices=SCENARIOS, help="which flight")
@@ -63,25 +64,11 @@ def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.simulation.simulate import simulate
 
     then = f"closes {options.out} and writes truth.npz for what was flown so far"
-    verbose = options.verbose
+    verbose, how = options.verbose, common.given(options, *GIVEN)
+    how["glide_slope_deg"] = options.glide_slope
     with Interruption(then) as interruption, ProgressBar("simulate", "scans", verbose) as bar:
-        result = simulate(
-            options.scenario,
-            options.out,
-            seed=options.seed,
-            duration=options.duration,
-            terrain=options.terrain,
-            range_noise=options.range_noise,
-            outliers=options.outliers,
-            dropouts=options.dropouts,
-            flights=options.flights,
-            rocks=options.rocks,
-            glide_slope_deg=options.glide_slope,
-            navigation_error=options.navigation_error,
-            overwrite=options.overwrite,
-            progress=bar.update,
-            stop=interruption.asked,
-        )
+        how |= {"progress": bar.update, "stop": interruption.asked}
+        result = simulate(options.scenario, options.out, **how)
     common.tell(options, result)
     if result.interrupted:
         say(f"interrupted: the bag has the first {result.scans} scans")

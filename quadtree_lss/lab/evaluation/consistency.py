@@ -9,7 +9,7 @@ from pathlib import Path
 
 import quadtree_lss
 from quadtree_lss.desk.replay.scans import scans
-from quadtree_lss.lab.evaluation.results import EvaluationError, Results
+from quadtree_lss.lab.evaluation.results import COLUMNS, EvaluationError, Results
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.consistency import Counts, prefit_statistics
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
@@ -25,7 +25,6 @@ class Consistency:
     scans: int
 
     def table(self) -> str:
-        """Both tests in aligned lines, like Table 2."""
         lines = [f"{'Prefit residuals':<24}{'below':>9}{'above':>9}{'both':>9}"]
         for name, of in (
             ("one degree of freedom", self.counts.one_degree),
@@ -57,7 +56,8 @@ def consistency(
     """
     rows: dict[int, list[int]] = {}
     if results is not None:
-        rows = dict(zip(results.stamps_ns.tolist(), results.counts.tolist(), strict=True))
+        columns = [results.timing[name].tolist() for name in COLUMNS[:4]]
+        rows = {stamp: row for stamp, *row in zip(*columns, strict=True)}
     made_by = {} if results is None else results.summary.get("versions") or {}
     exact = made_by.get("quadtree_lss") == quadtree_lss.__version__
     counts, number, mapper = Counts(), 0, Mapper(config)

@@ -53,7 +53,7 @@ def evaluate(
     given = None if bag is None else Path(bag)
     doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
     notes = [] if doubt is None else [doubt]
-    heights = metrics.elevation_field(results.cells, results.grid, truth)
+    heights = metrics.elevation_field(results.map, results.grid, truth)
     safety = metrics.safety_field(results.grid, truth)
     if not safety.scored.size:
         msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
@@ -94,7 +94,7 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
     safety = metrics.safety_field(results.grid, truth)
     if not safety.scored.size:
         raise EvaluationError("the map does not overlap the scanned box")
-    heights = metrics.elevation_field(results.cells, results.grid, truth)
+    heights = metrics.elevation_field(results.map, results.grid, truth)
     return scores_of(results, truth, heights, safety)
 
 
@@ -125,9 +125,9 @@ def _table_2(
     bag = given if given is not None else recorded_bag(results)
     if bag is None:
         return None, "needs --bag"
-    if given is None and not results.stamps_ns.size:
+    if given is None and not results.timing["stamp_ns"].size:
         return None, "needs --bag with the scans: these results are of recorded maps"
-    total = results.stamps_ns.size
+    total = results.timing["stamp_ns"].size
     scan_topic, pose_topic = (results.summary.get(f"{what}_topic") for what in ("scan", "pose"))
     try:
         return consistency(
@@ -153,7 +153,6 @@ class ComparisonResult:
     figures: tuple[Path, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Scores by the name of the run, ready for JSON."""
         return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
 
     def table(self) -> str:
@@ -210,7 +209,7 @@ def compare(
 
         truth = load_truth(truth_path)
         results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
-        heights = metrics.elevation_field(results[names[-1]].cells, results[names[-1]].grid, truth)
+        heights = metrics.elevation_field(results[names[-1]].map, results[names[-1]].grid, truth)
         drawn = draw_together(together, truth, heights, results)
     result = ComparisonResult(runs, together, drawn)
     text = json.dumps(result.as_dict()["runs"], indent=2, allow_nan=False) + "\n"

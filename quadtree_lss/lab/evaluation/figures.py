@@ -54,16 +54,16 @@ def draw_all(
     A map of one level only stands for the paper's fixed-resolution map (Figs. 10, 13 instead of 9,
     12), one of several flights for FF13 + FF14 (Fig. 24 instead of 23).
     """
-    sites = {"sites": results.sites[:TOP]}
-    fixed, several = _fixed(results.cells), truth.flights_of(results.stamps_ns) > 1
+    sites = {"sites": results.positions[:TOP]}
+    fixed, several = _fixed(results.map), truth.flights_of(results.timing["stamp_ns"]) > 1
     cells = "fig10_fixed_resolution_and_scans" if fixed else "fig09_quadtree_and_scans"
     error = "fig13_fixed_resolution_error" if fixed else "fig12_quadtree_error"
     score = "fig24_site_score_of_several_flights" if several else "fig23_site_score"
     figures = {
         cells: _cells_and_scans(results, truth),
-        "fig11_processing_time": processing_time({"map": results.map_ms}),
+        "fig11_processing_time": processing_time({"map": results.timing["map_ms"]}),
         error: _elevation_error(heights, truth, centred=False),
-        "fig18_quadtree_over_truth": _quadtree_over_truth(results.cells, truth),
+        "fig18_quadtree_over_truth": _quadtree_over_truth(results.map, truth),
         "fig19_elevation_estimate": _elevation_estimate(heights, truth),
         "fig20_elevation_error": _elevation_error(heights, truth, centred=True),
         "fig21_true_safety": _true_safety(truth),
@@ -80,8 +80,8 @@ def draw_together(
     folder: Path, truth: Truth, heights: ErrorField, runs: Mapping[str, Results]
 ) -> tuple[Path, ...]:
     """Figures 11 and 25 with several runs in one picture; ``heights`` are the last run's."""
-    sites = {name: run.sites[:TOP] for name, run in runs.items()}
-    times = {name: run.map_ms for name, run in runs.items()}
+    sites = {name: run.positions[:TOP] for name, run in runs.items()}
+    times = {name: run.timing["map_ms"] for name, run in runs.items()}
     figures = {
         "fig11_processing_time": processing_time(times),
         "fig25_selected_sites": _selected_sites(heights, truth, sites),
@@ -130,8 +130,8 @@ def _map(title: str, box: Box) -> tuple[Figure, Axes]:
 
 def _cells_and_scans(results: Results, truth: Truth) -> Figure:
     """Boundaries of the leaves and of every fifth scan (Figs. 9, 10)."""
-    cells = results.cells
-    shown, total = truth.outlines_of(results.stamps_ns, EVERY)
+    cells = results.map
+    shown, total = truth.outlines_of(results.timing["stamp_ns"], EVERY)
     box = _domain(cells)
     if shown.size and np.isfinite(shown).any():  # and a little of what scans saw beyond
         room = 0.1 * cells.domain.size

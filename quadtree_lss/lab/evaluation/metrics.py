@@ -329,7 +329,6 @@ class Reliability:
     bins: tuple[RiskBin, ...]
 
     def table(self) -> str:
-        """Lines for people."""
         lines = [f"{'Risk':<14}  {'grid points':>11}  {'predicted':>9}  {'unsafe':>8}"]
         for b in self.bins:
             if b.grid_points:

@@ -21,8 +21,14 @@ def results_config(results_dir: Path) -> Config:
 
 def recorded_bag(results: Results) -> Path | None:
     """The bag that was replayed into the results, if it is still where it was."""
-    bag = results.bag
+    bag = named_bag(results)
     return bag if bag is not None and bag.is_absolute() and bag.exists() else None
+
+
+def named_bag(results: Results) -> Path | None:
+    """The bag that was replayed, as ``summary.json`` names it."""
+    name = results.summary.get("bag")
+    return Path(name) if isinstance(name, str) and name else None
 
 
 def check_truth(
@@ -41,8 +47,8 @@ def check_truth(
     if seed is not None and truth.seed is not None and seed != truth.seed:
         msg = f"{truth_path} is of seed {truth.seed}, but {results_dir} of seed {seed}"
         raise EvaluationError(msg)
-    named = bag if bag is not None else results.bag
-    if truth.bag_name is None or named is None or not results.stamps_ns.size:
+    named = bag if bag is not None else named_bag(results)
+    if truth.bag_name is None or named is None or not results.timing["stamp_ns"].size:
         return None
     of_truth = truth_path.parent / Path(truth.bag_name).name
     of_results = bag if bag is not None else recorded_bag(results)
@@ -60,7 +66,7 @@ def check_truth(
 
 
 def _check_stamps(results: Results, results_dir: Path, truth: Truth, truth_path: Path) -> None:
-    mapped, flown = _stamps(results.stamps_ns), _stamps(truth.scan_stamp_ns)
+    mapped, flown = _stamps(results.timing["stamp_ns"]), _stamps(truth.scan_stamp_ns)
     strange = mapped[~np.isin(mapped, flown)]
     if flown.size and strange.size:
         raise EvaluationError(

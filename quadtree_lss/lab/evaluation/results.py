@@ -13,18 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.desk.replay import results as saved
 from quadtree_lss.desk.replay.result import ReplayResult
-from quadtree_lss.desk.replay.results import Grid
+from quadtree_lss.desk.replay.results import Results
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
 from quadtree_lss.lab.simulation.terrain import bilinear
 from quadtree_lss.onboard.arrays import Array, Mask
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.elevation.archives import read_arrays
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 LAYERS = ("elevation", "hazard", "safe", "score")
 """Of the landing grid that are scored."""
+COLUMNS = ("stamp_ns", "points", "points_used", "leaves", "map_ms")
+"""Of ``timing.csv``."""
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
 _TRUTH_NAMES = ("bag_name", "seed", "lander")
@@ -42,29 +43,6 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 class EvaluationError(QuadtreeLssError):
     """Results or truth that cannot be scored; the text is one clear line."""
-
-
-@dataclass(frozen=True)
-class Results:
-    """One results directory of ``replay``."""
-
-    cells: CellMap
-    grid: Grid
-    sites: Array
-    """Positions (K, 3) of the ranked sites, best first."""
-    map_ms: Array
-    """Time per scan (S,), ms."""
-    stamps_ns: NDArray[np.int64]
-    """Stamps of the mapped scans (S,)."""
-    counts: NDArray[np.int64]
-    """Of each scan: its points, those of them that were used, leaves after it (S, 3)."""
-    summary: dict[str, Any]
-
-    @property
-    def bag(self) -> Path | None:
-        """The bag that was replayed, as ``summary.json`` names it."""
-        name = self.summary.get("bag")
-        return Path(name) if isinstance(name, str) and name else None
 
 
 @dataclass(frozen=True)
@@ -136,7 +114,6 @@ def _check_length(path: Path, name: str, array: NDArray[Any], length: int, of: s
 
 
 def load_truth(path: str | Path) -> Truth:
-    """Read ``truth.npz``."""
     file = Path(path)
     return truth_of(_arrays(file, _TRUTH, (*_TRUTH_EXTRA, *_TRUTH_NAMES)), file)
 
@@ -165,16 +142,16 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
 
 def results_of(replayed: ReplayResult) -> Results:
     """The results of a replay that wrote none: the same as of a folder."""
-    rows = [(row.points, row.points_used, row.leaves) for row in replayed.timings]
-    return Results(
-        cells=replayed.cells,
+    rows, found = replayed.timings, Results(Path())
+    places = replayed.assessment.sites.position.reshape(-1, 3)
+    vars(found).update(
+        map=replayed.cells,
         grid=saved.grid_of(replayed.assessment),
-        sites=replayed.assessment.sites.position.reshape(-1, 3),
-        map_ms=np.array([row.map_ms for row in replayed.timings], float),
-        stamps_ns=np.array([row.stamp_ns for row in replayed.timings], np.int64),
-        counts=np.array(rows, np.int64).reshape(-1, 3),
+        sites=dict(zip("xyz", places.T, strict=True)),
+        timing={name: np.array([getattr(row, name) for row in rows]) for name in COLUMNS},
         summary=replayed.summary,
     )
+    return found
 
 
 def load_results(directory: str | Path) -> Results:
@@ -182,19 +159,14 @@ def load_results(directory: str | Path) -> Results:
     folder = Path(directory)
     try:
         read = saved.load_results(folder)
-        cells, grid, timing = read.map, read.grid, read.timing
-        if missing := [name for name in LAYERS if name not in grid.layers]:
+        if missing := [name for name in LAYERS if name not in read.grid.layers]:
             raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
-        counts = [timing[name] for name in ("points", "points_used", "leaves")]
-        return Results(
-            cells=cells,
-            grid=grid,
-            sites=read.positions,
-            map_ms=timing["map_ms"].astype(float),
-            stamps_ns=timing["stamp_ns"].astype(np.int64),
-            counts=np.column_stack(counts).astype(np.int64),
-            summary=read.summary,
-        )
+        for part in ("map", "positions", "summary"):  # each is read when it is asked for
+            getattr(read, part)
+        for name in COLUMNS:
+            kind = np.float64 if name == "map_ms" else np.int64
+            read.timing[name] = read.timing[name].astype(kind)
+        return read
     except saved.ResultsError as error:
         raise EvaluationError(str(error)) from error
     except (KeyError, ValueError) as error:

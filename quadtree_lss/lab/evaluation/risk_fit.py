@@ -3,8 +3,7 @@
 
 The log odds of each cause are a constant and steps from knot to knot of its curves. Those of what
 is asked of a place keep their sign: more that rises never lowers the risk, more returns never raise
-it. The likeliest steps are found by Fisher scoring: with p the risk and s the sum over causes of
-log(1 + exp z), the information of a landing about s is (1 - p) / p.
+it.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_triangular
-from scipy.optimize import lsq_linear
+from scipy.optimize import Bounds, minimize
+from scipy.special import expit
 
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.risk import (
@@ -35,8 +34,8 @@ ASKED = LOCAL + OVERALL
 SEEN = (0.0, 1.2, 2.2)
 #: Weight of the squares of all steps, against the mean log score.
 RIDGE = 3e-7
-#: A fit ends when so many rounds in a row gain less than this share of the score.
-STILL, LITTLE, ROUNDS = 3, 3e-6, 60
+#: Of the optimiser.
+SEARCH = {"maxiter": 2000, "maxfun": 3000, "maxcor": 40, "ftol": 1e-12, "gtol": 1e-7}
 
 
 class Term(NamedTuple):
@@ -88,56 +87,28 @@ def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
         weight: (K,) of each landing.
     """
     columns = [_columns(places, terms) for terms in TERMS.values()]
-    ends = np.cumsum([0] + [part.shape[1] for part in columns])
-    steps = np.concatenate([_steps(unfitted().causes[name]) for name in CAUSES])
+    ends = np.cumsum([part.shape[1] for part in columns])
+    begin = np.concatenate([_steps(unfitted().causes[name]) for name in CAUSES])
     sign = np.concatenate([_signs(terms) for terms in TERMS.values()])
-    bounds = np.where(sign > 0, 0.0, -np.inf), np.where(sign < 0, 0.0, np.inf)
-    ridge = np.full(len(steps), RIDGE)
-    ridge[ends[:-1]] = 0.0  # of the constants
+    ridge = np.full(len(begin), RIDGE)
+    ridge[[0, *ends[:-1]]] = 0.0  # of the constants
     weight, fails = weight / weight.sum(), np.asarray(failed, np.float64)
 
-    def told(of: Array) -> tuple[float, list[Array], Array]:
-        """Mean log score with the ridge, log odds of each cause, and risks."""
-        odds = [
-            (part @ of[i:j].astype(np.float32)).astype(np.float64)
-            for part, i, j in zip(columns, ends, ends[1:], strict=False)
-        ]
+    def score(steps: Array) -> tuple[float, Array]:
+        """Mean log score with the ridge, and how it changes with each step."""
+        each = zip(columns, np.split(steps, ends[:-1]), strict=True)
+        odds = [(part @ own.astype(np.float32)).astype(np.float64) for part, own in each]
         safe = np.minimum(-sum(np.logaddexp(0.0, z) for z in odds), -1e-9)
         risk = -np.expm1(safe)
         value = -np.sum(weight * (fails * np.log(risk) + (1.0 - fails) * safe))
-        return float(value + np.sum(ridge * of * of)), odds, risk
+        push = weight * (1.0 - fails / risk)
+        each = zip(columns, odds, strict=True)
+        slope = np.concatenate([part.T @ (push * expit(z)).astype(np.float32) for part, z in each])
+        return float(value + np.sum(ridge * steps**2)), slope + 2.0 * ridge * steps
 
-    (value, odds, risk), damping, still = told(steps), 1.0, 0
-    for _ in range(ROUNDS):
-        share = [1.0 / (1.0 + np.exp(-z)) for z in odds]
-        push = weight * (1.0 - fails - fails * (1.0 - risk) / risk)
-        slope = np.concatenate(
-            [part.T @ (push * z).astype(np.float32) for part, z in zip(columns, share, strict=True)]
-        ).astype(np.float64)
-        slope += 2.0 * ridge * steps
-        root = np.sqrt(weight * (1.0 - risk) / risk)
-        scaled = np.concatenate(
-            [
-                part * (root * z)[:, None].astype(np.float32)
-                for part, z in zip(columns, share, strict=True)
-            ],
-            axis=1,
-        )
-        information = (scaled.T @ scaled).astype(np.float64) + 2.0 * np.diag(ridge)
-        while damping < 1e12:
-            step = _least(information, slope, damping, (bounds[0] - steps, bounds[1] - steps))
-            after = told(steps + step)
-            if after[0] < value:
-                break
-            damping *= 6.0
-        else:
-            break
-        still = still + 1 if value - after[0] < LITTLE * value else 0
-        steps, damping = steps + step, max(damping / 6.0, 1e-5)
-        value, odds, risk = after
-        if still == STILL:
-            break
-    return _model([steps[i:j] for i, j in zip(ends, ends[1:], strict=False)])
+    bounds = Bounds(np.where(sign > 0, 0.0, -np.inf), np.where(sign < 0, 0.0, np.inf))
+    found = minimize(score, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=SEARCH)
+    return _model(np.split(found.x, ends[:-1]))
 
 
 def risks(model: RiskModel, given: ArrayLike) -> Array:
@@ -156,18 +127,6 @@ def risks(model: RiskModel, given: ArrayLike) -> Array:
     return np.maximum(-np.expm1(safe), least_risk(np.clip(known, *model.span("seen"))))
 
 
-def _least(information: Array, slope: Array, damping: float, bounds: tuple[Array, Array]) -> Array:
-    """The step within bounds that a quadratic is least at."""
-    matrix = information + np.diag(damping * np.diag(information) + 1e-10)
-    unit = 1.0 / np.sqrt(np.diag(matrix))
-    size = len(slope)
-    root = np.linalg.cholesky(matrix * unit[:, None] * unit + 1e-10 * np.eye(size))
-    wanted = solve_triangular(root, -slope * unit, lower=True)
-    within = bounds[0] / unit - 1e-12, bounds[1] / unit + 1e-12
-    found = lsq_linear(root.T, wanted, bounds=within, method="bvls", max_iter=300).x * unit
-    return np.asarray(np.clip(found, *bounds))
-
-
 def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
     """(K, 1 + steps) what each step of a cause weighs at each place."""
     seen = interpolation_weights(places[:, ASKED.index("seen")], SEEN)
@@ -182,7 +141,6 @@ def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
 
 
 def _signs(terms: tuple[Term, ...]) -> Array:
-    """(1 + steps,) that steps keep."""
     return np.concatenate([[0.0], *(np.full(_rows(t) * (len(t.knots) - 1), t.sign) for t in terms)])
 
 
@@ -204,14 +162,12 @@ def unfitted() -> RiskModel:
 
 
 def _steps(cause: Cause) -> Array:
-    """Constant and steps of a cause."""
     return np.concatenate(
         [[cause.constant], *(np.diff(curve.odds, axis=1).ravel() for curve in cause.curves)]
     )
 
 
 def _model(steps: list[Array]) -> RiskModel:
-    """The model of constants and steps, by cause."""
     causes = {}
     for (name, terms), own in zip(TERMS.items(), steps, strict=True):
         curves, at = [], 1

@@ -31,7 +31,7 @@ from quadtree_lss.lab.evaluation.risk_fit import fit, risks, unfitted
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear, on_dem, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
-from quadtree_lss.onboard.arrays import Array, Index, Mask, Single
+from quadtree_lss.onboard.arrays import Array, Mask, Single
 from quadtree_lss.onboard.config.risk import OVERALL, RiskModel
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.probability import RiskTable, limits
@@ -47,8 +47,6 @@ from quadtree_lss.onboard.messages.maps import round_trip
 PARTS: tuple[Range, ...] = ((0.05, 0.33), (0.33, 0.8), (1.0, 1.0))
 #: Landings of a map that a fit takes at most.
 TAKEN = 500
-#: Side of the tiles, diameters, whose failures are taken for independent.
-TILE = 2.2
 
 
 @dataclass(frozen=True)
@@ -203,12 +201,6 @@ class Landings:
         overall = table.overall(self.raster.domain.finest_size)
         all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
         return np.hstack([of, all_over]).astype(np.float32)
-
-    def tiles(self, diameter: float) -> Index:
-        """(K,) number of the tile of the ground that each lies in."""
-        side = max(1, round(TILE * diameter / self.raster.domain.finest_size))
-        row, column = np.argwhere(self.counts).T // side
-        return np.asarray(10_000 * row + column)
 
 
 def land(mapped: Mapped, model: RiskModel) -> Landings:

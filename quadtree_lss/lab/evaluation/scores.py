@@ -49,14 +49,12 @@ class EvaluationResult:
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Numbers only, ready for JSON; None stands for a number that does not exist."""
         values = asdict(self)
         values.pop("out")
         values.pop("figures")
         return {key: plain(value) for key, value in values.items()}
 
     def table(self) -> str:
-        """A few aligned lines for people."""
         e, d = self.elevation, self.detection
         times = f"{show(self.map_ms_median, '.2f')} / {show(self.map_ms_p99, '.2f', ' ms')}"
         rows = [
@@ -108,13 +106,13 @@ def scores_of(
     results: Results, truth: Truth, heights: metrics.ErrorField, safety: metrics.SafetyField
 ) -> EvaluationResult:
     """Those of one run, of the fields of its errors and of its safety."""
-    verdicts = metrics.site_verdicts(results.sites[:_TOP], truth)
-    cells = results.cells
-    times = results.map_ms if results.map_ms.size else np.array([math.nan])
+    verdicts = metrics.site_verdicts(results.positions[:_TOP], truth)
+    cells, times = results.map, results.timing["map_ms"]
+    times = times if times.size else np.array([math.nan])
     return EvaluationResult(
         elevation=metrics.elevation_error(heights),
         detection=metrics.detection(safety),
-        sites=len(results.sites),
+        sites=len(results.positions),
         unsafe_in_top_five=verdicts.count("unsafe"),
         unknown_in_top_five=verdicts.count("unknown"),
         site_verdicts=verdicts,

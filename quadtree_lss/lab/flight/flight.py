@@ -63,7 +63,6 @@ class Sent(NamedTuple):
     value: Any
 
     def message(self, make: Messages) -> Any:
-        """As a message."""
         if self.topic == "nav/pose":
             return make.pose(self.stamp_ns, *self.value)
         if self.topic == "lidar/points":
@@ -144,7 +143,6 @@ class Flight:
 
     @property
     def time(self) -> float:
-        """s of flight."""
         return self._ticks * TICK
 
     @property
@@ -171,7 +169,6 @@ class Flight:
         return self.lander.position + off, self.lander.velocity + self._slip[self._ticks]
 
     def hear(self, said: Target) -> None:
-        """``landing/selected`` said this."""
         self.pilot.hear(said)
 
     def step(self) -> list[Sent]:
@@ -189,7 +186,6 @@ class Flight:
         return sent
 
     def result(self) -> dict[str, Any]:
-        """Figures of a flight that has ended."""
         place, velocity = self.lander.position, self.lander.velocity
         down = self.outcome == "touchdown"
         across, sink = float(np.hypot(*velocity[:2])), float(-velocity[2])
@@ -243,7 +239,6 @@ class Flight:
         }
 
     def _errors(self, generator: np.random.Generator) -> None:
-        """Errors of position, attitude and velocity for every tick."""
         longest = round(self.settings.longest / TICK) + 2
         times = TICK * np.arange(longest)
         level = np.broadcast_to(np.eye(3), (longest, 3, 3))
@@ -270,7 +265,6 @@ class Flight:
             self._due.remove(fault)
 
     def _sense(self, position: Array, velocity: Array) -> Iterator[Sent]:
-        """Poses, scans and wishes of this tick."""
         pilot = self.pilot
         before = self._seen_from
         self.gimbal.step(self.time, position, velocity, pilot.target, TICK, pilot.aim)

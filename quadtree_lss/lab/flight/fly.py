@@ -15,7 +15,7 @@ from quadtree_lss.lab.flight.flight import Flight, flight_config
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.lockstep import LockstepNodes
 from quadtree_lss.lab.flight.reference import Descent
-from quadtree_lss.lab.flight.settings import FlightSettings, flight_settings
+from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -42,22 +42,6 @@ class Flown:
     targets: tuple[TargetChange, ...] = ()
     told: dict[str, Any] = field(default_factory=dict)
     prior: PriorOffset | None = None
-
-
-def fly(seed: int, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures of one flight; the same for the same arguments, whoever calls.
-
-    Args:
-        seed: Of ground, start, navigation and lidar.
-        settings: Plain values by name, see ``settings.FlightSettings``; ``reference: true`` adds
-            the least propellant (extra ``guidance``).
-
-    Raises:
-        FlightError, ConfigError, SimulationError: settings that cannot be flown.
-    """
-    given = dict(settings)
-    reference = bool(given.pop("reference", False))
-    return flown(seed, flight_settings(given), reference=reference).figures
 
 
 def flown(

@@ -107,7 +107,6 @@ class Gimbal:
         return self.first is not None and self.passes > 1
 
     def rotation(self) -> Array:
-        """Takes lidar axes to the map's, (3, 3)."""
         return axes(self.boresight)
 
     def _begin(

@@ -43,7 +43,6 @@ class _Assessments:
         """Nobody but lss_node hears it."""
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
-        """An answer is on its way."""
         self.waiting.append((now_ns + self.delay_ns, found))
 
     def due(self, now_ns: int) -> LandingAssessment | None:
@@ -84,7 +83,6 @@ class LockstepNodes:
         self._start_lss()
 
     def take(self, sent: Sent, now_ns: int) -> None:
-        """A message arrives."""
         topic, message = sent.topic, sent.message(self._make)
         if topic == "nav/pose":
             self._wishes.navigation.take(message)
@@ -125,7 +123,6 @@ class LockstepNodes:
         return Target(said.selected.position.copy() if said.selected.id else None)
 
     def land_now(self) -> None:
-        """As the service of lss_node."""
         self._passes.land_now()
 
     def finish(self, now_ns: int) -> tuple[CellMap | None, LandingAssessment | None]:
@@ -142,7 +139,6 @@ class LockstepNodes:
 
     @property
     def prior_offset(self) -> PriorOffset | None:
-        """As of `Mapper`."""
         return self._mapper.prior_offset
 
     def kill(self, node: str) -> None:

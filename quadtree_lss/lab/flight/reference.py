@@ -74,52 +74,35 @@ class Descent:
         self, seconds: float, position: Array, velocity: Array, end: Array, end_velocity: Array
     ) -> Optimum | None:
         """The descent that burns least in a given time, None if there is none."""
-        cp = self._cvxpy
-        r, v, cost, rules = self._problem(seconds, position, velocity)
-        n = self.steps
-        rules += [r[n] == end, v[n] == end_velocity]
-        slope = np.tan(np.radians(self.limits.glide_slope_deg))
-        rules += [slope * cp.norm(r[k, :2] - end[:2]) <= r[k, 2] - end[2] for k in range(1, n)]
-        problem = cp.Problem(cp.Minimize(cost), rules)
-        problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
-        if problem.status != cp.OPTIMAL:
-            return None
-        mass = self.vehicle.mass * np.exp(-float(cost.value) / self.vehicle.exhaust_speed)
-        log_mass = np.log(self.vehicle.mass) - self._burn.value / self.vehicle.exhaust_speed
-        return Optimum(
-            self.vehicle.mass - mass,
-            seconds,
-            np.asarray(r.value),
-            np.asarray(v.value),
-            np.asarray(self._size.value) * np.exp(log_mass),
-        )
-
-    def _problem(
-        self, seconds: float, position: Array, velocity: Array
-    ) -> tuple[Any, Any, Any, list[Any]]:
-        """Places, velocities (N + 1, 3), speed change and rules of motion and engine."""
         cp, vehicle, n = self._cvxpy, self.vehicle, self.steps
-        dt = seconds / n
+        dt, speed = seconds / n, vehicle.exhaust_speed
         r, v, u = cp.Variable((n + 1, 3)), cp.Variable((n + 1, 3)), cp.Variable((n + 1, 3))
         size = cp.Variable(n + 1)
         burn = cp.hstack([0.0, cp.cumsum(0.5 * dt * (size[:-1] + size[1:]))])
-        weight = vehicle.weight
         rules = [r[0] == position, v[0] == velocity]
         # Acceleration is linear within a step.
-        rules.append(v[1:] == v[:-1] + dt * (0.5 * (u[:-1] + u[1:]) + weight))
-        half = dt * dt * (u[:-1] / 3.0 + u[1:] / 6.0 + 0.5 * weight)
+        rules.append(v[1:] == v[:-1] + dt * (0.5 * (u[:-1] + u[1:]) + vehicle.weight))
+        half = dt * dt * (u[:-1] / 3.0 + u[1:] / 6.0 + 0.5 * vehicle.weight)
         rules.append(r[1:] == r[:-1] + dt * v[:-1] + half)
         rules.append(cp.norm(u, axis=1) <= size)
         rules.append(u[:, 2] >= np.cos(np.radians(vehicle.tilt_max_deg)) * size)
         # Thrust over mass between its limits: the logarithm of the mass about that of hovering.
         times = dt * np.arange(n + 1)
-        guess = np.log(vehicle.mass) - vehicle.gravity * times / vehicle.exhaust_speed
-        off = np.log(vehicle.mass) - burn / vehicle.exhaust_speed - guess
+        guess = np.log(vehicle.mass) - vehicle.gravity * times / speed
+        off = np.log(vehicle.mass) - burn / speed - guess
         low, high = vehicle.thrust_min * np.exp(-guess), vehicle.thrust_max * np.exp(-guess)
         rules.append(size <= cp.multiply(high, 1.0 - off))
         rules.append(size >= cp.multiply(low, 1.0 - off))
-        self._burn, self._size = burn, size
-        return r, v, burn[n], rules
+        rules += [r[n] == end, v[n] == end_velocity]
+        slope = np.tan(np.radians(self.limits.glide_slope_deg))
+        rules += [slope * cp.norm(r[k, :2] - end[:2]) <= r[k, 2] - end[2] for k in range(1, n)]
+        problem = cp.Problem(cp.Minimize(burn[n]), rules)
+        problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
+        if problem.status != cp.OPTIMAL:
+            return None
+        mass = vehicle.mass * np.exp(-burn.value / speed)
+        thrust = np.asarray(size.value) * mass
+        return Optimum(vehicle.mass - mass[n], seconds, r.value, v.value, thrust)
 
 
 def _cvxpy() -> Any:

@@ -42,7 +42,6 @@ class Vehicle:
 
     @property
     def exhaust_speed(self) -> float:
-        """m/s."""
         return self.isp * EARTH_G
 
     @property

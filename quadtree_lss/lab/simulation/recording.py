@@ -13,6 +13,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.messages.maps import record_dtype
+from quadtree_lss.onboard.messages.outputs import MessageMaker
 
 SCAN_TOPIC, POSE_TOPIC = "/lidar/points", "/nav/pose"
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -21,10 +23,10 @@ DEPTH_TOPIC, CAMERA_TOPIC = "/depth/image", "/depth/camera_info"
 IMAGE, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 DEPTH_TYPES = {DEPTH_TOPIC: IMAGE, CAMERA_TOPIC: CAMERA}
 TYPES = {SCAN_TOPIC: CLOUD, POSE_TOPIC: POSE}
-_FLOAT32 = 7  # sensor_msgs/PointField
+XYZ = (("x", "f4"), ("y", "f4"), ("z", "f4"))
 
 
-class Messages:
+class Messages(MessageMaker):
     """Makes messages of arrays. ``types``: class by name, such as ``geometry_msgs/msg/Point``; by
     default those of rosbags. ``pack``: what the classes take as an array of uint8. ``frame``: of
     the map."""
@@ -32,38 +34,27 @@ class Messages:
     def __init__(
         self,
         types: Mapping[str, Callable[..., Any]] | None = None,
-        pack: Callable[[NDArray[np.uint8]], Any] = np.asarray,
+        pack: Callable[[NDArray[Any]], Any] = np.asarray,
         frame: str = "map",
     ) -> None:
-        self._types = get_typestore(Stores.ROS2_JAZZY).types if types is None else types
-        self._pack, self._frame = pack, frame
+        types = get_typestore(Stores.ROS2_JAZZY).types if types is None else types
+        super().__init__(types, pack, frame)
 
     def scan(self, stamp_ns: int, points_lidar: Array) -> Any:
         """An organised cloud (H, W, 3): x, y, z float32, NaN = no return."""
-        height, width, _ = points_lidar.shape
-        data = np.ascontiguousarray(points_lidar, "<f4").view(np.uint8).reshape(-1)
-        field = self._types["sensor_msgs/msg/PointField"]
-        return self._types[CLOUD](
-            header=self._header(stamp_ns, "lidar"),
-            height=height,
-            width=width,
-            fields=[
-                field(name=name, offset=4 * k, datatype=_FLOAT32, count=1)
-                for k, name in enumerate("xyz")
-            ],
-            is_bigendian=False,
-            point_step=12,
-            row_step=12 * width,
-            data=self._pack(data),
-            is_dense=bool(np.isfinite(points_lidar).all()),
-        )
+        points = np.ascontiguousarray(points_lidar, "<f4").view(record_dtype(XYZ))[..., 0]
+        cloud = self.cloud(points, XYZ, stamp_ns)
+        cloud.header.frame_id = "lidar"
+        cloud.is_dense = bool(np.isfinite(points_lidar).all())
+        return cloud
 
     def depth(self, stamp_ns: int, z: Array) -> Any:
         """A depth image (H, W), m, as 16UC1 in mm; NaN = no return."""
         height, width = z.shape
         pixels = np.nan_to_num(np.rint(1e3 * z)).astype("<u2")
-        return self._types[IMAGE](
-            header=self._header(stamp_ns, "camera_depth_optical_frame"),
+        return self._make(
+            IMAGE,
+            header=self._camera_header(stamp_ns),
             height=height,
             width=width,
             encoding="16UC1",
@@ -78,8 +69,10 @@ class Messages:
         """The CameraInfo of an image with its axis in the middle; ``d`` of plumb_bob, or none."""
         f, middle = focal_length, (0.5 * (width - 1), 0.5 * (height - 1))
         k = np.array([f, 0.0, middle[0], 0.0, f, middle[1], 0.0, 0.0, 1.0])
-        return self._types[CAMERA](
-            header=self._header(stamp_ns, "camera_depth_optical_frame"),
+        window = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0)
+        return self._make(
+            CAMERA,
+            header=self._camera_header(stamp_ns),
             height=height,
             width=width,
             distortion_model="plumb_bob",
@@ -89,46 +82,37 @@ class Messages:
             p=np.insert(k, (3, 6, 9), 0.0),
             binning_x=0,
             binning_y=0,
-            roi=self._types["sensor_msgs/msg/RegionOfInterest"](
-                x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-            ),
+            roi=self._make("sensor_msgs/msg/RegionOfInterest", **window, do_rectify=False),
         )
 
-    def pose(self, stamp_ns: int, position: Array, xyzw: Array, covariance: Array) -> Any:
+    def pose(self, stamp: int, position: Any, xyzw: Any, covariance: Array) -> Any:
         """A pose in the map with its covariance (6, 6)."""
-        x, y, z, w = (float(value) for value in xyzw)
-        pose = self._types["geometry_msgs/msg/Pose"](
-            position=self._point("Point", position),
-            orientation=self._types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
-        )
         matrix = np.ascontiguousarray(covariance, np.float64).reshape(36)
-        pose = self._types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=matrix)
-        return self._types[POSE](header=self._header(stamp_ns, self._frame), pose=pose)
+        return super().pose(stamp, position, xyzw, matrix)
 
     def point(self, stamp_ns: int, xyz: Array) -> Any:
         """A place (3,) in the map."""
-        header = self._header(stamp_ns, self._frame)
-        point = self._point("Point", xyz)
-        return self._types["geometry_msgs/msg/PointStamped"](header=header, point=point)
+        point, header = self._point("Point", xyz), self._header(stamp_ns)
+        return self._make("geometry_msgs/msg/PointStamped", header=header, point=point)
 
     def polygon(self, stamp_ns: int, corners: Array, number: int | None = None) -> Any:
         """Corners (K, 2) in the map; with a number, of a set of polygons."""
         points = [self._point("Point32", (x, y, 0.0)) for x, y in corners]
-        polygon, kind = self._types["geometry_msgs/msg/Polygon"](points=points), "Polygon"
+        polygon, kind = self._make("geometry_msgs/msg/Polygon", points=points), "Polygon"
         if number is not None:
             kind = "PolygonInstance"
-            polygon = self._types[f"geometry_msgs/msg/{kind}"](polygon=polygon, id=number)
-        header = self._header(stamp_ns, self._frame)
-        return self._types[f"geometry_msgs/msg/{kind}Stamped"](header=header, polygon=polygon)
+            polygon = self._make(f"geometry_msgs/msg/{kind}", polygon=polygon, id=number)
+        header = self._header(stamp_ns)
+        return self._make(f"geometry_msgs/msg/{kind}Stamped", header=header, polygon=polygon)
 
-    def _header(self, stamp_ns: int, frame: str) -> Any:
-        seconds, nanoseconds = divmod(stamp_ns, 10**9)
-        stamp = self._types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-        return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+    def _camera_header(self, stamp_ns: int) -> Any:
+        header = self._header(stamp_ns)
+        header.frame_id = "camera_depth_optical_frame"
+        return header
 
     def _point(self, kind: str, xyz: Any) -> Any:
-        x, y, z = (float(value) for value in xyz)
-        return self._types[f"geometry_msgs/msg/{kind}"](x=x, y=y, z=z)
+        x, y, z = map(float, xyz)
+        return self._make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
 
 
 class BagRecorder:
@@ -151,7 +135,6 @@ class BagRecorder:
         self._writer.close()
 
     def write(self, topic: str, received_ns: int, message: Any) -> None:
-        """Write one message."""
         if topic not in self._topics:
             self._topics[topic] = self._connection(topic)
         connection = self._topics[topic]

@@ -41,11 +41,9 @@ class SimulationResult:
     interrupted: bool = False
 
     def as_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
         return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(self).items()}
 
     def table(self) -> str:
-        """A few aligned lines for people."""
         xmin, xmax, ymin, ymax = self.box
         rows = [
             ("Bag", str(self.bag_path)),

@@ -36,8 +36,6 @@ _POSE_LATENCY_NS = 3_000_000
 
 
 class Arrival(NamedTuple):
-    """A message and when it arrives."""
-
     topic: str
     received_ns: int
     message: Any
@@ -63,7 +61,6 @@ class Leg:
 
     @property
     def scans(self) -> int:
-        """Flown so far."""
         return len(self.outlines)
 
 
@@ -94,12 +91,10 @@ class Simulation:
 
     @property
     def scans(self) -> int:
-        """How many there are to be."""
         return sum(len(leg.scan_ns) for leg in self.legs)
 
     @property
     def poses(self) -> int:
-        """How many there are to be."""
         return sum(len(leg.pose_ns) for leg in self.legs)
 
     @property

@@ -26,8 +26,6 @@ class SimulationError(QuadtreeLssError):
 
 
 class Surface(Protocol):
-    """What a lidar can look at."""
-
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Elevation (m) at map coordinates (m); NaN where the surface is not defined."""
         ...
@@ -70,7 +68,6 @@ class Terrain:
     elevation: Array
 
     def __post_init__(self) -> None:
-        """Convert to float64 and validate."""
         for name in ("x", "y", "elevation"):
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.float64))
         if self.x.ndim != 1 or self.y.ndim != 1 or min(self.x.size, self.y.size) < 2:
@@ -97,7 +94,6 @@ class Terrain:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """Extent (xmin, xmax, ymin, ymax), m."""
         return float(self.x[0]), float(self.x[-1]), float(self.y[0]), float(self.y[-1])
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
