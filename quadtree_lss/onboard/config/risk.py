@@ -31,7 +31,7 @@ CAUSES = ("obstacle", "slope", "hidden")
 #: What a model may ask of each place, and of a map as a whole (see `RiskModel`).
 LOCAL = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "rocks", "slopes", "roughness")
 OVERALL = ("noise", "cell", "clearance")
-#: Risk where one return tells of a square as wide as the clearance (k = 0), at least.
+#: Risk where one return or less tells of a square as wide as the clearance (k <= 0), at least.
 UNKNOWN = 0.02
 
 
@@ -75,8 +75,8 @@ class RiskModel:
 
         P(unsafe) = 1 - product over `CAUSES` of 1 / (1 + exp z),    z = constant + sum of curves,
 
-    but at least `UNKNOWN` 10^-k: where returns are few nobody knows how rocky ground is, and a fit
-    is of the mean of many grounds.
+    but at least `UNKNOWN` 10^-max(k, 0): where returns are few nobody knows how rocky ground is,
+    and a fit is of the mean of many grounds.
 
     All that the curves go by is without a unit. With c the clearance and d the diameter of the
     vehicle, in squares about the place:
@@ -143,7 +143,7 @@ class RiskModel:
 
 def least_risk(seen: ArrayLike) -> Array:
     """P(unsafe) that no place falls short of, by how well it is seen, k."""
-    return np.asarray(np.minimum(UNKNOWN * 10.0 ** -np.asarray(seen, dtype=np.float64), 1.0))
+    return np.asarray(UNKNOWN * 10.0 ** -np.maximum(np.asarray(seen, dtype=np.float64), 0.0))
 
 
 @functools.lru_cache(maxsize=8)
