@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import configuration, machine, table
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.interpolate import RectBivariateSpline
@@ -247,6 +248,7 @@ def draw(file: Path, judged: dict[str, list[Judged]], told: dict[str, list[Array
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
+    left.set_prop_cycle(color=colormaps["tab20"].colors)
     edges = np.geomspace(3e-4, 0.9, 12)
     for name, maps in judged.items():
         if not maps:
