@@ -41,7 +41,7 @@ def flat_map():
     """A map that has room for sites everywhere."""
     domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
     mapper = Mapper(load_config(overrides={"domain": domain}))
-    for event in events(24):
+    for event in events(2):
         if event.points_lidar is not None:
             mapper.update(event.points_lidar, Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE))
     return mapper.snapshot()

@@ -29,9 +29,9 @@ MARKERS = {"map/markers": MarkerArray, "landing/markers": MarkerArray}
 
 @pytest.fixture(scope="module")
 def mapper():
-    """A mapper after some scans."""
+    """A mapper after two scans."""
     result = Mapper(load_config(["morpheus"]))
-    for event in events(24):
+    for event in events(2):
         if event.points_lidar is not None:
             pose = Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE)
             result.update(event.points_lidar, pose)

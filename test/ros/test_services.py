@@ -126,7 +126,7 @@ def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
         assert listener.wait_for(lambda: _same(listener, free)), lss.output()
         assert ask("lss.max_risk", 0.0).successful
         assert listener.wait_for(lambda: not len(site_places(listener))), lss.output()
-        assert ask("lss.max_risk", 0.2).successful
+        assert ask("lss.max_risk", 0.003).successful
         assert listener.wait_for(lambda: _same(listener, free)), lss.output()
 
         west = [(-15, -15), (0, -15), (0, 15), (-15, 15)]

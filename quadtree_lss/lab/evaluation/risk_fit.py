@@ -16,16 +16,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.special import expit
 
 from quadtree_lss.onboard.arrays import Array, Mask
-from quadtree_lss.onboard.config.risk import (
-    CAUSES,
-    LOCAL,
-    OVERALL,
-    Cause,
-    Curve,
-    RiskModel,
-    Row,
-    least_risk,
-)
+from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, OVERALL, Cause, Curve, RiskModel, Row
 from quadtree_lss.onboard.core.landing.probability import interpolation_weights
 
 #: What the columns of what is asked are.
@@ -114,8 +105,7 @@ def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
 def risks(model: RiskModel, given: ArrayLike) -> Array:
     """(K,) P(unsafe) at places (K, len(ASKED))."""
     places = np.asarray(given, np.float64)
-    known = places[:, ASKED.index("seen")]
-    seen = interpolation_weights(known, model.seen)
+    seen = interpolation_weights(places[:, ASKED.index("seen")], model.seen)
     safe = np.zeros(len(places))
     for cause in model.causes.values():
         odds = np.full(len(places), cause.constant)
@@ -124,7 +114,7 @@ def risks(model: RiskModel, given: ArrayLike) -> Array:
             rows = along @ np.array(curve.odds).T
             odds += rows[:, 0] if len(curve.odds) == 1 else np.sum(rows * seen, axis=1)
         safe -= np.logaddexp(0.0, odds)
-    return np.maximum(-np.expm1(safe), least_risk(np.clip(known, *model.span("seen"))))
+    return np.asarray(-np.expm1(safe))
 
 
 def _columns(places: Array, terms: tuple[Term, ...]) -> Array:

@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
@@ -31,8 +29,6 @@ CAUSES = ("obstacle", "slope", "hidden")
 #: What a model may ask of each place, and of a map as a whole (see `RiskModel`).
 LOCAL = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "rocks", "slopes", "roughness")
 OVERALL = ("noise", "cell", "clearance")
-#: Risk where one return or less tells of a square as wide as the clearance (k <= 0), at least.
-UNKNOWN = 0.02
 
 
 @dataclass(frozen=True)
@@ -73,10 +69,7 @@ class RiskModel:
     It stands if nothing that the map shows is in its way, if that is not too steep, and if nothing
     is there that the map does not show:
 
-        P(unsafe) = 1 - product over `CAUSES` of 1 / (1 + exp z),    z = constant + sum of curves,
-
-    but at least `UNKNOWN` 10^-max(k, 0): where returns are few nobody knows how rocky ground is,
-    and a fit is of the mean of many grounds.
+        P(unsafe) = 1 - product over `CAUSES` of 1 / (1 + exp z),    z = constant + sum of curves.
 
     All that the curves go by is without a unit. With c the clearance and d the diameter of the
     vehicle, in squares about the place:
@@ -139,11 +132,6 @@ class RiskModel:
                 if not (np.diff(curve.knots) > 0.0).all() or not (np.diff(self.seen) > 0.0).all():
                     msg = f"the knots of {what} do not ascend"
                     raise ConfigError(msg)
-
-
-def least_risk(seen: ArrayLike) -> Array:
-    """P(unsafe) that no place falls short of, by how well it is seen, k."""
-    return np.asarray(UNKNOWN * 10.0 ** -np.maximum(np.asarray(seen, dtype=np.float64), 0.0))
 
 
 @functools.lru_cache(maxsize=8)

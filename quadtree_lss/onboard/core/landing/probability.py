@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
-from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row, least_risk
+from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
@@ -37,8 +37,6 @@ NO_RETURNS = 1e-3
 FINE, COARSE = 128, 48
 #: Place in `LOCAL` of how well ground is seen.
 SEEN = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
-#: Place in `CAUSES` of what the map does not show.
-HIDDEN = cython.declare(cython.int, CAUSES.index("hidden"))
 #: Log odds between which exp is in a table, and entries of it.
 LEAST = cython.declare(cython.double, -14.0)
 MOST = cython.declare(cython.double, 10.0)
@@ -128,7 +126,6 @@ class RiskTable:
         self._tables = np.array(tables, dtype=np.float32)
         self._terms = np.array(terms, dtype=np.int32)
         self._exps = np.exp(np.linspace(LEAST, MOST, EXPS))
-        self._least = least_risk(steps["seen"])
 
     def overall(self, side: float) -> dict[str, float]:
         """What is the same at all places of a map with finest cells of ``side`` m (`OVERALL`)."""
@@ -197,7 +194,7 @@ class RiskTable:
         constant = np.array([self._model.causes[name].at(of) for name in CAUSES])
         out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)
         layout = self._low, self._per, self._last, self._terms, self._tables, self._exps
-        look_up(places, judged.view(np.uint8), constant, *layout, self._least, out, cause)
+        look_up(places, judged.view(np.uint8), constant, *layout, out, cause)
         return out, cause
 
 
@@ -407,7 +404,6 @@ def set_means(
 @cython.locals(constant=cython.double[::1], low=cython.double[::1], per=cython.double[::1])
 @cython.locals(last=cython.double[::1])
 @cython.locals(terms=cython.int[:, ::1], tables=cython.float[::1], exps=cython.double[::1])
-@cython.locals(floor=cython.double[::1])
 @cython.locals(out=cython.double[:, ::1], cause=cython.uchar[:, ::1])
 def look_up(
     places: Single,
@@ -419,7 +415,6 @@ def look_up(
     terms: Ints,
     tables: Single,
     exps: Array,
-    floor: Array,
     out: Array,
     cause: Bytes,
 ) -> None:
@@ -433,8 +428,6 @@ def look_up(
             next row of it, one row for each entry of what is seen; or 0.
         tables: Log odds of all.
         exps: (EXPS,) exp between ``LEAST`` and ``MOST``.
-        floor: (COARSE,) P(unsafe) that is the least, by what is seen; then what is hidden is the
-            likeliest.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t=cython.Py_ssize_t)
     cython.declare(c=cython.Py_ssize_t, f=cython.Py_ssize_t, k=cython.Py_ssize_t)
@@ -483,9 +476,6 @@ def look_up(
                     z = z if z < end else end
                     safe /= 1.0 + exps[cython.cast(cython.Py_ssize_t, z)]
                 out[i, j] = 1.0 - safe
-                if out[i, j] < floor[entry[SEEN, j]]:
-                    out[i, j] = floor[entry[SEEN, j]]
-                    cause[i, j] = HIDDEN
 
 
 @cython.boundscheck(False)
