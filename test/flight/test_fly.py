@@ -166,8 +166,8 @@ def test_a_flight_is_gone_over(text, tmp_path):
         const at = k => { slider.value = k; slider.dispatchEvent(new Event("input"));
           return [view.answer, seen(), byId("clock").textContent, byId("verdict").textContent]; };
         tellTest("end", [frames.last, f.time.length, view.answer]);
-        const half = frames.last >> 1;
-        tellTest("moments", [half, frames.last].map(at));
+        const early = frames.last >> 3;
+        tellTest("moments", [early, frames.last].map(at));
         const last = f.decisions.length - 1;
         document.querySelectorAll("#decisions tbody tr")[last].click();
         tellTest("there", [momentTime(), f.decisions[last][0]]);
