@@ -166,7 +166,7 @@ def test_a_flight_is_gone_over(text, tmp_path):
         const at = k => { slider.value = k; slider.dispatchEvent(new Event("input"));
           return [view.answer, seen(), byId("clock").textContent, byId("verdict").textContent]; };
         tellTest("end", [frames.last, f.time.length, view.answer]);
-        const early = frames.last >> 3;
+        const early = frames.last >> 5;
         tellTest("moments", [early, frames.last].map(at));
         const last = f.decisions.length - 1;
         document.querySelectorAll("#decisions tbody tr")[last].click();
