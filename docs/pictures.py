@@ -35,7 +35,7 @@ def main() -> None:
         for picture, source in PICTURES.items():
             with Image.open(folder / "out" / source) as image:
                 small = image.convert("RGB").resize([3 * side // 4 for side in image.size])
-                small.quantize(48).save(arguments.figure / picture, optimize=True)
+                small.quantize(64, kmeans=1).save(arguments.figure / picture, optimize=True)
 
 
 if __name__ == "__main__":

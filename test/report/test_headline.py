@@ -36,7 +36,8 @@ def test_the_share_is_of_the_seen_ground(content):
     words, ground = headline.headline(content)
     assert f"at the best of {len(content.sites['x'])} sites" in words
     assert f"allowed on {100 * found.share:.0f} % of the {found.seen:,.0f} m² seen" in ground
-    assert content.reasons[0] in ground
+    why = content.reasons[0].partition(": ")[2]  # without its probability, which the words have
+    assert f" m. {why[:1].upper()}{why[1:]}. Landing is" in ground
 
 
 def test_little_is_not_nothing():
@@ -60,7 +61,10 @@ def test_no_site_names_the_largest_circle_and_what_ends_it(content):
     more = headline.areas(unmapped).unmapped
     assert f"; {more:,.0f} m² more are seen, not yet mapped" in headline.headline(unmapped)[1]
     words, text = headline.headline(found)
-    assert words == "No landing site." and text.count("Nothing fits") == 1
+    assert words == "No landing site." and text.startswith(headline.shortfall(found))
+    assert headline.shortfall(found) and "othing fits" not in text
+    nothing = without_sites(content, np.full_like(content.grid["hazard"], 128))
+    assert headline.headline(nothing)[1] == "Nothing fits."
     assert "Largest circle of clear ground" in text and "are needed" in text
 
 
@@ -78,7 +82,7 @@ def test_the_nearest_miss_is_the_most_level_or_the_likeliest(content):
     found = dataclasses.replace(found, grid={**found.grid, "probability": likely})
     miss = headline.nearest_miss(found)
     assert (miss.x, miss.y) == (content.grid["x"][35], content.grid["y"][25])
-    assert miss.why == "probability 40%"
+    assert miss.why == "probability 40 %"
 
 
 def test_where_there_are_sites_nothing_is_missed(content):

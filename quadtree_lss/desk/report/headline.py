@@ -6,6 +6,7 @@ Two words are kept apart: ground is *allowed* by the risk of a place, an aim has
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import datetime, timezone
 
@@ -90,10 +91,12 @@ def nearest_miss(content: Content) -> NearestMiss | None:
     """The likeliest place, else the most level one of those with room; None if there is none."""
     grid, lss = content.grid, content.config.lss
     room = _room(content.seen, content.spacing) >= content.zone
-    values, word = content.probability, "probability {:.0%}"
+    values, word = content.probability, "probability {:.0f} %"
     best = np.nanargmax if values is not None else np.nanargmin
     if values is None:
         values, word = grid["slope_deg"], "slope {:.1f} deg, but a hazard within the zone"
+    else:
+        values = 100.0 * values
     values = np.where(room, values, np.nan)
     if lss.assessment == "paper" or grid["safe"].any() or not np.isfinite(values).any():
         return None
@@ -167,7 +170,7 @@ def trust(content: Content) -> tuple[str, list[Fact]]:
 
 
 def headline(content: Content) -> tuple[str, str]:
-    """The answer in few words, and what it rests on."""
+    """The result in few words, and what it rests on."""
     found, sites = areas(content), content.sites
     ground = f"Landing is allowed on {few(100.0 * found.share)} % of the {few(found.seen)} m² seen"
     if found.allowed:
@@ -185,9 +188,10 @@ def headline(content: Content) -> tuple[str, str]:
             least = shown(content.config.lss.min_probability)
             words += f", and a target needs {least}"
     x, y, z = (f"{sites[name][0]:.2f}" for name in "xyz")
+    why = re.sub(r"^probability [^:]*: ", "", content.reasons[0])  # the words have it already
     return (
         f"{LEVELS[level]}: {words}.",
-        f"At x {x}, y {y}, z {z} m: {content.reasons[0]}. {ground}.",
+        f"At x {x}, y {y}, z {z} m. {why[:1].upper()}{why[1:]}. {ground}.",
     )
 
 
@@ -231,10 +235,9 @@ def shortfall(content: Content) -> str:
 def _without(content: Content, ground: str) -> str:
     """What limits and by how much, then the nearest miss and the largest circle."""
     text = f"{content.summary['explanation']}".removeprefix("no safe site: ").rstrip(".")
-    lines = [f"{text[:1].upper()}{text[1:]}", *([ground] if content.seen.any() else ())]
+    lines = [shortfall(content) or f"{text[:1].upper()}{text[1:]}"]
+    lines += [ground] if content.seen.any() else []
     miss, circle = nearest_miss(content), largest_circle(content)
-    if short := shortfall(content):
-        lines.insert(0, short)
     if miss is not None:
         lines.append(f"Nearest miss at x {miss.x:.2f}, y {miss.y:.2f} m: {miss.why}")
     if circle is not None:

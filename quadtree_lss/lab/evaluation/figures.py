@@ -33,7 +33,7 @@ VERDICTS = (
     ("hazard, found", HAZARD_FOUND),
     ("safe, called hazardous", "#f0e442"),
     ("hazard, MISSED", "#d55e00"),
-    ("unseen", "#ffffff"),
+    ("unseen", "#dddddd"),
 )
 """Classes of the grid points, in the order of `verdict_classes`."""
 RUNS = ("#e69f00", "#0072b2", "#cc79a7", "#009e73", "#d55e00", "#56b4e9")

@@ -44,12 +44,12 @@ class LidarConfig:
 
     source: str = _p(
         "points",
-        "scans come on lidar/points (PointCloud2), or on depth/image (Image, 16UC1 in mm or 32FC1"
-        " in m) with depth/camera_info; in a bag that has this type not, the other is taken",
+        "scans come on lidar/points (PointCloud2), or on depth/image (Image, 16UC1 in mm"
+        " or 32FC1 in m) with depth/camera_info; a bag without this type uses the other",
         choices=("points", "depth"),
     )
     depth_step: int = _p(
-        2, "of a depth image every so many columns and rows are taken; 2 is a quarter", (1, 64)
+        2, "take every n-th column and row of a depth image; 2 is a quarter of its pixels", (1, 64)
     )
     depth_raw: bool = _p(
         False,
@@ -61,8 +61,9 @@ class LidarConfig:
     )
     noise_model: str = _p(
         "range",
-        "what grows with range: range_noise_per_metre; or, of stereo, beside range_noise the depth"
-        " z errs independently by disparity_sigma z^2 / (focal_length baseline)",
+        "how noise grows with range: by range_noise_per_metre, or with stereo by"
+        " disparity_sigma z^2 / (focal_length baseline) at the depth z, besides"
+        " range_noise",
         choices=("range", "stereo"),
     )
     disparity_sigma: float = _p(
@@ -80,8 +81,9 @@ class LidarConfig:
     max_range: float = _p(5000.0, "longer ranges are no returns", (0.1, 1e6), "m")
     outlier_gate: float = _p(
         0.4,
-        "returns no farther from a neighbour than this (or than five times the scan's usual"
-        " spacing) hang together; fewer than three that do are noise; 0 keeps every return",
+        "returns nearer to a neighbour than this (or than five times the scan's usual"
+        " spacing) form a group; a group of fewer than three is noise; 0 keeps every"
+        " return",
         (0.0, 1000.0),
         "m",
     )
@@ -103,8 +105,8 @@ class FramesConfig:
     map: str = _p("map", "planet-fixed frame of poses and map, z up")
     body: str = _p(
         "",
-        "what poses are of: must be an odometry's child frame, and is where the way to the lidar "
-        "begins with mount.tf; empty takes an odometry's first child frame",
+        "frame whose poses are sent: an odometry's child frame, and with mount.tf the"
+        " start of the chain to the lidar; empty takes an odometry's first child frame",
     )
 
 
@@ -114,23 +116,23 @@ class PoseConfig:
 
     source: str = _p(
         "pose",
-        "poses come on nav/pose (PoseWithCovarianceStamped) or nav/odometry (Odometry); in a bag"
-        " that has this type not, the other is taken",
+        "poses come on nav/pose (PoseWithCovarianceStamped) or nav/odometry (Odometry); a"
+        " bag without this type uses the other",
         choices=("pose", "odometry"),
     )
     max_wait: float = _p(1.0, "a scan waits this long after arrival for its pose", (0.0, 60.0), "s")
     max_gap: float = _p(1.5, "no interpolation between poses farther apart", (0.001, 60.0), "s")
     correlation_time: float = _p(
         300.0,
-        "time over which the pose's error is forgotten; 0 if it is another one in each scan",
+        "how long an error of the pose lasts; 0 if each scan has another one",
         (0.0, 1e6),
         "s",
     )
     unknown_position_sigma: float = _p(
-        0.1, "position standard deviation where the message says unknown", (0.0, 1e3), "m"
+        0.1, "position standard deviation if the message says unknown", (0.0, 1e3), "m"
     )
     unknown_attitude_sigma_deg: float = _p(
-        0.05, "attitude standard deviation where the message says unknown", (0.0, 90.0), "deg"
+        0.05, "attitude standard deviation if the message says unknown", (0.0, 90.0), "deg"
     )
 
     @property
@@ -230,8 +232,8 @@ class LssConfig:
     )
     dispersion: float = _live(
         2.0,
-        "standard deviation, along x and along y, of where the lander comes down about its aim;"
-        " what guidance says on landing/dispersion goes before it",
+        "standard deviation, along x and along y, of the touchdown about the aim;"
+        " landing/dispersion replaces it",
         (0.0, 100.0),
         "m",
     )
@@ -246,8 +248,8 @@ class LssConfig:
     margin: float = _live(0.0, "guidance error added to the vehicle's radius", (0.0, 1000.0), "m")
     hazard_growth: float = _live(
         -1.0,
-        "unsafe ground is taken to reach this much farther: what the map's place is wrong by; "
-        "rounded up to whole finest cells; below 0 it follows from the vehicle",
+        "unsafe ground is extended by this, for errors of the map's place; rounded up to"
+        " whole finest cells; below 0 it follows from the vehicle",
         (-1.0, 100.0),
         "m",
     )
@@ -291,30 +293,30 @@ class LssConfig:
     )
     switch_margin: float = _live(
         0.01,
-        "the target gives way to a site that is better by more than this, what the gain is "
-        "uncertain by and the way costs (docs/landing.md), in the unit of the ranking: 0.01 is one "
-        "per cent more probably safe; with ranking score 0.08 buys 4 m more room to the nearest "
-        "hazard, or 4.6 degrees less slope",
+        "how much better than the target another site has to be to replace it, besides"
+        " the doubt about the gain and the cost of the way (docs/landing.md), in the unit"
+        " of the ranking: 0.01 is one per cent more probably safe; with ranking score 0.08"
+        " is 4 m more room to the nearest hazard, or 4.6 degrees less slope",
         (0.0, 1e6),
     )
     min_probability: float = _live(
         0.9,
-        "no target is given out at which a touchdown is less probably safe; when sites are ranked "
-        "by that",
+        "there is no target where a touchdown is less probably safe; if sites are ranked"
+        " by probability",
         (0.0, 1.0),
     )
     settle_share: float = _live(
         0.5,
-        "there is no target before so much of the area, or of the domain, is seen ...",
+        "no target before this share of the area, or of the domain, is seen ...",
         (0.0, 1.0),
     )
     settle_time: float = _live(
-        5.0, "... or so much time has gone by since the first map", (0.0, 1e5), "s"
+        5.0, "... or this time has passed since the first map", (0.0, 1e5), "s"
     )
     commit_height: float = _live(
         20.0,
-        "lower than this over the target, a hazard or who asks for it takes it away, and nothing "
-        "better does; lss_node hears poses for that",
+        "below this height over the target only a hazard or a request takes it away, not"
+        " a better site; lss_node needs poses for it",
         (0.0, 1e5),
         "m",
     )
@@ -386,12 +388,20 @@ class PriorConfig:
     )
     sigma: float = _p(0.5, "standard deviation of its heights", (1e-3, 1e3), "m")
     correlation_length: float = _p(
-        0.0, "over which errors of its heights are alike; 0 if each has its own", (0.0, 1e4), "m"
+        0.0,
+        "distance over which errors of its heights are alike; 0 if each has its own",
+        (0.0, 1e4),
+        "m",
     )
     offset_sigma: float = _p(
-        10.0, "by which it lies too far east and too far north, one sigma each", (0.0, 1e3), "m"
+        10.0,
+        "standard deviation of how far it lies too far east, and too far north",
+        (0.0, 1e3),
+        "m",
     )
-    height_sigma: float = _p(10.0, "by which it lies too high, one sigma", (0.0, 1e4), "m")
+    height_sigma: float = _p(
+        10.0, "standard deviation of how much it lies too high", (0.0, 1e4), "m"
+    )
 
 
 @dataclass(frozen=True)
@@ -405,8 +415,8 @@ class QosConfig:
     )
     overload: str = _p(
         "newest",
-        "when scans come faster than they can be mapped: leave out old ones, so that the map stays "
-        "younger than diagnostics.warn_age, or map all, however late",
+        "when scans come faster than they can be mapped: newest leaves out old ones, so"
+        " that the map stays younger than diagnostics.warn_age; all maps all, however late",
         choices=("newest", "all"),
     )
 
@@ -476,14 +486,15 @@ class AutopilotConfig:
     baud: int = _p(921600, "of a serial device", (1200, 10_000_000), "Bd")
     may_command: str = _p(
         "nothing",
-        "beside set-points: nothing; modes: guided or offboard on ~/land, land mode once on the "
-        "ground (ArduPilot); arming: these, and disarming once on the ground",
+        "commands besides set-points: nothing; modes: guided or offboard on ~/land, land"
+        " mode once on the ground (ArduPilot); arming: the same, and disarming once on the"
+        " ground",
         choices=("nothing", "modes", "arming"),
     )
     odometry: bool = _p(
         True,
-        "send the autopilot's pose on nav/odometry; false where that has another publisher, whose"
-        " map must be the autopilot's local frame in east, north, up",
+        "send the autopilot's pose on nav/odometry; false if another node sends poses, in"
+        " the autopilot's local frame in east, north, up",
     )
     gate_height: float = _live(
         8.0, "of the gate over the target, to which a wave-off climbs", (0.5, 1e3), "m"
@@ -496,8 +507,8 @@ class AutopilotConfig:
     touchdown_speed: float = _live(0.4, "from there to the ground", (0.05, 5.0), "m/s")
     max_offset: float = _live(
         0.5,
-        "farther beside the target the vehicle does not descend, and farther than that a target is"
-        " another one; it commits within half of this",
+        "the vehicle descends only within this distance beside the target, and commits"
+        " within half of it; a target that moves farther is another one",
         (0.02, 100.0),
         "m",
     )
@@ -515,19 +526,27 @@ class AutopilotConfig:
         "m",
     )
     max_heartbeat_age: float = _live(
-        2.5, "older heartbeats say nothing of the mode: silence, then hold", (0.1, 60.0), "s"
+        2.5, "without a younger heartbeat nothing is commanded", (0.1, 60.0), "s"
     )
     max_pose_age: float = _live(
-        0.5, "by its stamp, by a pose that is older nothing but holding", (0.02, 60.0), "s"
+        0.5, "with an older pose, by its stamp, the vehicle only holds", (0.02, 60.0), "s"
     )
     max_target_age: float = _live(
-        1.0, "a target that was not said for longer is none", (0.1, 60.0), "s"
+        1.0, "a target that was not repeated for longer counts as withdrawn", (0.1, 60.0), "s"
     )
     max_map_age: float = _live(
-        3.0, "a target on a map that is older is none, until the vehicle commits", (0.1, 1e3), "s"
+        3.0,
+        "a target on an older map counts as withdrawn, until the vehicle commits",
+        (0.1, 1e3),
+        "s",
     )
     max_jump: float = _live(
-        0.5, "by which navigation may depart from its own velocity", (0.01, 1e3), "m"
+        0.5,
+        "a greater jump of the position, against its own velocity, ends the landing",
+        (0.01, 1e3),
+        "m",
     )
-    max_wave_offs: int = _live(3, "after more the pilot is asked to take over", (0, 1000))
-    patience: float = _live(60.0, "so long it waits for a target before that", (1.0, 1e5), "s")
+    max_wave_offs: int = _live(3, "after more wave-offs the pilot has to take over", (0, 1000))
+    patience: float = _live(
+        60.0, "how long it waits for a target before the pilot has to take over", (1.0, 1e5), "s"
+    )
