@@ -65,6 +65,10 @@ sys.meta_path.insert(0, Late())
 """
 
 
+@pytest.mark.survives(
+    "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
+    "while it starts, too",
+)
 @pytest.mark.parametrize(
     ("name", "module", "what"),
     [

@@ -27,9 +27,9 @@ FORMAT = 5
 
 ROUNDING = 1e-6
 """By how much a share may be off by rounding."""
-CORRELATION_ROUNDING = 0.1
-"""And a correlation: poses may claim 10^18 times what range noise does, and what both told is
-fused as one. That of maps on their way is bounded likewise (`cell_map.sound_planes`)."""
+CORRELATION_ROUNDING = 0.05
+"""And the square of a correlation: poses may claim 10^18 times what range noise does, and what both
+told is fused as one (`geometry.plane.keep_possible`)."""
 SURE = 1e-12
 """Variance that rounding leaves (`geometry.plane`), rad^2 and m^2."""
 
