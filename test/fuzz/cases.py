@@ -229,8 +229,8 @@ def camera_info(shape: tuple[int, int], focal_length: float) -> SimpleNamespace:
 
 def random_camera_info(rng: np.random.Generator, good: SimpleNamespace) -> SimpleNamespace:
     """One with up to two of its parts spoilt."""
-    info = SimpleNamespace(**{name: np.copy(of) for name, of in vars(good).items()})
-    info.distortion_model = good.distortion_model
+    info = SimpleNamespace(**vars(good))
+    info.d, info.k, info.p = good.d.copy(), good.k.copy(), good.p.copy()
     for _ in range(rng.integers(0, 3)):
         which = rng.integers(6)
         if which == 0:

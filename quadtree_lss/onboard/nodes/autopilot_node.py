@@ -39,6 +39,7 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_message
+from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import (
     ERROR,
     OK,
@@ -117,9 +118,10 @@ class AutopilotNode(Node):
 
     def _on_selected(self, message: Any) -> None:
         place = message.pose.pose.position
-        frame = self._settings.config.frames.map
-        if message.header.frame_id.lstrip("/") != frame.lstrip("/"):
-            self._problems.report("target_frame", f"target in '{message.header.frame_id}': ignored")
+        try:
+            check_frame(message.header.frame_id, self._frame, SELECTED)
+        except MessageError as error:
+            self._problems.report("target_frame", f"{error}: ignored")
             return
         self._selected = (self._now(), np.array([place.x, place.y, place.z]))
 
