@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes the table "What survives what" of docs/onboard.md: `python docs/survives.py`.
 
-Its rows are the arguments of `@pytest.mark.survives(EVENT, EFFECT)` on the tests that show them.
+Its rows are the arguments of `@pytest.mark.survives(EVENT, EFFECT)` on the tests that show them;
+what several tests show of one event stands in one row.
 """
 
 import ast
@@ -15,13 +16,14 @@ TABLE = re.compile(r"(?<=<!-- python docs/survives.py -->\n).*?(?=<!-- end -->)"
 
 def table():
     """Of all tests, file by file."""
-    rows = [["Event", "Effect"], ["---", "---"]]
+    rows = {"Event": ["Effect"], "---": ["---"]}
     for path in sorted(ROOT.glob("test/**/test_*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             for mark in getattr(node, "decorator_list", []):
                 if ast.unparse(mark).startswith("pytest.mark.survives("):
-                    rows.append([ast.literal_eval(text) for text in mark.args])
-    return "".join(f"| {event} | {effect} |\n" for event, effect in rows)
+                    event, effect = (ast.literal_eval(text) for text in mark.args)
+                    rows.setdefault(event, []).append(effect)
+    return "".join(f"| {event} | {'; '.join(effects)} |\n" for event, effects in rows.items())
 
 
 if __name__ == "__main__":

@@ -156,6 +156,125 @@ def random_transform(rng: np.random.Generator, stamp_ns: int) -> SimpleNamespace
     return transform
 
 
+def random_image(rng: np.random.Generator, stamp_ns: int, z: np.ndarray) -> SimpleNamespace:
+    """A depth image of z (H, W), m, with up to two of its parts spoilt."""
+    height, width = z.shape
+    name, kind, unit = one_of(
+        rng, [("16UC1", "u2", 1e-3), ("mono16", "u2", 1e-3), ("32FC1", "f4", 1.0)]
+    )
+    order, padding = one_of(rng, ["<", ">"]), int(rng.integers(0, 3))
+    z = z.copy()
+    with np.errstate(over="ignore", invalid="ignore"):
+        if rng.random() < 0.5:
+            z[rng.random(z.shape) < one_of(rng, [0.02, 0.5, 1.0])] = extreme(rng)
+        whole = np.zeros((height, width + padding), order + kind)
+        whole[:, :width] = np.nan_to_num(z / unit) if kind == "u2" else z
+    image = SimpleNamespace(
+        header=samples.header(stamp_ns, "camera"),
+        height=height,
+        width=width,
+        encoding=name,
+        is_bigendian=int(order == ">"),
+        step=whole.strides[0],
+        data=one_of(rng, CONTAINERS)(whole.view(np.uint8).ravel()),
+    )
+    for _ in range(rng.integers(0, 3)):
+        which = rng.integers(6)
+        if which == 0:
+            setattr(image, one_of(rng, ["height", "width", "step"]), one_of(rng, WHOLE))
+        elif which == 1:
+            image.encoding = one_of(rng, ["rgb8", "8UC1", "", "32FC1", "\x1b[2J", "q" * 99])
+        elif which == 2:
+            image.data = cut(image.data, rng)
+        elif which == 3:
+            image.data = rng.integers(0, 256, len(image.data), dtype=np.uint8)
+        elif which == 4:
+            image.is_bigendian = 1 - image.is_bigendian
+        else:
+            image.header.stamp.nanosec = one_of(rng, [0, 999_999_999, 2**32 - 1])
+    return image
+
+
+def depth_image(stamp_ns: int, z: np.ndarray) -> SimpleNamespace:
+    """A good one of z (H, W), m."""
+    data = np.rint(1e3 * z).astype("<u2").view(np.uint8).ravel()
+    return SimpleNamespace(
+        header=samples.header(stamp_ns, "camera"),
+        height=len(z),
+        width=z.shape[1],
+        encoding="16UC1",
+        is_bigendian=0,
+        step=2 * z.shape[1],
+        data=data,
+    )
+
+
+def camera_info(shape: tuple[int, int], focal_length: float) -> SimpleNamespace:
+    """Of a pinhole camera with its axis in the middle."""
+    height, width = shape
+    k = np.array(
+        [focal_length, 0, 0.5 * (width - 1), 0, focal_length, 0.5 * (height - 1), 0, 0, 1.0]
+    )
+    p = np.insert(k, (3, 6, 9), 0.0)
+    return SimpleNamespace(
+        header=samples.header(0, "camera"),
+        height=height,
+        width=width,
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=k,
+        p=p,
+    )
+
+
+def random_camera_info(rng: np.random.Generator, good: SimpleNamespace) -> SimpleNamespace:
+    """One with up to two of its parts spoilt."""
+    info = SimpleNamespace(**vars(good))
+    info.d, info.k, info.p = good.d.copy(), good.k.copy(), good.p.copy()
+    for _ in range(rng.integers(0, 3)):
+        which = rng.integers(6)
+        if which == 0:
+            setattr(info, one_of(rng, ["height", "width"]), one_of(rng, WHOLE))
+        elif which == 1:
+            info.k[rng.integers(9)] = extreme(rng)
+        elif which == 2:
+            info.p[rng.integers(12)] = extreme(rng)
+        elif which == 3:
+            info.distortion_model = one_of(rng, ["", "equidistant", "rational_polynomial"])
+        elif which == 4:
+            info.d = rng.normal(scale=one_of(rng, [0.1, 1e3]), size=one_of(rng, [0, 4, 5, 8, 14]))
+        else:
+            info.d = np.full(one_of(rng, [1, 5]), extreme(rng))
+    return info
+
+
+def accepted_pose(
+    rng: np.random.Generator, stamp_ns: int, place: tuple[float, float, float]
+) -> SimpleNamespace:
+    """A pose near upright of which only the covariance is odd: huge, tiny, singular, or of a turn
+    about a place on the ground, of which nothing is then uncertain."""
+    if rng.random() < 0.5:
+        x, y = rng.integers(0, 32, 2) * 0.5 + 0.25 - place[:2]
+        about = np.array([[0.0, place[2], y], [-place[2], 0.0, -x], [-y, x, 0.0]])
+        root = np.vstack([about, np.eye(3)]) @ rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-8, 0)
+        root *= rng.random(3) < 0.7
+        covariance = root @ root.T
+        covariance[range(3), range(3)] += 10.0 ** rng.uniform(-30, 12, 3) * (rng.random(3) < 0.3)
+    elif rng.random() < 0.5:
+        root = rng.normal(size=(6, 6)) * 10.0 ** rng.uniform(-8, 6, (6, 1))
+        root *= rng.random((6, 1)) < 0.8
+        covariance = root @ root.T
+    else:
+        covariance = np.diag(10.0 ** rng.uniform(-20, 12, 6))
+    most = covariance[3:, 3:].diagonal().max()
+    if most > 0.25:  # nothing can be placed by it
+        scale = np.repeat([1.0, 0.5 * rng.random() / np.sqrt(most)], 3)
+        covariance *= np.outer(scale, scale)
+    turn = np.array([1.0, 0.0, 0.0, 0.0]) + one_of(rng, [0, 1e-3, 0.05]) * rng.normal(size=4)
+    turn /= np.linalg.norm(turn)
+    return samples.pose(stamp_ns, place, turn.tolist(), 0.5 * (covariance + covariance.T))
+
+
 def random_polygon(rng: np.random.Generator) -> SimpleNamespace:
     """Any number of corners anywhere."""
     count = int(one_of(rng, [0, 1, 2, 3, 3, 4, 4, 5, 9, 1000, 1001]))

@@ -14,7 +14,8 @@ import warnings
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,7 +28,7 @@ from fuzz.cases import extreme, one_of
 from messages import samples
 
 from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
-from quadtree_lss.onboard.autopilot.landing import Landing, Seen, Target
+from quadtree_lss.onboard.autopilot.landing import Landing, Seen, Target, target_of
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4, Link
 from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.sections import AutopilotConfig
@@ -44,9 +45,24 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake
-from quadtree_lss.onboard.messages.landing_inputs import LandingWishes, name_of
-from quadtree_lss.onboard.messages.maps import CELL_FIELDS, record_dtype
-from quadtree_lss.onboard.messages.outputs import MessageMaker, map_from_messages
+from quadtree_lss.onboard.messages.landing_inputs import (
+    LandingWishes,
+    name_of,
+    polygon_from_message,
+    prior_from_message,
+)
+from quadtree_lss.onboard.messages.maps import (
+    CELL_FIELDS,
+    PRIOR_STATUS_FIELDS,
+    STATUS_FIELDS,
+    record_dtype,
+)
+from quadtree_lss.onboard.messages.outputs import (
+    MessageMaker,
+    map_from_messages,
+    status_from_message,
+)
+from quadtree_lss.onboard.messages.poses import pose_from_message
 
 TAKEN = "taken"
 HEIGHT = 25.0
@@ -125,8 +141,10 @@ class Flight:
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
         self.rng, self.kind = rng, kind
         mount = {"mount.gimbal": kind == "gimbal", "mount.tf": kind == "transforms"}
+        if kind == "follow":
+            mount |= {"domain.follow": one_of(rng, ["vehicle", "area"]), "domain.min_level": 3}
         self.config = config_from_values(
-            {"frames.body": "body" if mount["mount.tf"] else "", **mount}, one_of(rng, CONFIGS)
+            {"frames.body": "body" if kind == "transforms" else "", **mount}, one_of(rng, CONFIGS)
         )
         self.selectors = LandingSiteSelector(self.config)
         self.intake, self.mapper = Intake(self.config), Mapper(self.config)
@@ -139,8 +157,9 @@ class Flight:
         self.now += 10**8
         refused = self._refused()
         pose = self._pose()
-        if self.kind in ("pose", "odometry"):
+        if self.kind in ("pose", "odometry", "follow"):
             pose = cases.random_pose(self.rng, pose)
+        area = cases.random_polygon(self.rng) if self.kind == "follow" else None
         if self.kind == "odometry":
             pose.child_frame_id = one_of(self.rng, ["body"] * 9 + cases.FRAMES)
         turn = cases.random_transform(self.rng, self.now)
@@ -154,6 +173,9 @@ class Flight:
                 count = int(self.rng.integers(0, 4))
                 more = [cases.random_transform(self.rng, self.now) for _ in range(count)]
                 self.intake.on_transforms(SimpleNamespace(transforms=[turn, *more]))
+            if area is not None:
+                with suppress(MessageError):
+                    self.mapper.look_at(polygon_from_message(area, "map"))
             self.intake.on_pose(pose)
             self.intake.on_cloud(cloud, self.now)
         notices = self.intake.notices()
@@ -179,7 +201,8 @@ class Flight:
 
     def _refused(self) -> Counter[str]:
         """What cannot be used, of the messages of the kind in question."""
-        word = {"odometry": "pose", "transforms": "transform"}.get(self.kind, self.kind)
+        other = {"odometry": "pose", "follow": "pose", "transforms": "transform"}
+        word = other.get(self.kind, self.kind)
         return Counter({k: n for k, n in self.intake.rejected.items() if k.startswith(word)})
 
     def close(self, told: Counter[str]) -> None:
@@ -188,7 +211,7 @@ class Flight:
         refused = self._refused().total()
         if self.kind == "cloud":
             assert self.intake.scans + refused == self.sent
-        if self.kind in ("pose", "odometry"):
+        if self.kind in ("pose", "odometry", "follow"):
             assert 0 <= self.sent - self.intake.poses_taken - refused < PATIENCE
         assert self.mapped + sum(self.intake.queue.dropped.values()) == self.intake.scans
         assert self.mapped > 0
@@ -309,11 +332,22 @@ class Vehicle:
         self.autopilot = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
         self.landing, self.jumps = Landing(AutopilotConfig()), Jumps()
         self.intake = Intake(config_from_values({"pose.source": "odometry"}, CONFIGS[0]))
-        self.sent = self.poses = 0
+        self.sent = self.poses = self.octets = 0
+        self.heard: Counter[str] = Counter()
+        receive = self.link._port.recv_msg
+
+        def counted() -> Any:
+            message = receive()
+            if message is not None:
+                self.heard["messages"] += 1
+                self.heard["octets"] += len(message.get_msgbuf())
+            return message
+
+        self.link._port.recv_msg = counted
         kind_of = int(one_of(rng, [PX4, ARDUPILOT]))
         beat = mavlink.MAVLink_heartbeat_message(2, kind_of, 129, 4, 4, 3)
         for message in (beat, mavlink.MAVLink_timesync_message(self.now - 10**9, self.now - 10**5)):
-            self.socket.sendto(message.pack(self.autopilot), self.there)
+            self.octets += self.socket.sendto(message.pack(self.autopilot), self.there)
 
     def send(self) -> str:
         self.sent += 1
@@ -322,17 +356,17 @@ class Vehicle:
         content = content.pack(self.autopilot)
         if self.sent % 8 == 0:
             content = cases.damaged(content, self.rng)
-        refused = self.link.refused.copy()
+        refused, heard = self.link.refused.copy(), self.link.heard_of.copy()
         if content:
-            self.socket.sendto(content, self.there)
+            self.octets += self.socket.sendto(content, self.there)
         with np.errstate(all="raise", under="ignore"):
             navs = self.link.poll()
             for nav in navs:
                 self.fly(nav)
         self.poses += len(navs)
         self.intake.notices()
-        gone = self.link.refused - refused
-        return TAKEN if navs else next(iter(gone), "no pose")
+        gone = [*(self.link.refused - refused), *(self.link.heard_of - heard)]
+        return TAKEN if navs else next(iter(gone), "not yet a message")
 
     def fly(self, nav: Nav) -> None:
         link, place = self.link, nav.position
@@ -356,7 +390,12 @@ class Vehicle:
         link.tell(order.text, warn=False)
 
     def close(self, told: Counter[str]) -> None:
-        """What was said of the vehicle's poses is what the mapping node has of them."""
+        """No byte and no message is lost count of, and what was said of the vehicle's poses is what
+        the mapping node has of them."""
+        port, link = self.link._port, self.link
+        assert self.heard["octets"] + port.mav.buf_len() == self.octets
+        assert link.heard_of.total() + link.refused.total() == self.heard["messages"]
+        assert link.heard_of["pose"] == self.poses
         self.link.close()
         self.socket.close()
         refused = sum(n for k, n in self.intake.rejected.items() if k.startswith("pose"))
@@ -488,13 +527,249 @@ class Checkpoints:
         assert told[TAKEN] and len(told) > 3
 
 
+class Depth:
+    """mapping_node's part with a depth camera: images, or what is said of them, spoilt."""
+
+    SHAPE, FOCAL = (12, 16), 20.0
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng, self.kind = rng, kind
+        values = {"lidar.source": "depth", "lidar.depth_step": int(rng.integers(1, 3))}
+        values["lidar.depth_raw"] = bool(rng.integers(2))
+        if rng.random() < 0.5:
+            values |= {"lidar.noise_model": "stereo", "lidar.focal_length": self.FOCAL}
+        self.config = config_from_values(values, one_of(rng, CONFIGS))
+        self.selector = LandingSiteSelector(self.config)
+        self.intake, self.mapper = Intake(self.config), Mapper(self.config)
+        self.good = cases.camera_info(self.SHAPE, self.FOCAL)
+        self.intake.on_camera_info(self.good)
+        self.now, self.sent, self.mapped, self.infos = 10**9, 0, 0, 0
+
+    def send(self) -> str:
+        self.sent += 1
+        self.now += 10**8
+        refused = self.intake.rejected.copy()
+        z = HEIGHT - 0.5 + 0.05 * self.rng.normal(size=self.SHAPE)
+        with np.errstate(all="raise", under="ignore"):
+            if self.kind == "camera_info":
+                self.intake.on_camera_info(cases.random_camera_info(self.rng, self.good))
+                image = cases.depth_image(self.now, z)
+            else:
+                image = cases.random_image(self.rng, self.now, z)
+            self.intake.on_pose(samples.pose(self.now, (8.0, 8.0, HEIGHT), (1, 0, 0, 0)))
+            self.intake.on_cloud(image, self.now)
+        assert all(len(text) < 1100 and text.isprintable() for _, text in self.intake.notices())
+        for scan_ in self.intake.ready(self.now):
+            report = self.mapper.update(scan_.points_lidar, scan_.pose, scan_.sweep)
+            assert report.points_used + sum(report.dropped.values()) == report.points
+            assert min(scan_.lost(report.dropped).values()) >= 0
+            self.mapped += 1
+        if self.sent % 20 == 0:
+            cells = self.mapper.snapshot()
+            assert_sound(cells)
+            judge(sent_and_read(cells, self.config), self.selector)
+        word = "camera_info" if self.kind == "camera_info" else "cloud"
+        gone = Counter(
+            {k: n for k, n in (self.intake.rejected - refused).items() if k.startswith(word)}
+        )
+        if self.kind == "camera_info":  # what follows is seen by a good one
+            self.infos += gone.total()
+            self.intake.on_camera_info(self.good)
+        return next(iter(gone), TAKEN)
+
+    def close(self, told: Counter[str]) -> None:
+        """Images and what is said of them are counted apart, and each is one or the other."""
+        self.intake.finish()
+        by = self.intake.rejected
+        assert self.intake.scans + sum(n for k, n in by.items() if k[:5] == "cloud") == self.sent
+        assert sum(n for k, n in by.items() if k[:6] == "camera") == self.infos
+        assert self.mapped + sum(self.intake.queue.dropped.values()) == self.intake.scans
+        assert sum(self.intake.dropped.values()) == self.sent - self.mapped
+        assert told[TAKEN] and len(told) > 1
+
+
+class Saved:
+    """A checkpoint as it is written: whatever poses claim, a map takes up what it saves."""
+
+    SECTIONS = ("lidar", "mapping", "pose", "vehicle")
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng, self.sent = rng, 0
+        self.settings = Settings(rng, kind)
+        rows = self.settings.rows
+        self.rows = [row for row in rows if row.name.partition(".")[0] in self.SECTIONS]
+
+    def begin(self) -> None:
+        rng, values = self.rng, {"domain.max_level": 5, "domain.min_level": 3}
+        values["domain.follow"] = one_of(rng, ["none", "vehicle"])
+        values["pose.correlation_time"] = float(one_of(rng, [0.0, 60.0, 1e3]))
+        for name in ("fit", "covariance", "division"):
+            choices = next(row.choices for row in self.rows if row.name == f"mapping.{name}")
+            values[f"mapping.{name}"] = one_of(rng, choices)
+        for row in rng.permutation(np.array(self.rows, dtype=object))[: rng.integers(0, 6)]:
+            with suppress(ConfigError):
+                config_from_values({**values, row.name: (value := self.settings.value(row))})
+                values[row.name] = value
+        values["mapping.max_cells"] = 4000
+        self.config = config_from_values(values, one_of(rng, CONFIGS))
+        self.mapper, self.now, self.base = Mapper(self.config), 10**9, 0.0
+        self.jumpy = rng.random() < 0.4
+
+    def send(self) -> str:
+        if self.sent % 40 == 0:
+            self.begin()
+        self.sent += 1
+        rng = self.rng
+        self.now += int(10.0 ** rng.uniform(5, 11))
+        if self.jumpy and rng.random() < 0.15:  # ground may be anywhere within the heights of maps
+            self.base = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(0.0, 6.9)
+        high = float(one_of(rng, [3.0, 25.0, 25.0, 500.0, 1e4, 1e5, 1e6]))
+        place = (8.0, 8.0, high)
+        if rng.random() < 0.5:
+            place = (*(8.0 + rng.normal(size=2)).tolist(), high)
+        try:
+            message = cases.accepted_pose(rng, self.now, place)
+            if rng.random() < 0.1:
+                message = cases.random_pose(rng, message)
+            pose = pose_from_message(message, "map")
+        except MessageError as error:
+            return error.reason
+        slope = float(one_of(rng, [0.0, 0.05, 3.0, 100.0]))
+        x, y = scattered(rng, 0.0, 0.0, float(one_of(rng, [2, 8, 16])), one_of(rng, [3, 60, 600]))
+        points = scan(
+            lambda x, y: slope * x + ground(x, y), x, y, make_pose((8.0, 8.0, high)),
+            float(one_of(rng, [0.0, 0.03, 1.0])), rng,
+        )  # fmt: skip
+        pose = replace(pose, position=pose.position + (0.0, 0.0, self.base))
+        self.mapper.update(points, pose)
+        content, again = to_bytes(self.mapper.export_state()), Mapper(self.config)
+        again.import_state(from_bytes(content))
+        assert to_bytes(again.export_state()) == content
+        if self.sent % 5 == 0:
+            (_, cloud), (_, grid) = MAKER.of_map(self.mapper.snapshot())
+            map_from_messages(cloud, grid)
+        return TAKEN
+
+    def close(self, told: Counter[str]) -> None:
+        assert told[TAKEN] and len(told) > 1
+
+
+class LandNow:
+    """lss_node's part: where the vehicle is, and that it has to land."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng, self.sent, self.taken = rng, 0, 0
+        self.config = one_of(rng, CONFIGS)
+        self.selector = LandingSiteSelector(self.config)
+        self.cells = mapped_scene(self.config).snapshot()
+        self.wishes = LandingWishes("map")
+
+    def send(self) -> str:
+        rng = self.rng
+        self.sent += 1
+        good = samples.pose(10**9 + 10**8 * self.sent, (*rng.normal(8.0, 6.0, 2), HEIGHT))
+        with np.errstate(all="raise", under="ignore"):
+            told = self.wishes.navigation.take(cases.random_pose(rng, good))
+            if rng.random() < 0.5:
+                self.selector.land_now()
+            if rng.random() < 0.1:
+                self.selector.release()
+        if rng.random() < 0.3:
+            topic = one_of(rng, list(Wishes.MAKE))
+            with suppress(MessageError):
+                self.wishes.take(topic, Wishes.MAKE[topic](rng))
+        judge(self.cells, self.selector, **self.wishes.arguments())
+        return TAKEN if told else "passed over"
+
+    def close(self, told: Counter[str]) -> None:
+        assert told[TAKEN] and told["passed over"]
+
+
+class OfPrior:
+    """lss_node's part: what is said of the prior, on to what an autopilot's node reads of it."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng = rng
+        config = CONFIGS[0]
+        self.found = LandingSiteSelector(config).assess(mapped_scene(config).snapshot())
+
+    def send(self) -> str:
+        rng = self.rng
+        message = cases.random_pose(rng, samples.pose(0, rng.normal(size=3)))
+        if rng.random() < 0.2:
+            message.pose.pose.position = SimpleNamespace(**dict.fromkeys("xyz", np.nan))
+        try:
+            with np.errstate(all="raise", under="ignore"):
+                values = prior_from_message(message, "map")
+                (_, _), (_, status) = MAKER.of_target(self.found, 0.0, values)
+        except MessageError as error:
+            assert str(error).isprintable()
+            return error.reason
+        told = status_from_message(status)
+        assert np.array_equal(told["prior_x"], np.float32(values[0]), equal_nan=True)
+        return TAKEN
+
+    def close(self, told: Counter[str]) -> None:
+        assert told[TAKEN] and told["frame"] and told["prior"]
+
+
+class Told:
+    """autopilot_node's part: ``landing/status`` spoilt, on to set-points."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.rng, self.now = rng, 0.0
+        config = CONFIGS[0]
+        self.found = LandingSiteSelector(config).assess(mapped_scene(config).snapshot())
+        self.landing = Landing(AutopilotConfig())
+
+    def send(self) -> str:
+        rng = self.rng
+        prior = np.zeros(9) if rng.random() < 0.5 else None
+        (_, _), (_, cloud) = MAKER.of_target(self.found, 0.0, prior)
+        cloud.fields = [SimpleNamespace(**vars(field)) for field in cloud.fields]
+        if rng.random() < 0.5:
+            kinds = record_dtype(PRIOR_STATUS_FIELDS if prior is not None else STATUS_FIELDS)
+            record = np.frombuffer(bytes(cloud.data), kinds).copy()
+            for _ in range(rng.integers(1, 4)):
+                cases.spoil_values(record[one_of(rng, kinds.names)], rng)
+            cloud.data = array("B", record.tobytes())
+        elif rng.random() < 0.3:  # none, or more than one
+            count = int(one_of(rng, [0, 2]))
+            cloud.width, cloud.data = count, array("B", bytes(cloud.data) * count)
+        else:
+            cases.spoil_cloud(cloud, rng)
+        try:
+            status = status_from_message(cloud)
+        except MessageError as error:
+            assert str(error).isprintable()
+            return error.reason
+        self.now += 0.1
+        with np.errstate(all="raise", under="ignore"):
+            target, why = target_of(np.array([8.0, 8.0, 0.0]), status, 0.1, 0.1)
+            place = np.array([8.0, 8.0, HEIGHT])
+            seen = Seen(
+                self.now, True, True, False, 0.1, 0.1, place, np.zeros(3), 0.0, target, why
+            )  # fmt: skip
+            order = self.landing.step(seen)
+        assert order.point is None or np.isfinite(order.point).all()
+        return TAKEN
+
+    def close(self, told: Counter[str]) -> None:
+        assert told[TAKEN] and told["layout"]
+
+
 INPUTS: dict[str, Callable[[np.random.Generator, str], Any]] = {
-    **dict.fromkeys(("cloud", "pose", "odometry", "gimbal", "transforms"), Flight),
+    **dict.fromkeys(("cloud", "pose", "odometry", "gimbal", "transforms", "follow"), Flight),
+    **dict.fromkeys(("depth", "camera_info"), Depth),
     **dict.fromkeys(("map", "observed"), Maps),
     **dict.fromkeys(Wishes.MAKE, Wishes),
     "autopilot": Vehicle,
     "parameters": Settings,
     "checkpoint": Checkpoints,
+    "saved": Saved,
+    "land_now": LandNow,
+    "map_prior": OfPrior,
+    "status": Told,
 }
 STRETCH = 200
 """Cases after which everything begins anew."""

@@ -152,3 +152,6 @@ def test_intake_takes_images_as_scans_and_tells_edges_apart():
     assert lost == {"no_return": 0, "range": 0, "isolated": 0, "outside": 4, "edge": 1}
     intake.on_cloud(dataclasses.replace(MAKE.depth(1, z), encoding="bgr8"), 0)
     assert intake.rejected["cloud_encoding"] == 1
+    intake.on_camera_info(MAKE.camera(1, H, W, 1e-300))
+    assert intake.rejected["camera_info_focal_length"] == 1
+    assert intake.dropped == {"cloud_encoding": 1}, "what is said of images is none"

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -247,6 +248,23 @@ def test_odometry_is_taken_for_its_child_frame():
         assert intake.poses_taken == 1 and intake.rejected == {"pose_child_frame": 1}
         (notice,) = intake.notices()
         assert "'wheel'" in notice.text and f"'{good}'" in notice.text
+
+
+def test_names_of_frames_are_shown_as_80_characters():
+    """Of a child frame, of a transform, of a scan, and of the frames that were heard of."""
+    intake = Intake(config_from_values({"mount.tf": True, "frames.body": "b" * 81}))
+    intake.on_pose(odometry(0, "c" * 900))
+    for k in range(2):
+        intake.on_pose(odometry(k, "b" * 81))
+    intake.on_transforms(chain(("d" * 900, "e" * 81, (1.0, 0.0, 0.0), np.eye(3))))
+    intake.on_transforms(chain(("f" * 1001, "g", (1.0, 0.0, 0.0), np.eye(3))))
+    message = scan(0)
+    message.header.frame_id = "h" * 900
+    intake.on_cloud(message, 0)
+    intake.finish()
+    told = " ".join(notice.text for notice in intake.notices())
+    runs = {letter: max(map(len, re.findall(f"{letter}+", told))) for letter in "bcdefh"}
+    assert runs == dict.fromkeys("bcdefh", 80), told
 
 
 def test_a_mount_from_tf_begins_at_the_odometrys_child_frame():

@@ -4,6 +4,7 @@ map is what it is without them."""
 
 from __future__ import annotations
 
+import functools
 import math
 from array import array
 from collections import Counter
@@ -20,12 +21,15 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import OccupancyGrid
 from ros.conftest import status_values
-from ros_scene import Sensors, pose
-from sensor_msgs.msg import PointCloud2, PointField
+from ros.test_depth import FOCAL, SHAPE, CameraSensors
+from ros_scene import Sensors, cloud, pose
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
 from quadtree_lss.lab.live.listener import TOPICS
+from quadtree_lss.onboard.config.sections import LidarConfig
 from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
-from quadtree_lss.onboard.messages.landing_inputs import DECODE
+from quadtree_lss.onboard.messages.depth import DepthCamera
+from quadtree_lss.onboard.messages.landing_inputs import DECODE, prior_from_message
 from quadtree_lss.onboard.messages.outputs import map_from_messages
 from quadtree_lss.onboard.messages.poses import pose_from_message
 from quadtree_lss.onboard.nodes.qos import latched, stream
@@ -69,6 +73,20 @@ def pose_of(made):
     return out
 
 
+def image_of(made):
+    out = Image(header=header_of(made), encoding=made.encoding, is_bigendian=made.is_bigendian)
+    out.height, out.width, out.step = int(made.height), int(made.width), int(made.step)
+    out.data = array("B", bytes(made.data))
+    return out
+
+
+def info_of(made):
+    out = CameraInfo(header=header_of(made), distortion_model=made.distortion_model)
+    out.height, out.width = int(made.height), int(made.width)
+    out.d, out.k, out.p = made.d.tolist(), made.k, made.p
+    return out
+
+
 def polygon_of(made):
     out = PolygonStamped(header=header_of(made))
     corners = made.polygon.points[:1001]
@@ -95,10 +113,19 @@ def refused(decode, *args):
 class Bad:
     """Publishers of all inputs, and one message after the other that nobody can use."""
 
-    def __init__(self, node, seed):
+    def __init__(self, node, seed, source):
         self.rng, self.sent = np.random.default_rng(seed), Counter()
-        kinds = {
-            "lidar/points": (PointCloud2, stream(50, reliable=True)),
+        scans = {"lidar/points": (PointCloud2, stream(50, reliable=True))}
+        if source == "depth":
+            scans = {
+                "depth/image": (Image, stream(50, reliable=True)),
+                "depth/camera_info": (CameraInfo, stream(50, reliable=True)),
+            }
+            self.good = cases.camera_info(SHAPE, FOCAL)
+            self.camera = DepthCamera(LidarConfig())
+            self.camera.on_info(self.good)
+        kinds = scans | {
+            "map/prior": (PoseWithCovarianceStamped, latched()),
             "nav/pose": (PoseWithCovarianceStamped, stream(200, reliable=True)),
             "map/cells": (PointCloud2, latched()),
             "map/observed": (OccupancyGrid, latched()),
@@ -127,6 +154,16 @@ class Bad:
             made = cloud_of(cases.random_cloud(rng, NOW_NS))
             wrong = refused(points_from_cloud, made) or refused(stamp_ns, made.header)
             return made if wrong else None
+        if topic == "depth/image":
+            made = cases.random_image(rng, NOW_NS, np.full(SHAPE, 100.0))
+            wrong = refused(self.camera.points, made) or refused(stamp_ns, made.header)
+            return image_of(made) if wrong else None
+        if topic == "depth/camera_info":
+            made = cases.random_camera_info(rng, self.good)
+            return info_of(made) if refused(DepthCamera(LidarConfig()).on_info, made) else None
+        if topic == "map/prior":
+            made = pose_of(cases.random_pose(rng, cases.samples.pose(NOW_NS)))
+            return made if refused(prior_from_message, made, "map") else None
         if topic == "nav/pose":
             good = cases.samples.pose(NOW_NS, (0.0, 0.0, 100.0), (1, 0, 0, 0))
             made = pose_of(cases.random_pose(rng, good))
@@ -161,36 +198,51 @@ MAKERS = {
 }
 
 
-def test_bad_messages_beside_good_ones_change_nothing(ros):
-    grounds, args = [], ("-p", "qos.overload:=all", "-p", "pose.max_wait:=30.0")
+def sites_of(listener, stamp):
+    """Whether there are some of a map; none before what was bad has been lifted."""
+    sites = listener.newest.get("landing/sites")
+    return listener.stamp("landing/sites") == stamp and len(sites.poses) > 0
+
+
+@pytest.mark.parametrize("source", ["points", "depth"])
+def test_bad_messages_beside_good_ones_change_nothing(ros, source):
+    """Nor does somebody who has to land now, again and again."""
+    grounds, args = [], ["-p", "qos.overload:=all", "-p", "pose.max_wait:=30.0"]
+    args += ["-p", f"lidar.source:={source}", "-p", "lidar.depth_step:=1"]
     for seed in (None, 1):
-        mapping, lss = ros.start("mapping_node", *args), ros.start("lss_node")
+        mapping = ros.start("mapping_node", *args)
+        of_prior = ("-p", "prior.file:=by_mapping_node_alone.npz")
+        lss = ros.start("lss_node", *of_prior, "-p", "lss.max_risk:=0.05")
         with ros.listen(TOPICS) as listener:
-            sensors, bad = Sensors(listener), None
-            sensors.wait_for_subscribers()
+            sensors, bad, make = Sensors(listener), None, cloud
+            if source == "depth":
+                sensors = CameraSensors(listener)
+                make = sensors.image
+            sensors.matched()
             if seed is not None:
-                bad = Bad(listener.node, seed)
+                bad = Bad(listener.node, seed, source)
 
             def make_pose(stamp, bad=bad):
                 """Bad ones before each good one."""
                 due = MESSAGES * (stamp - FIRST_NS) / LONG_NS
                 while bad is not None and bad.sent.total() < due:
                     bad.send()
+                    if bad.sent.total() % (MESSAGES // 10) == 0:
+                        ros.call(listener, "/lss_node/land_now")
                 return pose(stamp)
 
-            sensors.publish(SCANS, make_pose=make_pose)
+            sensors.publish(SCANS, make_pose=make_pose, make_cloud=make)
             if bad is not None:
                 while bad.sent.total() < MESSAGES:
                     bad.send()
                 print(f"seed {seed}: {dict(bad.sent)}")
                 for topic in ("landing/area", "landing/keep_out"):
                     bad.out[topic].publish(PolygonStamped(header=header_message(1, "map")))
-            last = sensors.publish(1, offset_ns=2 * LONG_NS)
+            last = sensors.publish(1, offset_ns=2 * LONG_NS, make_cloud=make)
             done = lambda: listener.stamp("map/cells") == last  # noqa: B023, E731
             assert listener.wait_for(done, timeout=120.0), mapping.output()
-            sites = lambda: listener.stamp("landing/sites") == last  # noqa: B023, E731
-            assert listener.wait_for(sites, timeout=120.0), lss.output()
-            assert len(listener.newest["landing/sites"].poses) > 0
+            ranked = functools.partial(sites_of, listener, last)
+            assert listener.wait_for(ranked, timeout=120.0), lss.output()
             cells = map_from_messages(listener.newest["map/cells"], listener.newest["map/observed"])
             side = np.linspace(-15.0, 15.0, 121)
             grounds.append(cells.at(side, side[:, None]).height)

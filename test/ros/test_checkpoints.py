@@ -48,9 +48,13 @@ SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, 
 
 
 @pytest.mark.survives(
+    "ended by SIGINT, SIGTERM or SIGHUP",
+    "the state is written first, and the next start goes on from there; `~/reset` begins anew",
+)
+@pytest.mark.survives(
     "`mapping_node` killed",
     "started again, it takes up its checkpoint and publishes it; what came since the last one is "
-    "lost. Without `checkpoint.path` it begins anew",
+    "lost",
 )
 def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     """The sensors stay and are heard by the successor, as on a vehicle."""
@@ -103,8 +107,7 @@ def _stamp_in(path):
 
 @pytest.mark.survives(
     "checkpoint damaged, or of another domain, or with figures in it that none can be",
-    "set aside as `….refused`, with a line; the one before it, `….previous`, is taken up, or if "
-    "that cannot be used either, empty map",
+    "set aside as `….refused`, with a line, and mapping goes on from an empty map",
 )
 def test_damaged_checkpoint_is_set_aside_and_mapping_goes_on(ros):
     path = ros.folder / "checkpoint.map"
@@ -159,6 +162,10 @@ def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
         assert "cannot be removed" in mapping.output()
 
 
+@pytest.mark.survives(
+    "ended by SIGINT, SIGTERM or SIGHUP",
+    "a state that cannot be written is an error in the log",
+)
 def test_a_last_checkpoint_that_fails_is_told(ros):
     """However lately another one was told."""
     folder = ros.folder / "disk"
@@ -223,8 +230,7 @@ def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
 @pytest.mark.survives(
     "a second `mapping_node` on the same checkpoint",
     "a line, and WARN in its diagnostics as long as it runs: it takes up nothing and writes "
-    "nothing there, whichever began to write later. The right is a lock on the file (`flock`): "
-    "gone with the process, however that ends. End both and start one",
+    "nothing there",
 )
 def test_two_nodes_on_one_checkpoint(ros):
     path = ros.folder / "checkpoint.map"

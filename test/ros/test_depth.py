@@ -12,6 +12,7 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.nodes.qos import stream
 from quadtree_lss.onboard.nodes.ros_messages import packed, time_message
 
+SHAPE, FOCAL = (48, 64), 200.0
 pytestmark = pytest.mark.xdist_group("ros")
 
 
@@ -27,8 +28,8 @@ class CameraSensors(Sensors):
         self._make = Messages()
 
     def image(self, stamp_ns, points_lidar):
-        height, width, f = 48, 64, 200.0
-        made = self._make.camera(stamp_ns, height, width, f)
+        height, width = SHAPE
+        made = self._make.camera(stamp_ns, height, width, FOCAL)
         info = CameraInfo(height=height, width=width, distortion_model="plumb_bob")
         info.d, info.k, info.p = made.d.tolist(), made.k, made.p
         self.camera.publish(info)

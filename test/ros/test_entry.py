@@ -29,12 +29,7 @@ def hears(pid: int, number: int) -> bool:
 
 @pytest.mark.survives(
     "ended by SIGINT, SIGTERM or SIGHUP",
-    "exit code 0 from 0.2 s after the start (before, Python itself is not up); the state is "
-    "written first, an error in the log if it cannot be; the next start goes on from there. To "
-    "begin anew call `~/reset` or remove the file. A SIGHUP that is ignored (`nohup`) stays so. A "
-    "landing site pass that is at work is ended first; a second signal three seconds or more after "
-    "the first, as `launch` sends it, breaks it off, exit code 0, and what was half done is not "
-    "written",
+    "exit code 0 from the moment Python itself is up, 0.2 s after the start",
 )
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -59,6 +54,10 @@ def test_signals_are_heard_before_anything_slow_is_imported():
     assert "quadtree_lss" in loaded and not loaded & {"numpy", "scipy", "rclpy", "yaml"}
 
 
+@pytest.mark.survives(
+    "ended by SIGINT, SIGTERM or SIGHUP",
+    "a SIGHUP that is ignored (`nohup`) stays so",
+)
 def test_a_hangup_that_is_ignored_stays_ignored():
     program = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
@@ -99,6 +98,11 @@ def test_maps_that_differ_have_different_stamps_one_after_the_other():
     assert published(500) == 500, "time jumped back"
 
 
+@pytest.mark.survives(
+    "ended by SIGINT, SIGTERM or SIGHUP",
+    "what is at work is ended first; a second signal three seconds or more after the first, "
+    "as `launch` sends it, breaks it off",
+)
 def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
     before = {number: signal.getsignal(number) for number in entry.SIGNALS}
     try:

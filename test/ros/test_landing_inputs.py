@@ -69,8 +69,7 @@ def east(places):
     "`lss_node` killed",
     "started again, it gets the last map, and latched area, keep-out and target; sites at once if "
     "both an area and a keep-out are among them (without vertices = no restriction), else 3 s "
-    "after it came, since a publisher may be found late (with `lss.required_input` not before what "
-    "it names has come). What was not latched must be sent again",
+    "after it came, since a publisher may be found late",
 )
 def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
     wait = vehicle.listener.wait_for
@@ -86,6 +85,10 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
         vehicle.send("landing/area", polygon([]))
 
 
+@pytest.mark.survives(
+    "`lss_node` killed",
+    "and all keep-outs of the latched set",
+)
 def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
     """West, then the east but for its north; the west comes again, smaller, and is removed."""
     wait = vehicle.listener.wait_for
@@ -105,6 +108,10 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
         vehicle.said.clear()
 
 
+@pytest.mark.survives(
+    "`lss_node` killed",
+    "with `lss.required_input` no site before what it names has come",
+)
 def test_a_required_input_is_waited_for(ros, vehicle):
     """However late it comes: longer than any wait for what may come."""
     wait = vehicle.listener.wait_for

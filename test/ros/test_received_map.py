@@ -48,6 +48,10 @@ def give(received, cells):
     assert received.on_cells(cloud)
 
 
+@pytest.mark.survives(
+    "a map that `lss_node` cannot use",
+    "it makes the one before no younger",
+)
 def test_a_refused_map_does_not_make_the_one_before_younger(cells):
     received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     give(received, cells)
@@ -78,8 +82,7 @@ def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells, mon
     "a map that `lss_node` cannot use",
     "ERROR in the diagnostics with the reason, the sites of the one before hold; the map's age "
     "runs on, and after `lss.max_map_age` (30 s) without one that can be used the sites are "
-    "withdrawn, as they are when no map comes at all. Where the lidar is off for the last part of "
-    "a descent, set it to what the ground may be trusted for, or to 0",
+    "withdrawn",
 )
 def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
     lss = ros.start("lss_node", "-p", "lss.max_map_age:=8.0", "-p", "diagnostics.warn_age:=0.4")
@@ -163,6 +166,10 @@ def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ro
     assert faulty.returncode == 0 and "OverflowError: math range error" in errors
 
 
+@pytest.mark.survives(
+    "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
+    "of a map it is said which half lacks",
+)
 def test_what_a_first_map_lacks(cells):
     received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     cloud, grid = map_messages(cells, "map")

@@ -55,6 +55,46 @@ def test_the_first_scan_and_the_first_sites_are_told_once(ros):
     assert lss.output().count("first sites") == 1
 
 
+HELD_UP = """
+import os, sys, time
+class Late:
+    def find_spec(self, name, path=None, target=None):
+        while name == {module!r} and not os.path.exists({go!r}):
+            time.sleep(0.05)
+sys.meta_path.insert(0, Late())
+"""
+
+
+@pytest.mark.survives(
+    "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
+    "while it starts, too",
+)
+@pytest.mark.parametrize(
+    ("name", "module", "what"),
+    [
+        ("mapping_node", "rclpy.node", "its modules"),
+        ("lss_node", "quadtree_lss.onboard.core.landing.sites", "what judges landing"),
+        ("autopilot_node", "pymavlink", "its parameters and topics"),
+    ],
+)
+def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
+    """As on a computer so loaded that its modules take half a minute to load."""
+    go = ros.folder / "go"
+    (ros.folder / "sitecustomize.py").write_text(HELD_UP.format(module=module, go=str(go)))
+    path = [str(ros.folder), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    ros.env["PYTHONPATH"] = os.pathsep.join(path)
+    node = ros.start(name)
+    first = {"mapping_node": "'/lidar/points'", "lss_node": "a map", "autopilot_node": "the heart"}
+    with ros.listen({}) as listener:
+        told = f"[{name}]: starting, waiting for {what}"
+        assert listener.wait_for(lambda: told in node.output()), node.output()
+        assert "takes " not in node.output()
+        go.touch()
+        waits = f"waiting for {first[name]}"
+        assert listener.wait_for(lambda: waits in node.output()), node.output()
+        assert listener.wait_for(lambda: waits in listener.diagnostics[name].message)
+
+
 ONBOARD_ALONE = """
 import sys
 class Refused:

@@ -7,6 +7,7 @@ at a clock: whoever calls `Landing.step` some ten times a second does.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,6 +15,8 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.sections import AutopilotConfig
+from quadtree_lss.onboard.core.landing.target import Reason, State
+from quadtree_lss.onboard.messages.poses import MAX_POSITION
 
 PILOT, WAIT, CLIMB, TRANSIT, DESCEND = "pilot", "wait", "climb", "transit", "descend"
 COMMIT, TOUCHDOWN, HOLD = "commit", "touchdown", "hold"
@@ -25,6 +28,7 @@ LOW = (DESCEND, COMMIT)
 LEAD_S, LEAD_M = 2.0, 0.5
 """A set-point goes ahead of the vehicle by what it flies in so long, and this: an autopilot that
 hears no more stays at the last one."""
+REASONS = {int(reason): reason.key for reason in Reason}
 THROUGH_M = 1.0
 """Below the ground the last set-points lead, so that the vehicle presses on it."""
 AT_M, SLOW_M_S = 1.0, 1.0
@@ -43,6 +47,19 @@ class Target(NamedTuple):
     place: Array
     age: float
     map_age: float
+
+
+def target_of(place: Array, status: np.void, age: float, since: float) -> tuple[Target | None, str]:
+    """What lss_node says, by navigation's height; else why there is none. ``place``: (3,) of
+    ``landing/selected``. ``status``: the record of ``landing/status``. ``age``, ``since``: of the
+    older of the two, and since the latter came, s."""
+    offset = float(status["offset_z"])
+    place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
+    if not (np.abs(place) <= MAX_POSITION).all():
+        return None, f"there is no target: {REASONS.get(int(status['reason']), 'unknown')}"
+    # Who has to land now, lands by the map that there is.
+    map_age = 0.0 if status["state"] == State.NOW else float(status["age"]) + since
+    return Target(place, age, map_age), ""
 
 
 class Seen(NamedTuple):

@@ -46,6 +46,9 @@ TEXT = 50
 """Most characters of a message of text."""
 DAMAGED = -1
 """Number that pymavlink gives to bytes which are no message."""
+WRONG = frozenset("damaged clock position attitude stamp order".split())
+"""Why a message cannot be used: no bytes of one, before the autopilot's clock is known, …"""
+PASSED = "passed_over"
 MOST_NS = 2**31 * 10**9
 """Stamps of ROS's messages end there."""
 
@@ -78,7 +81,9 @@ class Link:
         mode, armed, landed: As last heard.
         heard: When the last heartbeat came.
         remote: Its clock.
-        refused: How many messages could not be used, by reason.
+        heard_of: How many messages told a ``pose``, ``half`` of one, the vehicle's ``state``, or
+            nothing: those that were ``passed_over``, of others or without a meaning here.
+        refused: How many messages could not be used, by reason; with ``heard_of`` these are all.
 
     Raises:
         ConfigError: no pymavlink, or the connection cannot be opened.
@@ -104,6 +109,7 @@ class Link:
         self.mode, self.armed, self.landed = -1, False, False
         self.heard = -np.inf
         self.remote = RemoteClock()
+        self.heard_of: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         self._system = 0
         self._due = dict.fromkeys(("sync", "beat", "ask"), 0.0)
@@ -124,9 +130,13 @@ class Link:
         """Takes what has come, says what is due; new poses, oldest first."""
         navs: list[Nav] = []
         while (message := self._receive()) is not None:
-            nav = self._take(message)
-            if nav is not None:
-                navs.append(nav)
+            told = self._take(message)
+            if isinstance(told, Nav):
+                navs.append(told)
+            elif told in WRONG:
+                self.refused[told] += 1
+                continue
+            self.heard_of["pose" if isinstance(told, Nav) else told] += 1
         now = self._now()
         if navs:
             self._last_nav = now
@@ -213,48 +223,49 @@ class Link:
         except OSError:
             return None
 
-    def _take(self, message: Any) -> Nav | None:
-        """Takes one message; the pose that is known by it, if it is."""
+    def _take(self, message: Any) -> Nav | str:
+        """Takes one message: the pose that is known by it, or what it is instead."""
         number = message.get_msgId()
         if number == HEARTBEAT:
-            self._on_heartbeat(message)
-            return None
+            return self._on_heartbeat(message)
         if number == DAMAGED:
-            self.refused["damaged"] += 1
-            return None
+            return "damaged"
         if message.get_srcSystem() != self._system or message.get_srcComponent() != 1:
-            return None
-        if message.get_type() == "TIMESYNC":
-            if message.tc1 > 0:
-                self.remote.add(message.ts1, message.tc1, self._clock())
-        elif number == EXTENDED:
+            return PASSED
+        if message.get_type() == "TIMESYNC" and message.tc1 > 0:
+            self.remote.add(message.ts1, message.tc1, self._clock())
+            return "state"
+        if number == EXTENDED:
             self.landed = message.landed_state == ON_GROUND
-        elif number == ODOMETRY and message.frame_id == LOCAL_NED:
+            return "state"
+        if number == ODOMETRY and message.frame_id == LOCAL_NED:
             return self._on_odometry(message)
-        elif number == POSITION and self.kind == ARDUPILOT:
+        if number == POSITION and self.kind == ARDUPILOT:
             place = np.array([message.x, message.y, message.z])
             velocity = np.array([message.vx, message.vy, message.vz])
             self._positions = [*self._positions[-3:], (message.time_boot_ms, place, velocity)]
             return self._paired()
-        elif number == ATTITUDE and self.kind == ARDUPILOT:
+        if number == ATTITUDE and self.kind == ARDUPILOT:
             q = np.array([message.q1, message.q2, message.q3, message.q4])
             self._attitudes = [*self._attitudes[-3:], (message.time_boot_ms, q)]
             return self._paired()
-        return None
+        return PASSED
 
-    def _on_heartbeat(self, message: Any) -> None:
+    def _on_heartbeat(self, message: Any) -> str:
         known = message.autopilot in FOLLOWS and message.type in COPTERS
         if not known or message.get_srcComponent() != 1:
-            return
+            return PASSED
         if self.kind is None:
             self.kind, self._system = message.autopilot, message.get_srcSystem()
             self._port.mav.srcSystem = self._system
-        if message.get_srcSystem() == self._system:
-            self.heard = self._now()
-            self.mode = message.custom_mode
-            self.armed = bool(message.base_mode & ARMED)
+        if message.get_srcSystem() != self._system:
+            return PASSED
+        self.heard = self._now()
+        self.mode = message.custom_mode
+        self.armed = bool(message.base_mode & ARMED)
+        return "state"
 
-    def _on_odometry(self, message: Any) -> Nav | None:
+    def _on_odometry(self, message: Any) -> Nav | str:
         place = np.array([message.x, message.y, message.z])
         along = np.array([message.vx, message.vy, message.vz])  # of the body's axes
         q = np.array(message.q)
@@ -262,7 +273,7 @@ class Link:
         return self._nav(1000 * message.time_usec, place, q, along, upper, of_body=True)
 
     @np.errstate(invalid="ignore")  # judged by `_nav`
-    def _paired(self) -> Nav | None:
+    def _paired(self) -> Nav | str:
         """Place and velocity of one moment, with the attitude between the two about it."""
         for at, place, velocity in reversed(self._positions):
             for (before, q0), (after, q1) in zip(
@@ -273,29 +284,25 @@ class Link:
                     share = (at - before) / max(after - before, 1)
                     q = (1.0 - share) * q0 + share * (q1 if q0 @ q1 >= 0.0 else -q1)
                     return self._nav(at * 1_000_000, place, q, velocity, None, of_body=False)
-        return None
+        return "half"
 
     def _nav(
         self, at_ns: int, place: Array, q: Array, velocity: Array, upper: Array | None,
         *, of_body: bool,
-    ) -> Nav | None:  # fmt: skip
-        """By this computer's clock and in the map; None while either is not known, or if it is no
-        pose, which is counted."""
+    ) -> Nav | str:  # fmt: skip
+        """By this computer's clock and in the map; or why it is no pose."""
         offset, length = self.remote.offset_ns, float(np.linalg.norm(q))
         if offset is None:
-            return None
-        stamp, wrong = at_ns + offset, ""
+            return "clock"
+        stamp = at_ns + offset
         if not (np.abs(place) <= MOST_HEIGHT).all() or (np.abs(velocity) > MOST_HEIGHT).any():
-            wrong = "position"
-        elif not abs(length - 1.0) < 0.05:
-            wrong = "attitude"
-        elif not 0 <= stamp < MOST_NS:
-            wrong = "stamp"
-        elif 0 <= self._newest - stamp < 1_000_000_000:  # the offset has just become better known
-            wrong = "order"
-        if wrong:
-            self.refused[wrong] += 1
-            return None
+            return "position"
+        if not abs(length - 1.0) < 0.05:
+            return "attitude"
+        if not 0 <= stamp < MOST_NS:
+            return "stamp"
+        if 0 <= self._newest - stamp < 1_000_000_000:  # the offset has just become better known
+            return "order"
         self._newest = stamp
         turned = attitude(q / length)
         if of_body:

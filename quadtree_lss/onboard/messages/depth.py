@@ -23,6 +23,8 @@ STEEP = 4.0
 from 14 degrees over it."""
 JUMP = 4.0
 """And in deviations of the noise."""
+SHORTEST, FARTHEST = 1.0, 1e7
+"""Focal length of a camera, px, at least, and what that and the axis' place are at most."""
 LEAST_PIXELS = 1e-3
 """An undone distortion is off by less, px."""
 
@@ -46,17 +48,18 @@ class DepthCamera:
 
     def on_info(self, info: Any) -> str:
         """Takes a ``CameraInfo``; what is to be told of it, empty if nothing is. Raises
-        `MessageError`: ``camera_info``, it is none of a pinhole camera."""
+        `MessageError`: ``focal_length`` or ``distortion``, it is none of a pinhole camera."""
         k, p = (np.array(given, dtype=np.float64) for given in (info.k, info.p))
         d = np.array(info.d, dtype=np.float64)
         raw = self._lidar.depth_raw
         f = p[[0, 5, 2, 6]] if p[0] > 0.0 and not raw else k[[0, 4, 2, 5]]
         model = str(info.distortion_model)
-        if not (np.isfinite(f).all() and (f[:2] > 0.0).all()):
-            raise MessageError("camera_info", f"camera_info has no focal lengths: {f[:2].tolist()}")
+        if not ((np.abs(f) <= FARTHEST).all() and (f[:2] >= SHORTEST).all()):
+            text = f"camera_info has no focal length or axis of a camera: {f.tolist()} px"
+            raise MessageError("focal_length", text)
         if raw and d.any() and (model != "plumb_bob" or d.size > 5 or not np.isfinite(d).all()):
             text = f"camera_info has the distortion {model} of {d.size} numbers; plumb_bob of 5 is"
-            raise MessageError("camera_info", text + " known (or rectify, lidar.depth_raw false)")
+            raise MessageError("distortion", text + " known (or rectify, lidar.depth_raw false)")
         key = (*f.tolist(), *(d.tolist() if raw else ()), int(info.width), int(info.height))
         if key == self._key:
             return ""
@@ -91,8 +94,8 @@ class DepthCamera:
         if self._rays is None:
             self._rays = self._look(height, width, step)
         z = np.asarray(whole[step // 2 :: step, step // 2 :: step], dtype=np.float32)
-        z = z * np.float32(unit)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):  # numbers may be any
+            z = z * np.float32(unit)
             z[~((z > 0.0) & (z < np.inf))] = np.nan
             most = STEEP * z / np.float32(f[0])
             most += JUMP * (self._lidar.range_noise + self._lidar.stereo * z * z)
@@ -109,7 +112,8 @@ class DepthCamera:
         self.edges = int(np.count_nonzero(flying))
         z[flying] = np.nan
         points = np.empty((*z.shape, 3), dtype=np.float32)
-        np.multiply(self._rays, z[..., None], out=points[..., :2])
+        with np.errstate(over="ignore"):
+            np.multiply(self._rays, z[..., None], out=points[..., :2])
         points[..., 2] = z
         return points
 

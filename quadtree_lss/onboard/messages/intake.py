@@ -195,7 +195,7 @@ class Intake:
             if text := self.camera.on_info(msg):
                 self._notices.append(Notice("focal_length", text))
         except MessageError as error:
-            self.reject("cloud", error)
+            self.reject("camera_info", error)
 
     def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
         """Takes a ``PointCloud2``, or a depth ``Image``; ``arrival_ns`` is of any steady clock, see

@@ -12,7 +12,7 @@ from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.polygons import FARTHEST
 from quadtree_lss.onboard.core.landing.target import Motion
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.poses import check_frame
+from quadtree_lss.onboard.messages.poses import MAX_COVARIANCE, check_frame
 
 AREA, KEEP_OUT, TARGET, DISPERSION = "area", "keep_out", "target", "dispersion"
 KEEP_OUTS = "keep_outs"
@@ -93,6 +93,20 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
     x, y, z, w = (float(of) for of in (q.x, q.y, q.z, q.w))
     turned = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return np.append(np.sqrt(variance), turned if known and np.isfinite(turned) else [])
+
+
+def prior_from_message(msg: Any, map_frame: str) -> Array:
+    """(9,) of ``map/prior``: x, y, z, m, NaN where the prior is not used any more, and the upper
+    triangle of their covariance, m^2. Raises `MessageError`: with reason ``frame`` or ``prior``."""
+    check_frame(msg.header.frame_id, map_frame, "map/prior")
+    at, covariance = msg.pose.pose.position, np.asarray(msg.pose.covariance, dtype=np.float64)
+    place = np.array([at.x, at.y, at.z], dtype=np.float64)
+    upper = covariance[[0, 1, 2, 7, 8, 14]] if covariance.size == 36 else np.full(6, np.nan)
+    sound = np.isnan(place).all() or (np.abs(place) <= FARTHEST).all()
+    if not (sound and (np.abs(upper) <= MAX_COVARIANCE).all() and (upper[[0, 3, 5]] >= 0.0).all()):
+        text = f"map/prior ({at.x:g}, {at.y:g}, {at.z:g}) or its covariance is not of this world"
+        raise MessageError("prior", text)
+    return np.concatenate([place, upper])
 
 
 DECODE = {
@@ -202,13 +216,14 @@ class Navigation:
         self._vehicle: Motion | None = None
         self._from = (0, np.full(3, np.nan))
 
-    def take(self, msg: Any) -> None:
-        """A ``PoseWithCovarianceStamped`` or ``Odometry``; what is no height is passed over."""
+    def take(self, msg: Any) -> bool:
+        """A ``PoseWithCovarianceStamped`` or ``Odometry``; what is no height is passed over.
+        Whether it was taken."""
         at = msg.pose.pose.position
         place = np.array([at.x, at.y, at.z], dtype=np.float64)
         now = 10**9 * msg.header.stamp.sec + msg.header.stamp.nanosec
         if not (np.abs(place) <= FARTHEST).all():
-            return
+            return False
         x, y, z = place.tolist()
         self._frame = str(msg.header.frame_id).lstrip("/")
         seconds = 1e-9 * (now - self._from[0])
@@ -220,6 +235,7 @@ class Navigation:
             self._from = now, place
         elif self._vehicle is not None:
             self._vehicle = self._vehicle._replace(z=z, x=x, y=y)
+        return True
 
     def vehicle(self, frame: str) -> Motion | None:
         """In a frame; None if nobody knows."""

@@ -8,7 +8,7 @@ that what was rounded on the way to the wire was rounded for both.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -268,17 +268,15 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
 
 
 def encode_status(
-    assessment: LandingAssessment, age: float, prior: Any = None
+    assessment: LandingAssessment, age: float, prior: Array | None = None
 ) -> tuple[NDArray[np.void], tuple[tuple[str, str], ...]]:
     """The one record (1,) and its fields. ``assessment``: the answer. ``age``: of its map when it
-    is sent, s; NaN if unknown. ``prior``: the last of ``map/prior``, None without."""
+    is sent, s; NaN if unknown. ``prior``: (9,) of `prior_from_message`, None without."""
     selected = assessment.selected
     fields = STATUS_FIELDS if prior is None else PRIOR_STATUS_FIELDS
     out = np.zeros(1, dtype=record_dtype(fields))
     if prior is not None:
-        at, covariance = prior.pose.pose.position, prior.pose.covariance
-        values = at.x, at.y, at.z, *(covariance[k] for k in (0, 1, 2, 7, 8, 14))
-        for (name, _), value in zip(_OF_PRIOR, values, strict=True):
+        for (name, _), value in zip(_OF_PRIOR, prior, strict=True):
             out[name] = value
     for axis, name in enumerate("xyz"):
         out[name] = selected.position[axis]

@@ -21,7 +21,9 @@ from quadtree_lss.onboard.messages.maps import (
     CELL_FIELDS,
     CELL_FIELDS_BEFORE,
     POINT_FIELD_TYPES,
+    PRIOR_STATUS_FIELDS,
     SITE_FIELDS,
+    STATUS_FIELDS,
     decode_cells,
     decode_observed,
     encode_cells,
@@ -110,6 +112,17 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
     return np.frombuffer(cloud.data, dtype=kinds)
 
 
+def status_from_message(cloud: Any) -> np.void:
+    """The one record of ``landing/status``, with a prior or without. Raises `MessageError`: it has
+    another layout, or is not one (``layout``)."""
+    plain = len(cloud.fields) == len(STATUS_FIELDS)
+    records = cloud_records(cloud, STATUS_FIELDS if plain else PRIOR_STATUS_FIELDS)
+    if len(records) != 1:
+        raise MessageError("layout", f"{STATUS} has {len(records)} points; it is of one")
+    record: np.void = records[0]
+    return record
+
+
 def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> CellMap:
     """The map of one stamp from ``map/cells`` and ``map/observed``. ``cloud``, ``grid``: the
     messages. ``lss``: how landing will be judged on it: a map too large for that is refused before
@@ -157,7 +170,7 @@ class MessageMaker:
         yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
 
     def of_landing(
-        self, assessment: LandingAssessment, age: float = float("nan"), prior: Any = None
+        self, assessment: LandingAssessment, age: float = float("nan"), prior: Array | None = None
     ) -> Iterator[Named]:
         """The ``landing/`` topics, target first."""
         yield from self.of_target(assessment, age, prior)
@@ -215,10 +228,10 @@ class MessageMaker:
         return self._make("std_msgs/msg/Float32MultiArray", layout=layout, data=self._pack(turned))
 
     def of_target(
-        self, assessment: LandingAssessment, age: float, prior: Any = None
+        self, assessment: LandingAssessment, age: float, prior: Array | None = None
     ) -> Iterator[Named]:
         """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown;
-        ``prior``: the last of ``map/prior``, None without."""
+        ``prior``: (9,) as of `prior_from_message`, None without."""
         yield SELECTED, self.selected(assessment)
         yield STATUS, self.cloud(*encode_status(assessment, age, prior), assessment.stamp_ns)
 

@@ -32,16 +32,23 @@ from quadtree_lss.onboard.autopilot.landing import (
     Order,
     Seen,
     Target,
+    target_of,
 )
 from quadtree_lss.onboard.autopilot.link import PX4, Link
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
-from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.maps import PRIOR_STATUS_FIELDS, STATUS_FIELDS
-from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, cloud_records
-from quadtree_lss.onboard.messages.poses import MAX_POSITION
-from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Problems, Status
+from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_message
+from quadtree_lss.onboard.messages.poses import check_frame
+from quadtree_lss.onboard.nodes.diagnostics import (
+    ERROR,
+    OK,
+    WARN,
+    Diagnostics,
+    Problems,
+    Status,
+    Waiting,
+)
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
@@ -52,7 +59,6 @@ ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion
 STATE = "landing/autopilot"
 POLL_S, STEP_S = 0.01, 0.1
 CORNERS = 24
-REASONS = {int(reason): reason.key for reason in Reason}
 LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
 
 
@@ -68,6 +74,7 @@ class AutopilotNode(Node):
         self._now: Callable[[], float] = time.monotonic
         if self.get_parameter("use_sim_time").value:  # a simulator may be slower than its time
             self._now = lambda: 1e-9 * self._clock_ns()
+        self._waiting = Waiting(self.get_logger())
         self._link = Link(link.connection, link.baud, self._clock_ns, self._now)
         self._landing, self._jumps = Landing(link), Jumps()
         self._nav: Nav | None = None
@@ -111,17 +118,16 @@ class AutopilotNode(Node):
 
     def _on_selected(self, message: Any) -> None:
         place = message.pose.pose.position
-        frame = self._settings.config.frames.map
-        if message.header.frame_id.lstrip("/") != frame.lstrip("/"):
-            self._problems.report("target_frame", f"target in '{message.header.frame_id}': ignored")
+        try:
+            check_frame(message.header.frame_id, self._frame, SELECTED)
+        except MessageError as error:
+            self._problems.report("target_frame", f"{error}: ignored")
             return
         self._selected = (self._now(), np.array([place.x, place.y, place.z]))
 
     def _on_status(self, message: Any) -> None:
         try:
-            plain = len(message.fields) == len(STATUS_FIELDS)
-            fields = STATUS_FIELDS if plain else PRIOR_STATUS_FIELDS
-            self._status = (self._now(), cloud_records(message, fields)[0])
+            self._status = (self._now(), status_from_message(message))
         except MessageError as error:
             self._problems.report("status_layout", str(error))
 
@@ -132,14 +138,7 @@ class AutopilotNode(Node):
         if self._sources.number > 1:
             return None, f"{self._sources.number} nodes send landing/selected"
         (at, place), (told_at, status) = self._selected, self._status
-        age = now - min(at, told_at)
-        offset = float(status["offset_z"])
-        place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
-        if not (np.abs(place) <= MAX_POSITION).all():
-            return None, f"there is no target: {REASONS.get(int(status['reason']), 'unknown')}"
-        # Who has to land now, lands by the map that there is.
-        map_age = 0.0 if status["state"] == State.NOW else float(status["age"]) + now - told_at
-        return Target(place, age, map_age), ""
+        return target_of(place, status, now - min(at, told_at), now - told_at)
 
     def _poll(self) -> None:
         for nav in self._link.poll():
@@ -166,6 +165,7 @@ class AutopilotNode(Node):
 
     def _step(self) -> None:
         now, link, nav = self._now(), self._link, self._nav
+        self._waiting.tell(self._lacks())
         if nav is None:
             text = "no heartbeat yet" if link.kind is None else "no pose of the autopilot yet"
             self._tell(Order(PILOT, text, None, None))
@@ -189,6 +189,17 @@ class AutopilotNode(Node):
         if order.state != began:
             self._on_change(order, nav)
         self._tell(order)
+
+    def _lacks(self) -> str:
+        """What there is not yet of all that a landing takes, empty after it came."""
+        if self._link.kind is None:
+            connection = self._settings.config.autopilot.connection
+            return f"the heartbeat of an autopilot on {connection}"
+        if self._nav is None:
+            return "a pose of the autopilot"
+        if self._selected is None or self._status is None:
+            return f"{SELECTED} and {STATUS} (publishers known: {self._sources.number})"
+        return ""
 
     def _on_change(self, order: Order, nav: Nav) -> None:
         """A line for the log and the pilot; what lss_node is to know; motors off once down."""
@@ -255,9 +266,12 @@ class AutopilotNode(Node):
 
     def _collect(self, status: Status) -> None:
         status.note(LEVELS.get(self._order.state, OK), f"{self._order.state}: {self._order.text}")
+        if lack := self._lacks():
+            status.note(WARN, f"waiting for {lack}")
         heard = self._now() - self._link.heard
         status.add({"autopilot.kind": {None: "none", PX4: "px4"}.get(self._link.kind, "ardupilot")})
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
+        status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
         if heard > self._settings.config.autopilot.max_heartbeat_age:
             connection = self._settings.config.autopilot.connection

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from importlib import import_module
@@ -52,6 +53,45 @@ class StopOnSignal:
             raise KeyboardInterrupt
 
 
+class Starting:
+    """Says what a node that starts is at, as long as it has no log of its own: after five seconds,
+    then each time after twice as long.
+
+    Args:
+        name: Of the node.
+
+    Attributes:
+        at: What it waits for at present.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.at, self._name = "its modules", name
+        self._over = threading.Event()
+        threading.Thread(target=self._say, daemon=True).start()
+
+    def _say(self) -> None:
+        period = 5.0
+        while not self._over.wait(period):
+            head = f"[WARN] [{time.time():.9f}] [{self._name}]"
+            print(f"{head}: starting, waiting for {self.at}", file=sys.stderr, flush=True)
+            period *= 2.0
+
+    def done(self) -> None:
+        """The node speaks for itself."""
+        self._over.set()
+
+
+_starting: list[Starting] = []
+
+
+def waits_for(what: str) -> None:
+    """What the node of this process is at while it starts; empty once it has."""
+    for starting in _starting:
+        starting.at = what
+        if not what:
+            starting.done()
+
+
 _early: list[StopOnSignal] = []
 
 
@@ -77,6 +117,7 @@ def autopilot_node() -> int:
 
 def _run(name: str) -> int:
     _early.append(StopOnSignal())
+    _starting.append(Starting(name))
     try:
         main: Callable[[], int] = import_module(f"quadtree_lss.onboard.nodes.{name}").main
     except QuadtreeLssError as error:  # the core is not compiled, or of other sources
@@ -85,5 +126,6 @@ def _run(name: str) -> int:
     try:
         return main()
     finally:  # Python ends, and gives signals back that would kill it on its way
+        waits_for("")
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)

@@ -29,6 +29,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Waiting,
     failure,
 )
+from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
@@ -100,7 +101,9 @@ class LssNode(Node):
             )
         }
         prior = bool(config.prior.file)
-        self._target = TargetOutput(self, self._age, self._release, self._land_now, prior=prior)
+        self._target = TargetOutput(
+            self, self._problems, self._age, self._release, self._land_now, prior=prior
+        )
         self._markers = MarkerPublisher(
             self,
             advertise(self, MarkerArray, "landing/markers", latched()),
@@ -113,6 +116,7 @@ class LssNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
         # This takes a while to load, in which the middleware already finds mapping_node.
+        waits_for("what judges landing")
         from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
         self._selector = LandingSiteSelector(config)
@@ -163,7 +167,7 @@ class LssNode(Node):
     def _look_around(self) -> None:
         """Withdraws the sites when the map has become too old; says what it waits for; ends the
         wait for a target."""
-        self._waiting.tell(self._lacks())
+        self._waiting.tell(self._lacks() or self._why_none())
         if self._result is None:
             return
         if self._withhold() != self._withheld:
@@ -184,6 +188,12 @@ class LssNode(Node):
             number = self._map_publishers.number
             return f"{lack} (publishers known on '{self._map_topic}': {number})"
         return " and ".join(f"landing/{name}" for name in self._inputs.unheard())
+
+    def _why_none(self) -> str:
+        """Why no site was given out yet, though there are answers."""
+        if self._first_told or self._result is None:
+            return ""
+        return f"the first site: {self._withhold() or self._failed or self._result.explanation}"
 
     def _assess(self) -> None:
         self._map.take()

@@ -44,6 +44,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Waiting,
     failure,
 )
+from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import WhenWanted, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
@@ -81,6 +82,8 @@ class MappingNode(Node):
         config = self._settings.config
         self._frame = config.frames.map
         self._problems = Problems(self.get_logger())
+        if config.prior.file:
+            waits_for(f"prior.file {config.prior.file}")
         prior = node_prior(config, self._problems)
         self._mapper = Mapper(config, prior)
         self._prior = PriorOutput(self, config, prior, self._mapper)
@@ -126,6 +129,7 @@ class MappingNode(Node):
         self._waiting, self._failed = Waiting(self.get_logger()), ""
         self._checkpoints: Checkpoints | None = None
         if config.checkpoint.path:
+            waits_for(f"checkpoint.path {config.checkpoint.path}")
             self._checkpoints = Checkpoints(Path(config.checkpoint.path), config.files.root)
             self._take_up_checkpoint(self._checkpoints)
         self._map_services = MapServices(
@@ -239,8 +243,7 @@ class MappingNode(Node):
         """What is due though nothing arrives that wakes the node."""
         self._take_ahead()
         self._work()
-        if not self._scans:
-            self._waiting.tell(self._lacks())
+        self._waiting.tell(self._lacks())
         if self._checkpoints is not None:
             interval = self._settings.config.checkpoint.interval
             error = self._checkpoints.work(self._mapper, interval)
@@ -248,14 +251,19 @@ class MappingNode(Node):
                 self._problems.report("checkpoint", error)
 
     def _lacks(self) -> str:
-        """What the first scan to be mapped takes and has not come."""
-        topics = [self._topics[SCANS], self._topics[POSES]]
-        lack = [
-            f"'{topic}' (publishers known: {self.count_publishers(topic)})"
-            for topic, what in zip(topics, ("scan", "pose"), strict=True)
-            if not self._arrived[what].count
-        ]
-        return " and ".join(lack)
+        """What the first scan to be mapped takes and has not come, empty after it."""
+        if self._scans:
+            return ""
+        topics = {"scan": SCANS, "pose": POSES, "gimbal": GIMBAL}
+        silent = [self._topics[topics[what]] for what, of in self._arrived.items() if not of.count]
+        if silent:
+            known = [
+                f"'{name}' (publishers known: {self.count_publishers(name)})" for name in silent
+            ]
+            return " and ".join(known)
+        gone = [f"{n} dropped: {why}" for why, n in self._intake.dropped.items() if n]
+        waiting = f"{len(self._intake.queue)} wait for a pose at their stamp"
+        return f"a scan that can be mapped ({', '.join([waiting, *gone])})"
 
     def _work(self) -> None:
         """Map every scan whose pose is there; say what could not be used."""
@@ -385,6 +393,8 @@ class MappingNode(Node):
             status.note(ERROR, self._failed)
         if report is None:
             status.note(OK, "no scan mapped since the start, a reset or load")
+            if lack := self._lacks():
+                status.note(WARN, f"waiting for {lack}")
             return
         status.note(OK, f"mapping, {self._mapper.leaves.count} leaves")
         status.add(

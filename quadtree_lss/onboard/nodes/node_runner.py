@@ -23,7 +23,7 @@ from quadtree_lss import build
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, ConfigError, parameters, values_from_config
 from quadtree_lss.onboard.errors import QuadtreeLssError
-from quadtree_lss.onboard.nodes.entry import stop_on_signal
+from quadtree_lss.onboard.nodes.entry import stop_on_signal, waits_for
 from quadtree_lss.onboard.nodes.executor import OneNodeExecutor
 
 ARGUMENT_ERRORS = (
@@ -88,10 +88,12 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
     stop = stop_on_signal()
     if stop.asked:
         return 0
+    waits_for("ROS and its middleware")
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except ARGUMENT_ERRORS as error:
         return _wrong_arguments(error)
+    waits_for("its parameters and topics")
     try:
         node = _made(make_node)
         executor = OneNodeExecutor()
@@ -169,6 +171,7 @@ def announce(node: Node, config: Config) -> None:
         f"takes {topics_text(node.subscriptions)}",
         f"sends {topics_text(node.publishers)}",
     )
+    waits_for("")
     node.get_logger().info("; ".join(parts))
 
 

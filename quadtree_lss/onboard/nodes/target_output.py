@@ -14,9 +14,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
+from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.limits import LONGEST
 from quadtree_lss.onboard.core.landing.target import WAIT_S
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
 from quadtree_lss.onboard.messages.outputs import PRIOR, SELECTED, STATUS
+from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, subscribe, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
@@ -26,7 +30,8 @@ if TYPE_CHECKING:
 
 class TargetOutput:
     """Publishes the target with every assessment, and between them while there is no new one.
-    ``node``: owner; a change of the target goes to its log. ``age``: age of a map by its stamp, s;
+    ``node``: owner; a change of the target goes to its log, what cannot be used to ``problems``.
+    ``age``: age of a map by its stamp, s;
     NaN if unknown. ``release``, ``land_now``: called when somebody asks for another target, or for
     the best within reach, which is then assessed and sent before the call returns. ``prior``:
     there is one, of which ``map/prior`` tells."""
@@ -34,6 +39,7 @@ class TargetOutput:
     def __init__(
         self,
         node: Node,
+        problems: Problems,
         age: Callable[[int], float],
         release: Callable[[], None],
         land_now: Callable[[], None],
@@ -41,13 +47,14 @@ class TargetOutput:
         prior: bool,
     ) -> None:
         self._logger, self._age, self._release = node.get_logger(), age, release
+        self._problems = problems
         self._land_now, self._urgent = land_now, False
         self._publishers = {
             SELECTED: advertise(node, PoseWithCovarianceStamped, SELECTED, target()),
             STATUS: advertise(node, PointCloud2, STATUS, latched()),
         }
         self._result: LandingAssessment | None = None
-        self._prior: PoseWithCovarianceStamped | None = None
+        self._prior: Array | None = None
         if prior:
             subscribe(node, PoseWithCovarianceStamped, PRIOR, self._on_prior, latched())
         self._chosen = False
@@ -101,7 +108,12 @@ class TargetOutput:
                 self._publishers[topic].publish(message)
 
     def _on_prior(self, message: PoseWithCovarianceStamped) -> None:
-        self._prior = message
+        """By the map's frame, where that is known: the two nodes' may be given apart."""
+        try:
+            frame = self._frame or message.header.frame_id
+            self._prior = prior_from_message(message, frame)
+        except MessageError as error:
+            self._problems.report(f"prior_{error.reason}", str(error))
 
     def _log_change(self, result: LandingAssessment) -> None:
         """A line of the log where the target is another one than before."""

@@ -16,6 +16,8 @@ from quadtree_lss.onboard.arrays import Array
 #: Heights and lengths of a map are less than this, m, and its other figures than this: squares
 #: are numbers then, in a message's single precision, too.
 MOST_HEIGHT, MOST = 1e7, 1e18
+#: Of what a map keeps: returns in a leaf lie beside its plane.
+HEIGHTS = 0.95 * MOST_HEIGHT
 
 
 @cython.ccall

@@ -25,6 +25,8 @@ if not cython.compiled:
 MIN_UP = cython.declare(cython.double, 0.25)
 #: Variance that round-off leaves at least, rad^2 and m^2.
 SURE = cython.declare(cython.double, 1e-12)
+#: Square of a correlation that is not of rounding alone.
+OFF = cython.declare(cython.double, 1.02)
 #: Information on a slope that a fit has at least, rad^-2.
 LEAST = cython.declare(cython.double, 1e-2)
 
@@ -115,6 +117,23 @@ def shift_origin(c: Vector, first: float, second: float) -> None:
     c[8] += first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
     c[2] = c[6] = c[2] - x
     c[5] = c[7] = c[5] - y
+
+
+def keep_possible(c: Vector) -> None:
+    """Covariance (9) in place: what rounding made impossible has nothing in common any more.
+
+    Planes that lie 1e5 m and more apart are fused about a place so far away that little is left.
+    """
+    cython.declare(i=cython.int)
+    xy, xz, yz = c[1] * c[1], c[2] * c[2], c[5] * c[5]
+    x, y, z = c[0], c[4], c[8]
+    whole = x * y * z + 2.0 * c[1] * c[2] * c[5] - x * yz - y * xz - z * xy
+    if xy > OFF * x * y or xz > OFF * x * z or yz > OFF * y * z or whole < (1.0 - OFF) * x * y * z:
+        for i in range(1, 8):
+            if i != 4:
+                c[i] = 0.0
+        for i in range(3):
+            c[4 * i] = max(c[4 * i], 0.0)
 
 
 def offset_variance(c: Vector, first: float, second: float) -> cython.double:
@@ -470,4 +489,6 @@ def fuse(
             for k in range(3):
                 prior_range[3 * i + k] = prior_range[3 * k + i] = 0.0
             prior_range[4 * i] = SURE
+    keep_possible(prior_range)
+    keep_possible(prior_pose)
     out_rise[0] = rise

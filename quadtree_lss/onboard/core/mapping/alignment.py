@@ -14,6 +14,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
 from quadtree_lss.onboard.core.mapping.departure import BEYOND, FLOOR, Departure
 
 if cython.compiled:
@@ -39,6 +40,8 @@ JUMP = 3.0
 LEAST_LIFT = 5e-4
 #: What a single scan counts as, s.
 INSTANT = cython.declare(cython.double, 1e-3)
+#: A plane is higher or lower at no cell's centre, m.
+HIGHEST = cython.declare(cython.double, HEIGHTS)
 #: Cells seen before that a scan needs to be moved.
 MIN_CELLS = 3
 
@@ -180,3 +183,5 @@ def lift(table: LeafTable, height: float, since: float) -> None:
             leaf[row].z += rise
             leaf[row].low += rise
             leaf[row].high += rise
+            if not fabs(leaf[row].z) < HIGHEST:
+                table.forget(table.at(row))

@@ -6,7 +6,7 @@ from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge
 from quadtree_lss.onboard.core.mapping.features cimport Heights, update_feature
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, measure, partial, pose_variance, record
 from quadtree_lss.onboard.core.mapping.residuals cimport departs, rest, standing_out
-from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable, clear
+from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
 
 cdef void know(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end) noexcept nogil
 

@@ -7,6 +7,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys
+from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
 from quadtree_lss.onboard.core.mapping.features import Heights
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
@@ -21,7 +22,6 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.mapping.features import update_feature
     from quadtree_lss.onboard.core.mapping.measure import measure, partial, pose_variance, record
     from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
-    from quadtree_lss.onboard.core.tree.leaves import clear
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
     SEEN, KNOWN, OUT = 1, 2, 3
@@ -45,6 +45,8 @@ CONTRADICTING = cython.declare(cython.double, 30.0)
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 #: A first plane so many deviations from that of a prior does not begin from it.
 BEGINNING = cython.declare(cython.double, 3.0)
+#: A plane is higher or lower at no cell's centre, m.
+HIGHEST = cython.declare(cython.double, HEIGHTS)
 #: A leaf begins from nothing.
 NO_PRIOR = np.empty((0, 5))
 
@@ -430,12 +432,7 @@ class ScanUpdate:
             if leaf.points > 0.0:
                 self._mark(begin, end, SEEN)
                 return
-            clear(leaf)
-            self.table.unknow(leaf)
-            leaf.low, leaf.high = INFINITE, -INFINITE
-            leaf.known = NOTHING
-            leaf.normal[0] = leaf.normal[1] = 0.0
-            leaf.normal[2] = 1.0
+            self.table.forget(leaf)
         fresh: cython.bint = leaf.known <= HINTS
         if fresh and run.sloped == 0.0:
             seen = 1.0 - run.unseen
@@ -461,6 +458,10 @@ class ScanUpdate:
         judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
         x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
         self._fuse(leaf, run, same_scan)
+        if not fabs(leaf.z) < HIGHEST:  # planes of places far above each other lead anywhere
+            self.table.forget(leaf)
+            self._mark(begin, end, SEEN)
+            return
         moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(
             leaf.normal[1] / leaf.normal[2] - y
         )

@@ -26,15 +26,19 @@ FORMAT = 5
 """Goes up whenever the arrays of `Mapper.export_state` change their meaning."""
 
 ROUNDING = 1e-6
-"""By how much a correlation may be off by rounding."""
-TINY = 1e-30
-"""In place of a variance that is zero: what is correlated with it is no rounding."""
+"""By how much a share may be off by rounding."""
+CORRELATION_ROUNDING = 0.05
+"""And the square of a correlation: poses may claim 10^18 times what range noise does, and what both
+told is fused as one (`geometry.plane.keep_possible`)."""
+SURE = 1e-12
+"""Variance that rounding leaves (`geometry.plane`), rad^2 and m^2."""
 
 MOST_NS = 2**31 * 10**9
 """Stamps of messages end there."""
-MOST_OWED = 1e-3
-"""The map is lifted by more than half of this at once, m (`mapping.alignment.LEAST_LIFT`)."""
-MOST_TURN = 1e3
+MOST_OWED = 1.0
+"""The map is lifted by more than a sixth of this at once, m (`mapping.alignment.LEAST_LIFT` of the
+highest vehicle)."""
+MOST_TURN = 1e6
 """What noise may turn and lift a fit by (`LEAF`), rad and m."""
 NEVER_NEGATIVE = frozenset(
     "points distance_sum noise_sum exception_sum exception_noise raised_sum raised_noise"
@@ -131,11 +135,12 @@ def check(
         raise CheckpointError(msg)
     height, variance = state["offset"].tolist()
     none = math.isnan(height) and math.isnan(variance)
-    if not none and not (abs(height) < 0.5 * MOST_HEIGHT and 0.0 <= variance < MOST):
+    if not none and not (abs(height) < MOST_HEIGHT and 0.0 <= variance < MOST):
         msg = "has an impossible offset from navigation"
         raise CheckpointError(msg)
     refused, height, variance = state["against"].tolist()
-    sound = abs(height) < MOST_HEIGHT and 0.0 <= variance < MOST and 0.0 <= refused < MOST
+    sound = abs(height) < 2.0 * MOST_HEIGHT  # of one place over another
+    sound &= 0.0 <= variance < MOST and 0.0 <= refused < MOST
     sound &= abs(float(state["owed"])) < MOST_OWED
     sound &= all(0 <= int(state[name]) < MOST_NS for name in ("stamp_ns", "start_ns"))
     ratio = float(state["noise_ratio"])
@@ -163,7 +168,8 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     whole &= sound_planes(planes["z"], planes["normal"], parts, planes["feature"]).all()
     for name in LEAF.names or ():
         if LEAF[name].base.kind == "f" and name not in {"low", "high", "feature"}:
-            whole &= (np.abs(leaves[name]) < MOST).all()
+            most = MOST**2 if name == "feature_information" else MOST
+            whole &= (np.abs(leaves[name]) < most).all()
         if name in NEVER_NEGATIVE:
             whole &= (leaves[name] >= 0.0).all()
     whole &= (leaves["exception_sum"] <= leaves["residuals"] * (1.0 + ROUNDING)).all()
@@ -186,18 +192,14 @@ def _covariances(planes: NDArray[Any]) -> bool:
     """
     for name in ("range_part", "pose_part"):
         covariance = planes[name].reshape(-1, 3, 3)
-        variance = covariance.diagonal(axis1=1, axis2=2)
-        deviation = np.sqrt(np.maximum(variance, TINY))
+        deviation = np.sqrt(covariance.diagonal(axis1=1, axis2=2) + SURE)
         correlation = covariance / (deviation[:, :, None] * deviation[:, None, :])
-        if not (np.abs(correlation) <= 1.0 + ROUNDING).all():
-            return False
         # No principal minor is negative, nor NaN.
-        u, v, w = np.sign(variance).T
         a, b, c = correlation[:, 0, 1], correlation[:, 0, 2], correlation[:, 1, 2]
-        minors = [u, v, w, u * v - a * a, u * w - b * b, v * w - c * c]
-        minors.append(u * minors[5] - a * (a * w - b * c) + b * (a * c - b * v))
+        minors = [1.0 - a * a, 1.0 - b * b, 1.0 - c * c]
+        minors.append(minors[0] - b * b - c * c + 2.0 * a * b * c)
         skew = np.abs(correlation - correlation.transpose(0, 2, 1))
-        if not all((minor >= -ROUNDING).all() for minor in [*minors, -skew]):
+        if not all((minor >= -CORRELATION_ROUNDING).all() for minor in [*minors, -skew]):
             return False
     return True
 

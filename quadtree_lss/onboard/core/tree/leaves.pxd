@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport NAN, fabs
+from libc.math cimport INFINITY as INFINITE, NAN, fabs
 from quadtree_lss.onboard.core.geometry.morton cimport encode
 from quadtree_lss.onboard.core.geometry.plane cimport shift_origin
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
@@ -73,6 +73,7 @@ cdef class LeafTable:
     cdef double side(self, int level) noexcept nogil
     cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
     cdef void unknow(self, Leaf* leaf) noexcept nogil
+    cdef void forget(self, Leaf* leaf) noexcept nogil
     cdef bint _stands_out(self, int level, int ix, int iy) noexcept nogil
     cdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread) noexcept nogil
     cpdef reserve(self, Py_ssize_t more)

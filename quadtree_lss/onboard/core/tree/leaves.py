@@ -26,6 +26,7 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
 
     NAN = float("nan")
+    INFINITE = float("inf")
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
     SEEN, KNOWN, OUT = 1, 2, 3
 
@@ -309,6 +310,15 @@ class LeafTable:
         for code in range(first, first + (1 << down)):
             if self.seen[code] > SEEN:
                 self.seen[code] = SEEN
+
+    def forget(self, leaf: Record) -> None:
+        """Nothing is known of a leaf, nor of the finest cells under it; seen they were."""
+        clear(leaf)
+        self.unknow(leaf)
+        leaf.known = NOTHING
+        leaf.low, leaf.high = INFINITE, -INFINITE
+        leaf.z = leaf.normal[0] = leaf.normal[1] = 0.0
+        leaf.normal[2] = 1.0
 
     def make_room_and_divide(
         self, row: int, square: float, tilt: float, spread: float = 0.0
