@@ -19,6 +19,7 @@ from core.kernels import minus
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 from quadtree_lss.onboard.core.geometry import rotations
+from quadtree_lss.onboard.core.geometry.feature import peak
 from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -190,6 +191,14 @@ def four_leaves(points: float = 0.0) -> LeafTable:
     return leaves
 
 
+def divide(
+    leaves: LeafTable, row: int, square: float = 0.0, tilt: float = 0.0, spread: float = 0.0
+) -> bool:
+    """Divide a leaf; its children inherit, as of `LeafTable.divide`."""
+    leaves.reserve(3)
+    return bool(leaves.divide(row, square, tilt, spread))
+
+
 def leaf_at(mapper: Mapper, x: float, y: float) -> np.record:
     """The leaf over a place, as it is kept."""
     leaves = mapper.leaves.rows[: mapper.leaves.count]
@@ -207,6 +216,12 @@ def elevation(cells: CellMap, x: Array, y: Array) -> Array:
     normal = cells.normal[leaf]
     run = normal[:, 0] * (x - cells.x[leaf]) + normal[:, 1] * (y - cells.y[leaf])
     return cells.z[leaf] - run / normal[:, 2]
+
+
+def feature_height(state: Array, x: Array, y: Array) -> Array:
+    """Eq. 57: height of features (..., 5) at x, y (...) about the cell's centre, A left out."""
+    square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2
+    return peak(state) * np.exp(-0.5 * square / state[..., 4] ** 2)
 
 
 def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Array:

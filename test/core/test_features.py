@@ -108,16 +108,6 @@ def test_k_squared_is_the_volume(height, sigma, gradient):
     np.testing.assert_allclose(state[[MU_X, MU_Y]], [0.3, -0.2], atol=0.02)
 
 
-def test_height_is_the_bell_and_integrates_to_the_volume():
-    state = np.array([0.7, 0.3, 0.2, -0.1, 0.25])
-    step = 0.01
-    x, y = np.meshgrid(*[np.arange(-2.0, 2.0, step)] * 2)
-    heights = bump.height(state, x, y)
-    assert heights.sum() * step**2 == pytest.approx(state[K] ** 2, rel=1e-6)
-    assert bump.height(state, 0.2, -0.1) == pytest.approx(bump.peak(state))
-    assert heights.max() == pytest.approx(bump.peak(state), rel=1e-2)
-
-
 def test_a_feature_stays_with_more_scans_and_is_one():
     config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
     radius, x0, y0 = hemispheres(11, 0.3, 0.4)

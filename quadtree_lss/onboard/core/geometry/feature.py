@@ -19,10 +19,3 @@ def peak(state: Array) -> Array:
     """Height of bumps over their surroundings, k^2 / (2 pi sigma^2): (..., 5) to (...), m."""
     out: Array = state[..., 1] ** 2 / (2.0 * np.pi * state[..., 4] ** 2)
     return out
-
-
-def height(state: Array, x: Array, y: Array) -> Array:
-    """Eq. 57: height of features (..., 5) at x, y (...) about the cell's centre, A left out."""
-    square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2
-    out: Array = peak(state) * np.exp(-0.5 * square / state[..., 4] ** 2)
-    return out

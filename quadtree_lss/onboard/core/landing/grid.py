@@ -24,12 +24,6 @@ TIE = 1e-5
 Kind = TypeVar("Kind", bound=np.generic)
 
 
-def grid_axis(low: float, size: float, spacing: float) -> Array:
-    """Grid points from ``low`` in steps of ``spacing`` up to the far edge, inclusive."""
-    count = int(np.floor(size / spacing + 1e-9)) + 1
-    return np.asarray(low + spacing * np.arange(count), dtype=np.float64)
-
-
 def best_points(
     score: Array,
     x: Array,
@@ -210,11 +204,13 @@ def probable_first(unsafe: Array, score: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def users_grid(domain: Domain, spacing: float) -> GridSampler:
-    """Grid points from the domain's south-western corner on in steps of ``spacing``, m.
+    """Grid points from the domain's south-western corner on in steps of ``spacing``, m, to the far
+    edges.
 
     Assessments share them: they cannot be written to.
     """
-    x, y = (grid_axis(low, domain.size, spacing) for low in (domain.xmin, domain.ymin))
+    steps = spacing * np.arange(int(np.floor(domain.size / spacing + 1e-9)) + 1)
+    x, y = domain.xmin + steps, domain.ymin + steps
     x.flags.writeable = y.flags.writeable = False
     return GridSampler(domain, x, y)
 

@@ -21,6 +21,7 @@ from quadtree_lss.onboard.core.landing.lattice import (
     ground_planes,
     grown,
     touching,
+    with_neighbours,
 )
 from quadtree_lss.onboard.core.landing.probability import RiskTable
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
@@ -85,12 +86,7 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     np.minimum(room, border[:, None], out=room)
     needed = (0.5 - SLACK) * lss.vehicle.diameter
     judged, inside = room >= needed, border >= needed
-    met = judged.copy()
-    met[1:] |= judged[:-1]
-    met[:-1] |= judged[1:]
-    met[:, 1:] |= judged[:, :-1]
-    met[:, :-1] |= judged[:, 1:]
-    met &= inside & inside[:, None]
+    met = with_neighbours(judged) & inside & inside[:, None]
     return Surroundings(planes, room, to_unmapped, judged, met)
 
 
