@@ -19,11 +19,10 @@ from core.kernels import minus
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 from quadtree_lss.onboard.core.geometry import rotations
-from quadtree_lss.onboard.core.geometry.feature import peak
 from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 Array = np.ndarray
@@ -75,6 +74,12 @@ def flat(height: float = 0.0) -> Surface:
 def slope(gradient_x: float, gradient_y: float, height: float = 0.0) -> Surface:
     """Tilted plane z = height + gradient_x x + gradient_y y."""
     return lambda x, y: height + gradient_x * x + gradient_y * y
+
+
+#: A slope, and its normal.
+GRADIENT = (0.12, -0.07)
+GROUND = slope(*GRADIENT, 30.0)
+NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
 
 
 def scattered(

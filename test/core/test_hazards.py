@@ -11,8 +11,8 @@ from core.builders import configured, feature_height, flat, mapped, strip, upwar
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 

@@ -86,13 +86,8 @@ class Arrivals:
         self._last = self._looked = time.monotonic()
         self._counted = 0
 
-    @staticmethod
-    def now() -> float:
-        """Present time, s, as `add` takes it."""
-        return time.monotonic()
-
     def add(self, at: float | None = None) -> None:
-        """One came just now, or at that time."""
+        """One came just now, or at that time of ``time.monotonic``."""
         self.count += 1
         self._last = time.monotonic() if at is None else at
 
@@ -123,23 +118,17 @@ class Durations:
 
     def __init__(self) -> None:
         self.last = 0.0
-        self._sum = self._worst = 0.0
-        self._count = 0
+        self._since: list[float] = []
 
     def add(self, milliseconds: float) -> None:
         """One more."""
         self.last = milliseconds
-        self._worst = milliseconds if self._count == 0 else max(self._worst, milliseconds)
-        self._sum += milliseconds
-        self._count += 1
+        self._since.append(milliseconds)
 
     def take(self) -> Span | None:
         """Mean and worst since the last call, None if there were none."""
-        if not self._count:
-            return None
-        span = Span(self._sum / self._count, self._worst)
-        self._sum, self._count = 0.0, 0
-        return span
+        since, self._since = self._since, []
+        return Span(sum(since) / len(since), max(since)) if since else None
 
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

@@ -242,8 +242,7 @@ class LssNode(Node):
     def _site_markers(self) -> MarkerArray | None:
         if self._result is None:
             return None
-        lss = self._settings.config.lss
-        return site_markers(self._result, self._map.frame, 0.5 * lss.vehicle.diameter + lss.margin)
+        return site_markers(self._result, self._map.frame, self._settings.config.lss.zone)
 
     def _grid_map_message(self) -> Any:
         result = self._result

@@ -53,13 +53,7 @@ from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
-from quadtree_lss.onboard.nodes.qos import (
-    advertise,
-    latched,
-    stream,
-    subscribe,
-    subscribe_twice,
-)
+from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe, subscribe_twice
 from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
