@@ -45,6 +45,7 @@ CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"
 HAZARDS, SCORE = "landing/hazards", "landing/score"
 PROBABILITY = "landing/probability"
+GROUND = SITES, SITE_TABLE, HAZARDS, SCORE, PROBABILITY
 SELECTED, STATUS = "landing/selected", "landing/status"
 PRIOR, LOOK_FIRST = "map/prior", "map/look_first"
 

@@ -11,13 +11,13 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from quadtree_lss import build
 from quadtree_lss.onboard.config.settings import DiagnosticsConfig
 from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.nodes.executor import steady_timer
 
 
 class Logger(Protocol):
@@ -86,8 +86,13 @@ class Arrivals:
         self._last = self._looked = time.monotonic()
         self._counted = 0
 
+    @staticmethod
+    def now() -> float:
+        """Present time, s, as `add` takes it."""
+        return time.monotonic()
+
     def add(self, at: float | None = None) -> None:
-        """One came just now, or at that time of ``time.monotonic``."""
+        """One came just now, or at that time."""
         self.count += 1
         self._last = time.monotonic() if at is None else at
 
@@ -196,8 +201,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
         )
-        clock = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(1.0 / rate, self._send, clock=clock)
+        steady_timer(node, 1.0 / rate, self._send)
 
     def latency_ms(self, stamp_ns: int) -> float | None:
         """From a stamp to now by the node's clock; None if the two are not of the same time."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -58,7 +57,7 @@ class ReceivedMap:
         if cells is None or observed is None or cells.header.stamp != observed.header.stamp:
             return False
         self._halves = {}
-        self._whole = (cells, observed, time.monotonic())
+        self._whole = (cells, observed, self.arrivals.now())
         return True
 
     def lacks(self) -> str:

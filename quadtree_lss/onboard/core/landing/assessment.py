@@ -130,7 +130,7 @@ class LandingAssessment:
             nobody asked for them.
         explanation: Why there are no sites, or how many grid points are safe.
         shadow: (ny, nx) in shadow at touchdown or an hour later; None without ``light.elevation``.
-        reach: (ny, nx) within reach (see `grid.within`); None without light, or if nobody knows.
+        reach: (ny, nx) within reach (see `grid.reachable`); None without light, or if nobody knows.
         doubts: Why its risks may be wrong, a line each (see `Doubts`).
         offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
         ground: What the layers below are made of when they are asked for.

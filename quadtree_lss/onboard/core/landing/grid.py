@@ -39,6 +39,7 @@ from quadtree_lss.onboard.core.landing.target import (
     Candidates,
     Descent,
     Motion,
+    Now,
     Restrictions,
 )
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -232,21 +233,6 @@ def probable_first(unsafe: Array, score: Array) -> Array:
     return unsafe + 0.5 * TIE * score / (1.0 + np.abs(score))
 
 
-@dataclass(frozen=True)
-class Now:
-    """What there is within reach.
-
-    Attributes:
-        cost: (ny, nx) how bad a grid point is, NaN where it is no choice.
-        best: Row and column of the best, None if there is none.
-        gain: What `WAIT_S` more are worth, as a probability; NaN if nobody asked for one.
-    """
-
-    cost: Array
-    best: tuple[int, int] | None = None
-    gain: float = float("nan")
-
-
 def within_reach(
     aims: Aims, wanted: Restrictions, lss: LssConfig, motion: Motion | None, descent: Descent | None
 ) -> Now:
@@ -305,7 +291,7 @@ def reached(
     return np.asarray(square <= left.reach**2)
 
 
-def within(
+def reachable(
     x: Array,
     y: Array,
     wanted: Restrictions,

@@ -28,8 +28,8 @@ from quadtree_lss.onboard.core.landing.grid import (
     GridSampler,
     aim,
     best_points,
+    reachable,
     users_grid,
-    within,
     within_reach,
 )
 from quadtree_lss.onboard.core.landing.lattice import disc, touching
@@ -262,7 +262,9 @@ class LandingSiteSelector:
             ground=(at, points),
             doubts=doubts,
             shadow=aims.shadow,
-            reach=None if aims.shadow is None else within(at.x, at.y, wanted, lss, motion, below),
+            reach=None
+            if aims.shadow is None
+            else reachable(at.x, at.y, wanted, lss, motion, below),
         )
 
     def _choose(self, ground: Candidates, **situation: Any) -> Choice:

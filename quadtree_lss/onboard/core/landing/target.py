@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import dist, inf, nan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,9 +31,6 @@ from quadtree_lss.onboard.arrays import Array, Mask, Numbers
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.tree.domain import carried
-
-if TYPE_CHECKING:
-    from quadtree_lss.onboard.core.landing.grid import Now
 
 #: Places that are remembered; of more the oldest are forgotten.
 MAX_PLACES = 1000
@@ -267,6 +264,21 @@ class Candidates:
             if np.abs(to[0] - of[0] - steps[-1] * (of[1] - of[0])) > SAME * (of[1] - of[0]):
                 return nowhere
         return carried(self.safe, steps[0], steps[1], False)
+
+
+@dataclass(frozen=True)
+class Now:
+    """What there is within reach at a moment (see `grid.within_reach`).
+
+    Attributes:
+        cost: (ny, nx) how bad a grid point is, NaN where it is no choice.
+        best: Row and column of the best, None if there is none.
+        gain: What `WAIT_S` more are worth, as a probability; NaN if nobody asked for one.
+    """
+
+    cost: Array
+    best: tuple[int, int] | None = None
+    gain: float = float("nan")
 
 
 @dataclass(frozen=True)
