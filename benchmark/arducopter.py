@@ -39,6 +39,7 @@ from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
+from quadtree_lss.desk.replay.configuration import dump_config, load_config
 from quadtree_lss.lab.live.listener import Listener
 from quadtree_lss.lab.live.processes import NodeProcess, ProcessError, local_domain
 from quadtree_lss.lab.simulation.lidar import FlashLidar
@@ -47,7 +48,6 @@ from quadtree_lss.lab.simulation.safety import contact_safe
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.autopilot.link import ARM_DISARM, ARMED, CUSTOM_MODE, DO_SET_MODE, dialect
-from quadtree_lss.onboard.config.loading import dump_config, load_config
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 

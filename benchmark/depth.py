@@ -20,12 +20,12 @@ import numpy as np
 from common import machine, mean_heights, table
 from scipy.ndimage import distance_transform_edt
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation.recording import CAMERA_TOPIC, POSE_TOPIC
 from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper

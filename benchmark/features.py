@@ -15,9 +15,9 @@ import numpy as np
 from common import configuration, machine, table
 
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.geometry import feature
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.tree.cell_map import peak
 
 Ground = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Height (m) at places x, y (m)."""
@@ -128,7 +128,7 @@ def show_found(fields: list[Hemispheres], state: np.ndarray) -> None:
     )
     row, column = np.divmod(np.arange(len(state)) % CELLS**2, CELLS)
     there = np.isfinite(state[:, 1])
-    height = feature.peak(state) / radius - 1.0
+    height = peak(state) / radius - 1.0
     centre = np.hypot(SIDE * (column + 0.5) + state[:, 2] - x, SIDE * (row + 0.5) + state[:, 3] - y)
     rows = []
     for low, high in CLASSES:

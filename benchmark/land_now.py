@@ -18,13 +18,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import machine, table
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.scans import steps
 from quadtree_lss.lab.campaign.mapped import in_memory
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector

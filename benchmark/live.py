@@ -39,9 +39,9 @@ from sensor_msgs.msg import PointCloud2
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.message_types import POSE_TYPE
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
+from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.loading import find_config
 from quadtree_lss.onboard.core.geometry.rotations import quaternion_from_rotation
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.nodes.qos import latched, stream

@@ -32,8 +32,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
+from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.live.processes import LocalDomain, NodeProcess, local_domain
-from quadtree_lss.onboard.config.loading import find_config
 from quadtree_lss.onboard.nodes.qos import stream
 
 LIMIT_S = 15.0

@@ -263,9 +263,9 @@ def different(done: Sequence[Touched], legs: Legs) -> None:
 
 def told(seed: int, legs: Legs) -> Iterator[Touched]:
     """Touchdowns at places of a simulated flight of `morpheus`, as many of each bin of risk."""
+    from quadtree_lss.desk.replay.configuration import load_config
     from quadtree_lss.lab.campaign.mapped import fly_in_memory
     from quadtree_lss.lab.evaluation.metrics import EDGES
-    from quadtree_lss.onboard.config.loading import load_config
 
     generator = np.random.default_rng(seed)
     rocks, slope_deg = (float(generator.choice(v)) for v in ((0.02, 0.05, 0.1), (1.5, 4.0, 6.0)))

@@ -55,7 +55,7 @@ def figures():
 
 def parameters_hash(config, names):
     """Of all parameters that match, as the configuration has them."""
-    from quadtree_lss.onboard.config.loading import load_config
+    from quadtree_lss.desk.replay.configuration import load_config
     from quadtree_lss.onboard.config.settings import values_from_config
 
     values = values_from_config(load_config([str(ROOT / "config" / f"{config}.yaml")]))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The build of the kernels: what it is made of, its name, whether it is of these sources.
 
-A kernel, a module of core or simulation that says ``import cython``, is compiled; its source runs
-as it is too: ``QUADTREE_LSS_INTERPRETED=1`` takes the sources, for a debugger, a hundred times
+A kernel, a module of `ROOMS` that says ``import cython``, is compiled; its source runs as it is,
+too: ``QUADTREE_LSS_INTERPRETED=1`` takes the sources, for a debugger, a hundred times
 slower. What other kernels call stands in a ``.pxd`` beside it.
 """
 
@@ -22,6 +22,7 @@ import quadtree_lss
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 PACKAGE = Path(__file__).parent
+ROOMS = ("onboard/core/*", "lab/simulation", "lab/evaluation")
 REMEDY = "build it: make setup, pip install . or colcon build"
 
 
@@ -71,7 +72,7 @@ def interpreted() -> bool:
 
 @functools.cache
 def check() -> None:
-    """Lets core or simulation be imported, which call this first. Raises `BuildError`: it is not
+    """Lets a room of kernels be imported, which calls this first. Raises `BuildError`: it is not
     compiled for this Python, or of other sources than those beside it."""
     if interpreted():
         if importlib.util.find_spec("cython") is None:
@@ -96,8 +97,7 @@ def check() -> None:
 
 
 def _files(package: Path, suffix: str) -> list[Path]:
-    folders = package.glob("onboard/core/*"), package.glob("lab/simulation")
-    return sorted(path for of in folders for folder in of for path in folder.glob(f"*.{suffix}"))
+    return sorted(path for room in ROOMS for path in package.glob(f"{room}/*.{suffix}"))
 
 
 def _built() -> ModuleType | None:

@@ -17,7 +17,7 @@ from nav_msgs.msg import OccupancyGrid
 from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.clouds import stamp_ns

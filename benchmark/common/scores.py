@@ -18,10 +18,10 @@ from quadtree_lss.lab.evaluation.metrics import (
     elevation_field,
     safety_field,
 )
+from quadtree_lss.lab.evaluation.prefit import Counts, prefit_statistics
 from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.mapping.consistency import Counts, prefit_statistics
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.register import register
 

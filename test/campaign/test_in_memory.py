@@ -8,12 +8,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.mapped import figures, fly_in_memory, lander_of
 from quadtree_lss.lab.evaluation.evaluate import evaluate, score
 from quadtree_lss.lab.evaluation.results import COLUMNS, load_results, load_truth
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.loading import load_config
 
 CASES = {
     "morpheus": {"duration": 3.0, "outliers": 0.01, "dropouts": 0.02, "navigation_error": 2.0},

@@ -22,7 +22,7 @@ from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping import measure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 Array = np.ndarray
@@ -74,6 +74,12 @@ def flat(height: float = 0.0) -> Surface:
 def slope(gradient_x: float, gradient_y: float, height: float = 0.0) -> Surface:
     """Tilted plane z = height + gradient_x x + gradient_y y."""
     return lambda x, y: height + gradient_x * x + gradient_y * y
+
+
+#: A slope, and its normal.
+GRADIENT = (0.12, -0.07)
+GROUND = slope(*GRADIENT, 30.0)
+NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
 
 
 def scattered(
@@ -190,6 +196,14 @@ def four_leaves(points: float = 0.0) -> LeafTable:
     return leaves
 
 
+def divide(
+    leaves: LeafTable, row: int, square: float = 0.0, tilt: float = 0.0, spread: float = 0.0
+) -> bool:
+    """Divide a leaf; its children inherit, as of `LeafTable.divide`."""
+    leaves.reserve(3)
+    return bool(leaves.divide(row, square, tilt, spread))
+
+
 def leaf_at(mapper: Mapper, x: float, y: float) -> np.record:
     """The leaf over a place, as it is kept."""
     leaves = mapper.leaves.rows[: mapper.leaves.count]
@@ -207,6 +221,12 @@ def elevation(cells: CellMap, x: Array, y: Array) -> Array:
     normal = cells.normal[leaf]
     run = normal[:, 0] * (x - cells.x[leaf]) + normal[:, 1] * (y - cells.y[leaf])
     return cells.z[leaf] - run / normal[:, 2]
+
+
+def feature_height(state: Array, x: Array, y: Array) -> Array:
+    """Eq. 57: height of features (..., 5) at x, y (...) about the cell's centre, A left out."""
+    square = (x - state[..., 2]) ** 2 + (y - state[..., 3]) ** 2
+    return peak(state) * np.exp(-0.5 * square / state[..., 4] ** 2)
 
 
 def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Array:

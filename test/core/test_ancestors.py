@@ -7,14 +7,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import configured, make_pose, mapped, pose_covariance, scan, scattered, slope
+from core.builders import GROUND, configured, make_pose, mapped, pose_covariance, scan, scattered
 from core.kernels import minus
 
-from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-
-GROUND = slope(0.12, -0.07, 30.0)
 
 
 def one_scan(level: int, covariance: np.ndarray, seed: int = 1) -> CellMap:

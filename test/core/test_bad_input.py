@@ -15,12 +15,12 @@ from core.builders import METHODS, assert_sound, configured, random_covariances
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from quadtree_lss.lab.evaluation.prefit import prefit_statistics
 from quadtree_lss.onboard.core.geometry.rotations import exp
-from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
-from quadtree_lss.onboard.core.mapping.consistency import prefit_statistics
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.register import register
+from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level
 
 SIDE = 4.0
 KINDS = (

@@ -11,10 +11,7 @@ import numpy as np
 import pytest
 
 from quadtree_lss.onboard.config.limits import pass_seconds, why_too_much
-from quadtree_lss.onboard.config.settings import (
-    Config,
-    config_from_values,
-)
+from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose

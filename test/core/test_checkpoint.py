@@ -14,11 +14,7 @@ from core.builders import configured, look, make_pose, scan, scattered
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.checkpoint import (
-    CheckpointError,
-    from_bytes,
-    to_bytes,
-)
+from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
 
 CONFIG = configured()
 

@@ -9,8 +9,8 @@ import re
 
 import pytest
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.config import settings
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import (
     REMOVED,
     Config,

@@ -12,7 +12,7 @@ from core.builders import configured, flat, mapped
 
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.core.landing.doubt import MOST_BRIDGED, Hindsight, coverage
+from quadtree_lss.onboard.core.landing.assessment import MOST_BRIDGED, Hindsight, coverage
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.domain import Domain
 

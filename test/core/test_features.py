@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from core.builders import by, configured, lattice, look, make_pose, mapped, slope
 
-from quadtree_lss.onboard.core.geometry import feature as bump
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 
 CELLS_2M = {"min_level": 3, "max_level": 3}
 A, K, MU_X, MU_Y, SIGMA = range(5)
@@ -57,7 +56,7 @@ def test_hemispheres_are_found_with_their_height_and_place():
         centre_x = 2.0 * (np.arange(64) % 8) + 1.0 + state[:, MU_X]
         centre_y = 2.0 * (np.arange(64) // 8) + 1.0 + state[:, MU_Y]
         found.append(np.isfinite(state[:, K]))
-        high.append(np.abs(bump.peak(state) / radius - 1.0) <= 0.35)
+        high.append(np.abs(peak(state) / radius - 1.0) <= 0.35)
         near.append(np.hypot(centre_x - x0, centre_y - y0) <= 0.1)
     found, high, near = np.concatenate(found), np.concatenate(high), np.concatenate(near)
     assert np.mean(found) >= 0.9
@@ -104,18 +103,8 @@ def test_k_squared_is_the_volume(height, sigma, gradient):
     # The cell's plane leans a little towards the bump, which takes a few per cent of it.
     assert state[K] ** 2 == pytest.approx(volume, rel=0.08)
     assert abs(state[SIGMA]) == pytest.approx(np.sqrt(SHAPE) * sigma, rel=0.05)
-    assert bump.peak(state) == pytest.approx(height / SHAPE, rel=0.05)
+    assert peak(state) == pytest.approx(height / SHAPE, rel=0.05)
     np.testing.assert_allclose(state[[MU_X, MU_Y]], [0.3, -0.2], atol=0.02)
-
-
-def test_height_is_the_bell_and_integrates_to_the_volume():
-    state = np.array([0.7, 0.3, 0.2, -0.1, 0.25])
-    step = 0.01
-    x, y = np.meshgrid(*[np.arange(-2.0, 2.0, step)] * 2)
-    heights = bump.height(state, x, y)
-    assert heights.sum() * step**2 == pytest.approx(state[K] ** 2, rel=1e-6)
-    assert bump.height(state, 0.2, -0.1) == pytest.approx(bump.peak(state))
-    assert heights.max() == pytest.approx(bump.peak(state), rel=1e-2)
 
 
 def test_a_feature_stays_with_more_scans_and_is_one():
@@ -132,7 +121,7 @@ def test_a_feature_stays_with_more_scans_and_is_one():
 
 #: Each limit, and what of a published state (M, 5) it is about: at least, but for the last.
 LIMITS = {
-    "FEATURE_HEIGHT": (0.3, bump.peak),
+    "FEATURE_HEIGHT": (0.3, peak),
     "FEATURE_VOLUME": (0.05, lambda state: state[:, K] ** 2),
     "FEATURE_WIDTH": (-0.08, lambda state: -state[:, SIGMA] / (np.sqrt(SHAPE) * 2.0)),
 }

@@ -8,11 +8,11 @@ import pytest
 from core.builders import differentiated, upward_normals
 from core.kernels import plus
 
-from quadtree_lss.onboard.config.loading import load_config
-from quadtree_lss.onboard.core.geometry.heights import height_by_error
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.tree.cell_map import height_by_error
 
 CONFIG = load_config(
     (),

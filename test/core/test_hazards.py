@@ -7,13 +7,12 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped, strip, upward_normals
+from core.builders import configured, feature_height, flat, mapped, strip, upward_normals
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.geometry.feature import height
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
@@ -111,7 +110,7 @@ def test_subscale_is_the_mean_and_the_greatest_height_within_the_cell(place):
     for row in range(24, 32):
         for column in range(16, 24):
             dx, dy = column * side + fine - cells.x[k], row * side + fine - cells.y[k]
-            sampled = height(cells.feature[k], dx, dy[:, None])
+            sampled = feature_height(cells.feature[k], dx, dy[:, None])
             assert raster.subscale[row, column] == pytest.approx(sampled.mean(), abs=1e-3)
             if sampled.max() > 0.006:
                 assert raster.subscale_peak[row, column] == pytest.approx(sampled.max(), abs=0.01)

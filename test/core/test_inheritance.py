@@ -8,6 +8,7 @@ import pytest
 from core.builders import (
     ABOVE,
     configured,
+    divide,
     flat,
     lattice,
     leaf_at,
@@ -79,7 +80,7 @@ def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
     config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.02})
     mapper = mapped(config, slope(0.2, -0.1), density=60.0, scans=4)
     for row in range(16):
-        mapper.leaves.make_room_and_divide(row, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
+        divide(mapper.leaves, row, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
     cells = mapper.snapshot()
     assert cells.estimated.all() and not cells.measured.any()
     x, y = lattice(0.0, 0.0, 16.0, 40)
@@ -160,7 +161,7 @@ def test_later_points_mend_what_a_child_inherited():
     config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.05})
     mapper, rng = mapped(config, flat(-0.7), density=60.0, scans=2), np.random.default_rng(6)
     for row in range(16):
-        mapper.leaves.make_room_and_divide(row, 0.3**2, 12.0 * 0.05**2 / (5.0 * 2.0**2))
+        divide(mapper.leaves, row, 0.3**2, 12.0 * 0.05**2 / (5.0 * 2.0**2))
     for k in range(3):
         places, pose = scattered(rng, 0.0, 0.0, 16.0, 64 * 40), make_pose(stamp_ns=10 + k)
         look(mapper, flat(), *places, rng, 0.05, pose)
@@ -187,7 +188,7 @@ def test_a_scan_that_is_off_sideways_does_not_outvote_what_children_inherit(seed
     for k in range(11):
         if k == 10:
             for row in (0, 2, 5, 7, 8, 10, 13, 15):
-                mapper.leaves.make_room_and_divide(row, 0.06**2, 1e-4)
+                divide(mapper.leaves, row, 0.06**2, 1e-4)
         x, y = scattered(rng, 0.0, 0.0, 16.0, 8000)
         off = (0.5 * towards if k == 10 else 0.0, 0.0, 0.0)
         rotation, sigma = pose.rotation_map_lidar, pose.covariance

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, look, mapped
+from core.builders import configured, divide, flat, look, mapped
 from core.kernels import shifted
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,11 +17,6 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 DOMAIN = Domain(-3.0, 5.0, 16.0, 1, 5)
-
-
-def divide(tree: LeafTable, row: int) -> bool:
-    """Divide a leaf whose plane describes its ground."""
-    return tree.make_room_and_divide(row, 0.0, 0.0)
 
 
 def places(tree: LeafTable) -> list[np.ndarray]:
@@ -156,7 +151,7 @@ def test_childrens_bounds_are_their_planes_reach_unless_the_parents_are_narrower
     tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
     n = tree.rows[0].normal.copy()
     tree.rows[0].low, tree.rows[0].high = 1.5, 90.0
-    tree.make_room_and_divide(0, 0.0, 0.0, 0.1)
+    divide(tree, 0, spread=0.1)
     children, reach = tree.rows[:4], (2.0 * (abs(n[0]) + abs(n[1])) + 0.1) / n[2]
     np.testing.assert_allclose(children.high, children.z + reach)
     np.testing.assert_allclose(children.low, np.maximum(children.z - reach, 1.5))
@@ -167,8 +162,8 @@ def test_misfit_makes_what_is_inherited_less_certain():
     """In height and in slope."""
     square, tilt = 0.01, 3e-4
     plain, rough = (known_leaf(Domain(0.0, 0.0, 8.0, 0, 4)) for _ in range(2))
-    plain.make_room_and_divide(0, 0.0, 0.0)
-    rough.make_room_and_divide(0, square, tilt)
+    divide(plain, 0)
+    divide(rough, 0, square, tilt)
     for one, other in zip(plain.rows[:4], rough.rows[:4], strict=True):
         added = (other.range_part - one.range_part).reshape(3, 3)
         np.testing.assert_allclose(added, np.diag([tilt, tilt, square]), rtol=1e-9, atol=1e-15)

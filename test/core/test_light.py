@@ -14,7 +14,7 @@ from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.results import grid_arrays
 from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
-from quadtree_lss.onboard.core.landing.light import shadow
+from quadtree_lss.onboard.core.landing.raster import shadow
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.messages.outputs import MessageMaker
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from core.builders import (
     ABOVE,
+    GROUND,
     METHODS,
+    NORMAL,
     assert_sound,
     configured,
     flat,
@@ -28,10 +30,6 @@ from core.builders import (
 from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-
-GRADIENT = (0.12, -0.07)
-NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
-GROUND = slope(*GRADIENT, 30.0)
 
 
 def assert_equal(a: CellMap, b: CellMap, tolerance: float = 0.0) -> None:

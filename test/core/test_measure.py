@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from core.builders import configured, flat, lattice, look, pose_covariance
-from core.kernels import fit, plus, shifted
-from scipy.optimize import minimize
+from core.kernels import fit, shifted
 
 from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -77,21 +76,6 @@ def test_independent_treatment_averages_the_pose_out():
     assert not both.pose_part.any()
     added = both.range_part[2, 2] - alone.range_part[2, 2]
     assert added == pytest.approx(0.3**2 / 36, rel=0.1)
-
-
-def test_the_ml_fit_minimises_the_weighted_cost():
-    """Eq. 25 of one scan with its free offset (Eq. 21)."""
-    points = tilted(np.random.default_rng(4), 5, 0.02)
-    found = fitted(rules("ml"), points)
-
-    def cost(state: np.ndarray) -> float:
-        return float(np.sum((points @ plus(found.normal, state[:2]) - state[2]) ** 2))
-
-    start = np.array([0.01, -0.01, 0.0])
-    best = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-16})
-    np.testing.assert_allclose(best.x[:2], 0.0, atol=1e-5)
-    # The plane's height over the centre is that of the plane with the best offset.
-    assert np.array([0.0, 0.0, found.z]) @ found.normal == pytest.approx(best.x[2], abs=1e-6)
 
 
 @FITS

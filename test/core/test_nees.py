@@ -12,6 +12,8 @@ import functools
 import numpy as np
 import pytest
 from core.builders import (
+    GROUND,
+    NORMAL,
     configured,
     disturbed,
     make_pose,
@@ -19,18 +21,14 @@ from core.builders import (
     pose_covariance,
     scan,
     scattered,
-    slope,
 )
 from core.kernels import minus
 from scipy.stats import chi2
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
-from quadtree_lss.onboard.core.landing.hazards import fuse_to_level
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level
 
-GRADIENT = (0.12, -0.07)
-GROUND = slope(*GRADIENT, 30.0)
-NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
 MAPS = 250
 CASES = {"range": (0.3, 1e-9, 1e-12), "pose": (1e-3, 0.2, 1e-3), "both": (0.3, 0.2, 1e-3)}
 

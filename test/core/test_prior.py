@@ -8,12 +8,12 @@ import pytest
 from core.builders import configured, lattice, leaf_at, look, make_pose, pose_covariance, scattered
 
 from quadtree_lss.onboard.config.settings import PriorConfig
-from quadtree_lss.onboard.core.landing.look_first import look_first
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.prior_offset import JUDGED, PriorMatch
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.prior import Prior
+from quadtree_lss.onboard.elevation.look_first import look_first
 
 SURE = {"sigma": 0.1, "offset_sigma": 0.0, "height_sigma": 0.0}
 

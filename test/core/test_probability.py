@@ -11,15 +11,8 @@ import pytest
 from core.builders import configured, mapped
 from numpy.typing import NDArray
 
-from quadtree_lss.lab.evaluation.risk_fit import ASKED, risks
-from quadtree_lss.onboard.config.risk import (
-    LOCAL,
-    Cause,
-    Curve,
-    RiskModel,
-    risk_model,
-    risk_model_text,
-)
+from quadtree_lss.lab.evaluation.risk_fit import ASKED, risk_model_text, risks
+from quadtree_lss.onboard.config.risk import LOCAL, Cause, Curve, RiskModel, risk_model
 from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.grid import TIE, probable_first
 from quadtree_lss.onboard.core.landing.probability import (

@@ -11,8 +11,8 @@ from core.builders import by, configured, four_leaves, mapped
 from core.kernels import division, residuals
 from scipy.stats import norm
 
-from quadtree_lss.onboard.core.geometry.feature import SHAPE, peak
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.tree.cell_map import SHAPE, peak
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 NOISE = 0.05

@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 from common.claims import within
 from common.rays import EXACT, Scene, View, fan, looking, rocks, view
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector

@@ -7,13 +7,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped
+from core.builders import flat, mapped
 from core.kernels import tangent_basis
+from core.test_sites import small
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import LssConfig, config_from_values
-from quadtree_lss.onboard.core.landing import now
+from quadtree_lss.onboard.core.landing import grid
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
@@ -233,16 +234,6 @@ def test_no_change_without_cause(merits):
 # ---- of the selector
 
 
-def small(**lss):
-    values = {"min_separation": 2.0, "grid_spacing": 0.5, "max_gap": 0.6, **lss}
-    return configured(
-        domain={"size": 16.0, "min_level": 1, "max_level": 5},
-        lidar={"range_noise": 0.02},
-        vehicle={"diameter": 1.9},
-        lss=values,
-    )
-
-
 def block(x, y):
     """One, a metre high, in the middle."""
     return 1.0 * ((np.abs(x - 8.0) < 1.0) & (np.abs(y - 8.0) < 1.0))
@@ -453,10 +444,10 @@ def test_waiting_gains_by_the_choice_and_loses_by_the_reach(level_ground):
     """Against drawn risks; and down at 2 m/s in 5 s there is nothing left to choose from."""
     risks = np.array([0.02, 0.03, 0.05])
     normal = np.random.default_rng(1).normal(size=(200_000, 3))
-    drawn = risks * np.exp(now.SPREAD * normal - 0.5 * now.SPREAD**2)
+    drawn = risks * np.exp(grid.SPREAD * normal - 0.5 * grid.SPREAD**2)
     assert drawn.std(axis=0) / risks == pytest.approx(0.5, rel=0.02)
-    assert now.least_later(risks) == pytest.approx(drawn.min(axis=1).mean(), rel=0.01)
-    assert now.least_later(risks[:1]) == pytest.approx(0.02, rel=1e-3)
+    assert grid.least_later(risks) == pytest.approx(drawn.min(axis=1).mean(), rel=0.01)
+    assert grid.least_later(risks[:1]) == pytest.approx(0.02, rel=1e-3)
     selector = LandingSiteSelector(by_risk())
     gains = [selector.assess(level_ground, vehicle=(z, 2.0, 8.1, 8.1)).gain for z in (40.0, 9.0)]
     assert 0.0 < gains[0] < 0.01 and gains[1] < -0.9

@@ -8,10 +8,9 @@ import itertools
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped, slope
+from core.builders import configured, feature_height, flat, mapped, slope
 
 from quadtree_lss.onboard.config.settings import Config, LssConfig
-from quadtree_lss.onboard.core.geometry.feature import height
 from quadtree_lss.onboard.core.landing import hazards, touchdown
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
@@ -60,7 +59,7 @@ class SlowLander:
             if np.isfinite(self.cells.feature[k, 1]):
                 x0, y0 = cx - self.cells.x[k], cy - self.cells.y[k]
                 over = (np.arange(64) + 0.5) / 64.0 * self.side - 0.5 * self.side
-                bell = height(self.cells.feature[k], x0 + over, (y0 + over)[:, None])
+                bell = feature_height(self.cells.feature[k], x0 + over, (y0 + over)[:, None])
                 z += BELL * float(bell.mean())
             out.append((x, y, z))
         return out

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import RENAMED, parameters
 
 ROOT = Path(__file__).resolve().parents[2]

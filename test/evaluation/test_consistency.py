@@ -6,11 +6,11 @@ from __future__ import annotations
 import pytest
 from replay.recordings import write_ros2
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
+from quadtree_lss.lab.evaluation.prefit import Counts
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.loading import load_config
-from quadtree_lss.onboard.core.mapping.consistency import Counts
 
 SMALL = {
     "domain.xmin": -30.0,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from evaluation.scores import write_results, write_truth
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.evaluation.evaluate import evaluate
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.loading import load_config
 
 SEEDS = (7, 8)
 

@@ -12,13 +12,13 @@ import yaml
 from scipy.optimize import minimize
 
 from quadtree_lss.cli import main
+from quadtree_lss.desk.replay.configuration import load_config, shipped_names
 from quadtree_lss.lab.evaluation import risk_fit, risk_flights
 from quadtree_lss.lab.evaluation.risk_families import FAMILIES, ground
-from quadtree_lss.lab.evaluation.risk_fit import ASKED, Term, fit, risks, unfitted
+from quadtree_lss.lab.evaluation.risk_fit import ASKED, Term, fit, risk_model_text, risks, unfitted
 from quadtree_lss.lab.evaluation.risk_flights import fly, land, table_of
-from quadtree_lss.onboard.config.loading import load_config, shipped_names
 from quadtree_lss.onboard.config.parameter import ConfigError
-from quadtree_lss.onboard.config.risk import LOCAL, Cause, doubt, risk_model, risk_model_text
+from quadtree_lss.onboard.config.risk import LOCAL, Cause, doubt, risk_model
 
 SMALL = {
     "obstacle": (Term("rise", (0.4, 0.9, 1.5), begin=8.0), Term("noise", (-1.0, -0.5), 0)),

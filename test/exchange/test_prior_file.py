@@ -8,9 +8,9 @@ import json
 import numpy as np
 import pytest
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.flight.flight import Flight
 from quadtree_lss.lab.flight.settings import flight_settings
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.elevation import libraries
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.elevation.prior_file import read_prior

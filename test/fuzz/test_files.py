@@ -26,10 +26,10 @@ from quadtree_lss.lab.campaign.kinds import Case
 from quadtree_lss.lab.campaign.store import Store
 from quadtree_lss.lab.campaign.study import read_study
 from quadtree_lss.onboard.config.settings import config_from_values, parameters
-from quadtree_lss.onboard.core.landing.look_first import look_first
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.elevation.look_first import look_first
 from quadtree_lss.onboard.elevation.prior_file import read_prior
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.landing_inputs import prior_from_message

@@ -32,12 +32,7 @@ from quadtree_lss.onboard.autopilot.landing import Landing, Seen, Target, target
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4, Link
 from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.sections import AutopilotConfig
-from quadtree_lss.onboard.config.settings import (
-    Config,
-    ConfigError,
-    config_from_values,
-    parameters,
-)
+from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE
@@ -121,7 +116,7 @@ def judge(cells: CellMap, selector: LandingSiteSelector, **wanted: Any) -> None:
         assert (np.abs(sites.position[:, axis] - low - 0.5 * domain.size) <= domain.size).all()
     share = found.probability[np.isfinite(found.probability)]
     assert ((share >= 0.0) & (share <= 1.0)).all()
-    for _, message in MAKER.of_landing(found, 0.0):
+    for _, message in (*MAKER.of_target(found, 0.0), *MAKER.of_ground(found)):
         assert message is not None
     MAKER.grid_map(found)
     if found.selected.id:

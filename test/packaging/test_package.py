@@ -19,7 +19,7 @@ import pytest
 from installed import PREFIX, SHARE
 
 from quadtree_lss.desk.bags.topics import SCAN_TOPIC
-from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.landing_inputs import POINT_TYPE, TYPES
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, PRIOR_STATUS_FIELDS, SITE_FIELDS
 from quadtree_lss.onboard.messages.outputs import (

@@ -10,9 +10,9 @@ import pytest
 from replay.test_cli import run
 
 from quadtree_lss.desk.replay import elevation_model
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.elevation_model import cells_of, rank_sites
 from quadtree_lss.desk.replay.results import load_results
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.elevation.dem import ElevationModel
 
 CONFIG = load_config((), {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02})

@@ -21,12 +21,12 @@ from replay.recordings import (
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.replay import ReplayError, replay
 from quadtree_lss.desk.replay.results import cells_arrays
 from quadtree_lss.desk.replay.stream import Stream
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.messages.intake import Intake

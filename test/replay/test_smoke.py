@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from quadtree_lss.cli import main
+from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.loading import find_config
 
 SHIPPED = sorted(path.stem for path in Path(find_config("default")).parent.glob("*.yaml"))
 

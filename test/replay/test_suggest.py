@@ -10,10 +10,10 @@ import pytest
 from replay.recordings import write_ros2
 from replay.test_cli import run
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.suggest import suggest_config
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.loading import load_config
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ros.conftest import at_least, has, process
 from ros_scene import Sensors
 
-from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.map_files import load

@@ -9,9 +9,9 @@ from replay.recordings import write_ros2
 from ros_scene import Sensors
 from ros_vehicle import polygon
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.live.demo import run_live
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.messages.maps import encode_cells
 from quadtree_lss.onboard.nodes.qos import stream
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from ros_scene import COVARIANCE, POSITION, ROTATION, SCAN_NS, events
 
-from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.nodes.checkpoints import Checkpoints

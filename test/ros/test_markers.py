@@ -14,8 +14,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import COVARIANCE, POSITION, ROTATION, Sensors, events
 from visualization_msgs.msg import Marker, MarkerArray
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.live.listener import TOPICS
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose

@@ -13,7 +13,7 @@ from ros.conftest import process, status_values
 from ros_scene import Sensors, cloud, pose
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes import losses
 from quadtree_lss.onboard.nodes.diagnostics import Problems

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from quadtree_lss.desk.commands.console import show
-from quadtree_lss.onboard.config.loading import load_config
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -162,7 +162,7 @@ def config_names(prefix: str, **_: Any) -> list[str]:
     """Shipped configurations and files."""
     from argcomplete.completers import FilesCompleter
 
-    from quadtree_lss.onboard.config.loading import shipped_names
+    from quadtree_lss.desk.replay.configuration import shipped_names
 
     return [*shipped_names(), *FilesCompleter(("yaml", "yml"))(prefix)]
 

@@ -15,14 +15,9 @@ from quadtree_lss.desk.commands.explained import (
     lengths_text,
     parameter_as_dict,
 )
-from quadtree_lss.onboard.config.limits import slow
-from quadtree_lss.onboard.config.loading import dump_config, load_config
+from quadtree_lss.desk.replay.configuration import dump_config, load_config, slow
 from quadtree_lss.onboard.config.risk import doubt
-from quadtree_lss.onboard.config.settings import (
-    config_from_values,
-    parameters,
-    values_from_config,
-)
+from quadtree_lss.onboard.config.settings import config_from_values, parameters, values_from_config
 
 ACTIONS = ("print", "check", "explain", "suggest")
 TEXT = (

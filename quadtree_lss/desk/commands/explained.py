@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 from types import SimpleNamespace
 
-from quadtree_lss.onboard.config.loading import check_reaches, find_config, read_values, scalar_text
+from quadtree_lss.desk.replay.configuration import find_config, scalar_text
+from quadtree_lss.onboard.config.loading import check_reaches, read_values
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -21,7 +22,7 @@ from quadtree_lss.onboard.config.settings import (
     parameters,
     unknown_parameter,
 )
-from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig, rule
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 
 INTRODUCTION = """\
 # Parameters
@@ -155,3 +156,11 @@ def _default(row: Parameter) -> str:
 
 if __name__ == "__main__":
     sys.stdout.write(parameter_table())
+
+
+def rule(name: str) -> str:
+    """How a length follows: ``0.833 x vehicle.clearance``."""
+    item = Lengths.__dataclass_fields__[name]
+    of, power = item.metadata["of"], item.metadata["power"]
+    share = item.default / getattr(VehicleConfig, of) ** power
+    return f"{share:.3g} x vehicle.{of}" + (f"^{power}" if power > 1 else "")

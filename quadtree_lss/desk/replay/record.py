@@ -15,10 +15,10 @@ from rosbags.rosbag2.errors import WriterError
 
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.stream import ReplayError
-from quadtree_lss.onboard.core.landing.look_first import Look
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.elevation.look_first import Look
 from quadtree_lss.onboard.messages.outputs import (
     GRID_MAP,
     LOOK_FIRST,
@@ -87,7 +87,8 @@ class Recorder:
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """Writes an answer, with the age of its map in the bag's time."""
         age = 1e-9 * (now_ns - found.stamp_ns) if found.stamp_ns else float("nan")
-        for topic, message in self._messages.of_landing(found, age, self._prior):
+        target = self._messages.of_target(found, age, self._prior)
+        for topic, message in (*target, *self._messages.of_ground(found)):
             self._write(topic, message, now_ns)
         self._unseen = (now_ns, found)
         if self._viewed_ns is None or abs(now_ns - self._viewed_ns) >= VIEWER_NS:

@@ -22,8 +22,8 @@ from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.desk.replay.run import Progress, Run
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, ReplayError, Stream
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.look_first import look_first
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.elevation.look_first import look_first
 from quadtree_lss.onboard.elevation.prior_file import read_prior
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 

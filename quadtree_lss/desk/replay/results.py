@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.cells import ResultsError, cell_map, cells_arrays, unreadable
+from quadtree_lss.desk.replay.configuration import dump_config, load_config
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.desk.replay.result import ReplayResult, ScanTiming
 from quadtree_lss.desk.replay.stream import ReplayError
 from quadtree_lss.onboard.arrays import Array, Mask
-from quadtree_lss.onboard.config.loading import dump_config, load_config, read_values
+from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.replay.configuration import dump_values
 from quadtree_lss.desk.replay.run import Progress
 from quadtree_lss.desk.replay.stream import SECOND_NS, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.loading import dump_values
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config, config_from_values, values_from_config
 from quadtree_lss.onboard.messages.intake import ReadyScan

@@ -15,7 +15,7 @@ from quadtree_lss.desk.report.content import Content
 from quadtree_lss.desk.report.headline import GOOD, LEVELS, largest_circle, nearest_miss
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.desk.report.what_if import what_if
-from quadtree_lss.onboard.core.geometry.feature import peak
+from quadtree_lss.onboard.core.tree.cell_map import peak
 
 MAX_GRID_POINTS = 250_000
 """Of the landing grid that are embedded; of larger grids every other, third, … point is."""

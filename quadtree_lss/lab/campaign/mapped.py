@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.bags.bag import MessageBag, Topic
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.result import peak_memory_mb
 from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity, Value
@@ -24,7 +25,6 @@ from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE_TOPIC, TYPES
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.lab.simulation.simulation import Simulation
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 
 CONDITIONS = ("flights", *(item.name for item in fields(Conditions)))

@@ -35,8 +35,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.campaign.study import parse_seeds
     from quadtree_lss.lab.evaluation.risk_families import FAMILIES
+    from quadtree_lss.lab.evaluation.risk_fit import risk_model_text
     from quadtree_lss.lab.evaluation.risk_flights import fit_risk
-    from quadtree_lss.onboard.config.risk import risk_model_text
 
     out: Path = options.out
     if out.exists() and not options.overwrite:

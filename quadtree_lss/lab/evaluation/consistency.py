@@ -9,9 +9,9 @@ from pathlib import Path
 
 import quadtree_lss
 from quadtree_lss.desk.replay.scans import scans
+from quadtree_lss.lab.evaluation.prefit import Counts, prefit_statistics
 from quadtree_lss.lab.evaluation.results import COLUMNS, EvaluationError, Results
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.mapping.consistency import Counts, prefit_statistics
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.register import register
 

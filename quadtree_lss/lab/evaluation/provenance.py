@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.evaluation.results import EvaluationError, Results, Truth
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.errors import QuadtreeLssError
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import ArrayLike
 from scipy.optimize import Bounds, minimize
 from scipy.special import expit
@@ -174,3 +175,20 @@ def _model(steps: list[Array]) -> RiskModel:
 def rounded(values: Array) -> Row:
     """As it is written into a file."""
     return tuple(round(float(value), 3) for value in values)
+
+
+def risk_model_text(model: RiskModel) -> str:
+    """The model as `risk_model` reads it."""
+
+    def line(row: Row) -> str:
+        return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
+
+    lines = [f"seen: {line(model.seen)}"]
+    for name, cause in model.causes.items():
+        lines += [f"{name}:", f"  constant: {cause.constant:.6g}"]
+        for curve in cause.curves:
+            lines += [f"  {curve.of}:", f"    knots: {line(curve.knots)}", "    odds:"]
+            lines += [f"    - {line(row)}" for row in curve.odds]
+    origin = {"provenance": dict(model.provenance)}
+    told = yaml.safe_dump(origin, sort_keys=False, width=96, default_flow_style=None)
+    return "\n".join(lines) + "\n" + str(told)

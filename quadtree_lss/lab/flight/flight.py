@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.flight.gimbal import Gimbal, quaternion
 from quadtree_lss.lab.flight.ground import Ground, start
 from quadtree_lss.lab.flight.pilot import Pilot, Target
@@ -26,10 +27,9 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.lab.touchdown.legs import LANDER
 from quadtree_lss.lab.touchdown.touchdown import Arrival, Landed, touch
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.loading import load_config
 from quadtree_lss.onboard.config.settings import Config, config_from_values
-from quadtree_lss.onboard.core.landing.look_first import look_first
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.elevation.look_first import look_first
 from quadtree_lss.onboard.elevation.prior_file import read_prior
 
 TICK = 0.01

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.player.player import play
+from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.results import Table, cells_arrays, load_results
 from quadtree_lss.lab.flight.flight_page import headline, write_flight
@@ -36,7 +37,6 @@ from quadtree_lss.lab.live.processes import (
     refuse_company,
     strangers,
 )
-from quadtree_lss.onboard.config.loading import find_config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS

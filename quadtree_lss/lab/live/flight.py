@@ -20,18 +20,13 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
+from quadtree_lss.desk.replay.configuration import dump_config
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent, flight_config
 from quadtree_lss.lab.flight.fly import LAND_NOW, Flown, changed, figures_of
 from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
-from quadtree_lss.lab.live.processes import (
-    NodeProcess,
-    local_domain,
-    refuse_company,
-    strangers,
-)
+from quadtree_lss.lab.live.processes import NodeProcess, local_domain, refuse_company, strangers
 from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
-from quadtree_lss.onboard.config.loading import dump_config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.messages import landing_inputs
 from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES, map_from_messages

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from quadtree_lss.onboard.config.sections import LssConfig
 
-DEADLINE = 1.0
-"""``landing/selected`` is said again within this, s: what is said is as old as the last pass."""
 LONGEST = 60.0
 """A landing site pass may take this at the worst, s."""
 MOST_MEMORY = 2.0e9
@@ -66,21 +64,6 @@ def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
             f" take {seconds:.0f} s for a landing site pass; {LONGEST:g} is the most"
         )
     return None
-
-
-def slow(size: float, finest: int, lss: LssConfig) -> str:
-    """That what ``landing/selected`` says may be older than its deadline; empty if it is not.
-
-    Args as for `why_too_much`.
-    """
-    seconds = pass_seconds(size, finest, lss)
-    if seconds <= DEADLINE:
-        return ""
-    return (
-        f"a landing site pass may take {seconds:.1f} s: landing/selected is said again within"
-        f" {DEADLINE:g} s, but a new hazard or keep-out moves it only after the pass; coarser cells"
-        " (domain.max_level), a smaller domain.size or fewer lss.sites make it shorter"
-    )
 
 
 def pass_seconds(size: float, finest: int, lss: LssConfig) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration files, in the form of ROS 2 parameter files, to `config.settings.Config` and back.
+"""Configuration files, in the form of ROS 2 parameter files: what they say to which node.
 
     /**:
       ros__parameters:
@@ -16,107 +16,15 @@ from __future__ import annotations
 import difflib
 import os
 import re
-import sys
-from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-import yaml
-
-from quadtree_lss.onboard.config.settings import (
-    Config,
-    ConfigError,
-    Parameter,
-    checked_values,
-    config_from_values,
-    flatten,
-    parameters,
-    values_from_config,
-)
+from quadtree_lss.onboard.config.settings import ConfigError, flatten
 from quadtree_lss.onboard.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
 
 NODES = ("mapping_node", "lss_node")
 ROS_OWN = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
 """Parameters that ROS itself declares; they mean nothing offline."""
-
-
-def load_config(
-    paths: Iterable[str | os.PathLike[str]] = (),
-    overrides: Mapping[str, object] | None = None,
-    *,
-    origin: str = "overrides",
-) -> Config:
-    """The defaults with each file and then ``overrides`` laid over them.
-
-    Args:
-        paths: Files, or names of shipped ones (see `find_config`).
-        overrides: Dotted or nested values that win over every file.
-        origin: Where the overrides come from, for messages.
-
-    Raises:
-        ConfigError: names the file, and for an unknown key the nearest known one.
-    """
-    values: dict[str, object] = {}
-    files = []
-    for path in paths:
-        found = find_config(path)
-        read = read_values(found)
-        _check(read, str(found))
-        values |= read
-        files.append(str(found))
-    wanted = flatten(overrides or {})
-    _check(wanted, origin)
-    try:
-        return config_from_values(values | wanted)
-    except ConfigError as error:  # values that contradict one another
-        where = ", ".join(files + [origin] * bool(wanted))
-        msg = f"{where}: {error}" if where else str(error)
-        raise ConfigError(msg) from None
-
-
-def _check(values: Mapping[str, object], where: str) -> None:
-    """Each key by itself, so that the message can name the file."""
-    try:
-        checked_values(values)
-    except ConfigError as error:
-        msg = f"{where}: {error}"
-        raise ConfigError(msg) from None
-
-
-def find_config(path: str | os.PathLike[str]) -> Path:
-    """The file itself, else the shipped configuration of that name.
-
-    ``morpheus``, ``morpheus.yaml`` and ``config/morpheus.yaml`` all name the shipped one. Raises
-    `ConfigError`: no such file; lists the shipped ones."""
-    given = Path(path)
-    if given.is_file():
-        return given
-    name = given.name if given.suffix else f"{given.name}.yaml"
-    shipped = list(_shipped())
-    if given.parent in (Path("."), Path("config")):
-        for candidate in shipped:
-            if candidate.name == name:
-                return candidate
-    names = shipped_names()
-    msg = f"no configuration file {str(path)!r} (shipped: {', '.join(names) or 'none'})"
-    beside = [p.stem for p in given.parent.glob("*.yaml")] if given.parent.is_dir() else []
-    close = difflib.get_close_matches(given.stem, [*names, *beside], n=1)
-    if close:
-        near = close[0] if close[0] in names else given.with_name(f"{close[0]}.yaml")
-        msg += f"; did you mean '{near}'?"
-    raise ConfigError(msg)
-
-
-def shipped_names() -> list[str]:
-    """Names of the shipped configurations."""
-    return sorted({path.stem for path in _shipped()})
-
-
-def _shipped() -> Iterator[Path]:
-    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    places = [Path(p) / "share" / "quadtree_lss" / "config" for p in (sys.prefix, *prefixes)]
-    for place in places:
-        yield from sorted(place.glob("*.yaml"))
 
 
 def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -> dict[str, object]:
@@ -220,43 +128,3 @@ def _with_text_keys(values: Mapping[Any, Any]) -> dict[str, object]:
         str(key): _with_text_keys(value) if isinstance(value, Mapping) else value
         for key, value in values.items()
     }
-
-
-def dump_config(config: Config, *, comments: bool = False) -> str:
-    """A parameter file that loads to ``config`` again; with ``comments`` each key is explained."""
-    told = {row.name: _explanation(row) for row in parameters()} if comments else {}
-    return dump_values(values_from_config(config), told)
-
-
-def dump_values(values: Mapping[str, object], comments: Mapping[str, str]) -> str:
-    """A parameter file of dotted values in the order of the table, with comments by key."""
-    lines = ["/**:", "  ros__parameters:"]
-    section = ""
-    for row in parameters():
-        if row.name not in values:
-            continue
-        start, _, name = row.name.partition(".")
-        if start != section:
-            section = start
-            lines.append(f"    {section}:")
-        if row.name in comments:
-            lines.append(f"      # {comments[row.name]}")
-        lines.append(f"      {name}: {scalar_text(values[row.name])}")
-    return "\n".join(lines) + "\n"
-
-
-def scalar_text(value: object) -> str:
-    """A value as YAML has it."""
-    text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
-    return text.removesuffix("\n").removesuffix("\n...")
-
-
-def _explanation(row: Parameter) -> str:
-    parts = [row.doc]
-    if row.unit:
-        parts.append(row.unit)
-    if row.choices:
-        parts.append(" | ".join(row.choices))
-    elif row.type in (int, float):
-        parts.append(f"{row.low:g} .. {row.high:g}")
-    return "; ".join(parts)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.settings import Config
@@ -195,23 +194,6 @@ def doubt(config: Config) -> str:
         return ""
     name = lss.risk_model or SHIPPED
     return f"the risk model {name} was fitted for {'; '.join(far)}: fit-risk makes another"
-
-
-def risk_model_text(model: RiskModel) -> str:
-    """The model as `risk_model` reads it."""
-
-    def line(row: Row) -> str:
-        return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
-
-    lines = [f"seen: {line(model.seen)}"]
-    for name, cause in model.causes.items():
-        lines += [f"{name}:", f"  constant: {cause.constant:.6g}"]
-        for curve in cause.curves:
-            lines += [f"  {curve.of}:", f"    knots: {line(curve.knots)}", "    odds:"]
-            lines += [f"    - {line(row)}" for row in curve.odds]
-    origin = {"provenance": dict(model.provenance)}
-    told = yaml.safe_dump(origin, sort_keys=False, width=96, default_flow_style=None)
-    return "\n".join(lines) + "\n" + str(told)
 
 
 def _from_values(values: Any) -> RiskModel:

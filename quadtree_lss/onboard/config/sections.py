@@ -330,6 +330,11 @@ class LssConfig:
     vehicle: VehicleConfig = VehicleConfig()
 
     @property
+    def zone(self) -> float:
+        """Radius of the landing zone, m."""
+        return 0.5 * self.vehicle.diameter + self.margin
+
+    @property
     def spacing(self) -> float:
         """Of candidate sites, m."""
         return self.grid_spacing or self.vehicle.lengths.grid_spacing

@@ -113,11 +113,3 @@ def _lengths(vehicle: VehicleConfig) -> Lengths:
         share = vehicle._ratio(item.metadata["of"])
         values[item.name] = item.default * share ** item.metadata["power"]
     return Lengths(**values)
-
-
-def rule(name: str) -> str:
-    """How a length follows: ``0.833 x vehicle.clearance``."""
-    item = Lengths.__dataclass_fields__[name]
-    of, power = item.metadata["of"], item.metadata["power"]
-    share = item.default / getattr(VehicleConfig, of) ** power
-    return f"{share:.3g} x vehicle.{of}" + (f"^{power}" if power > 1 else "")

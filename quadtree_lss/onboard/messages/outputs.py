@@ -39,14 +39,15 @@ from quadtree_lss.onboard.messages.maps import (
 )
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
-    from quadtree_lss.onboard.core.landing.look_first import Look
     from quadtree_lss.onboard.core.landing.sites import LandingAssessment
     from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
+    from quadtree_lss.onboard.elevation.look_first import Look
 
 CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"
 HAZARDS, SCORE = "landing/hazards", "landing/score"
 PROBABILITY = "landing/probability"
+GROUND = SITES, SITE_TABLE, HAZARDS, SCORE, PROBABILITY
 SELECTED, STATUS = "landing/selected", "landing/status"
 PRIOR, LOOK_FIRST = "map/prior", "map/look_first"
 
@@ -168,13 +169,6 @@ class MessageMaker:
         yield CELLS, self.cloud(encode_cells(cells), CELL_FIELDS, stamp)
         values, corner = encode_observed(cells.observed, cells.known), (domain.xmin, domain.ymin)
         yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
-
-    def of_landing(
-        self, assessment: LandingAssessment, age: float = float("nan"), prior: Array | None = None
-    ) -> Iterator[Named]:
-        """The ``landing/`` topics, target first."""
-        yield from self.of_target(assessment, age, prior)
-        yield from self.of_ground(assessment)
 
     def of_ground(self, assessment: LandingAssessment) -> Iterator[Named]:
         """Grids and sites; grid points are the centres of their cells."""

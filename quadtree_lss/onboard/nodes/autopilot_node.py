@@ -15,7 +15,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
@@ -49,6 +48,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Status,
     Waiting,
 )
+from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
@@ -94,9 +94,11 @@ class AutopilotNode(Node):
         self._dispersion = advertise(self, PoseWithCovarianceStamped, DISPERSION, latched())
         self._state = advertise(self, DiagnosticStatus, STATE, latched())
         self.create_service(Trigger, "~/land", self._on_land)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(POLL_S, self._poll, clock=steady)
-        self.create_timer(STEP_S, self._step, clock=steady if self._now is time.monotonic else None)
+        steady_timer(self, POLL_S, self._poll)
+        if self._now is time.monotonic:
+            steady_timer(self, STEP_S, self._step)
+        else:
+            self.create_timer(STEP_S, self._step)
         self._diagnostics = Diagnostics(
             self, config.publish.diagnostics_rate, self._problems, self._collect
         )

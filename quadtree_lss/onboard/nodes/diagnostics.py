@@ -11,13 +11,13 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from quadtree_lss import build
 from quadtree_lss.onboard.config.settings import DiagnosticsConfig
 from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.nodes.executor import steady_timer
 
 
 class Logger(Protocol):
@@ -123,23 +123,17 @@ class Durations:
 
     def __init__(self) -> None:
         self.last = 0.0
-        self._sum = self._worst = 0.0
-        self._count = 0
+        self._since: list[float] = []
 
     def add(self, milliseconds: float) -> None:
         """One more."""
         self.last = milliseconds
-        self._worst = milliseconds if self._count == 0 else max(self._worst, milliseconds)
-        self._sum += milliseconds
-        self._count += 1
+        self._since.append(milliseconds)
 
     def take(self) -> Span | None:
         """Mean and worst since the last call, None if there were none."""
-        if not self._count:
-            return None
-        span = Span(self._sum / self._count, self._worst)
-        self._sum, self._count = 0.0, 0
-        return span
+        since, self._since = self._since, []
+        return Span(sum(since) / len(since), max(since)) if since else None
 
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -207,8 +201,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
         )
-        clock = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(1.0 / rate, self._send, clock=clock)
+        steady_timer(node, 1.0 / rate, self._send)
 
     def latency_ms(self, stamp_ns: int) -> float | None:
         """From a stamp to now by the node's clock; None if the two are not of the same time."""

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib import import_module
 from types import FrameType
 
@@ -100,21 +101,6 @@ def stop_on_signal() -> StopOnSignal:
     return _early.pop() if _early else StopOnSignal()
 
 
-def mapping_node() -> int:
-    """Console script ``mapping_node``."""
-    return _run("mapping_node")
-
-
-def lss_node() -> int:
-    """Console script ``lss_node``."""
-    return _run("lss_node")
-
-
-def autopilot_node() -> int:
-    """Console script ``autopilot_node``."""
-    return _run("autopilot_node")
-
-
 def _run(name: str) -> int:
     _early.append(StopOnSignal())
     _starting.append(Starting(name))
@@ -129,3 +115,9 @@ def _run(name: str) -> int:
         waits_for("")
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
+
+
+#: The console scripts.
+mapping_node = partial(_run, "mapping_node")
+lss_node = partial(_run, "lss_node")
+autopilot_node = partial(_run, "autopilot_node")

@@ -7,10 +7,13 @@ from collections.abc import Callable, Coroutine, Iterator
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.timer import Timer
 
 from quadtree_lss.onboard.config.settings import ConfigError
 
@@ -24,6 +27,11 @@ def transforms_type() -> Any:
         msg = "mount.tf needs tf2_msgs (apt install ros-jazzy-tf2-msgs): set mount.x ... instead"
         raise ConfigError(msg) from None
     return TFMessage
+
+
+def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
+    """A timer on a steady clock: it goes on when ``/clock`` stops or jumps."""
+    return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class WhenWanted(CallbackGroup):

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
 
@@ -27,6 +26,7 @@ from quadtree_lss.onboard.messages.landing_inputs import (
     topic_of,
 )
 from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.qos import subscribe_twice
 from quadtree_lss.onboard.nodes.ros_messages import TYPES as ROS_TYPES
 
@@ -99,8 +99,7 @@ class LandingTopics:
         now = time.monotonic()
         if self._began is None:
             self._began = now
-            clock = Clock(clock_type=ClockType.STEADY_TIME)
-            self._timer = self._node.create_timer(LOOK_S, self._look, clock=clock)
+            self._timer = steady_timer(self._node, LOOK_S, self._look)
         unheard = self.unheard()
         if any(name in self._required for name in unheard):
             return False

@@ -8,9 +8,8 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
@@ -18,6 +17,7 @@ from visualization_msgs.msg import MarkerArray
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.outputs import CELLS, GRID_MAP, GROUND, OBSERVED, TOPIC_TYPES
 from quadtree_lss.onboard.nodes.diagnostics import (
     ERROR,
     OK,
@@ -30,6 +30,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
+from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
@@ -38,14 +39,12 @@ from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
 from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
-from quadtree_lss.onboard.nodes.ros_messages import GridMap, message_maker
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, GridMap, message_maker
 from quadtree_lss.onboard.nodes.target_output import TargetOutput
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 
-CELLS, OBSERVED = "map/cells", "map/observed"
-GRID_MAP = "landing/grid_map"
 LOOK_PERIOD_S = 0.2
 """How often the age of the map is looked at."""
 
@@ -91,14 +90,7 @@ class LssNode(Node):
             self, config.publish.diagnostics_rate, self._problems, self._collect
         )
         self._landing = {
-            topic: advertise(self, kind, topic, latched())
-            for topic, kind in (
-                ("landing/sites", PoseArray),
-                ("landing/site_table", PointCloud2),
-                ("landing/hazards", OccupancyGrid),
-                ("landing/score", OccupancyGrid),
-                ("landing/probability", OccupancyGrid),
-            )
+            topic: advertise(self, TYPES[TOPIC_TYPES[topic]], topic, latched()) for topic in GROUND
         }
         prior = bool(config.prior.file)
         self._target = TargetOutput(
@@ -113,8 +105,7 @@ class LssNode(Node):
         if GridMap is not None:
             publisher = advertise(self, GridMap, GRID_MAP, latched())
             self._grid_map = MarkerPublisher(self, publisher, self._grid_map_message)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
+        steady_timer(self, LOOK_PERIOD_S, self._look_around)
         # This takes a while to load, in which the middleware already finds mapping_node.
         waits_for("what judges landing")
         from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
@@ -252,8 +243,7 @@ class LssNode(Node):
     def _site_markers(self) -> MarkerArray | None:
         if self._result is None:
             return None
-        lss = self._settings.config.lss
-        return site_markers(self._result, self._map.frame, 0.5 * lss.vehicle.diameter + lss.margin)
+        return site_markers(self._result, self._map.frame, self._settings.config.lss.zone)
 
     def _grid_map_message(self) -> Any:
         result = self._result

@@ -12,7 +12,6 @@ from typing import Any
 
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
@@ -45,7 +44,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import WhenWanted, transforms_type
+from quadtree_lss.onboard.nodes.executor import WhenWanted, steady_timer, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
 from quadtree_lss.onboard.nodes.map_files import MapServices
@@ -54,13 +53,7 @@ from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
-from quadtree_lss.onboard.nodes.qos import (
-    advertise,
-    latched,
-    stream,
-    subscribe,
-    subscribe_twice,
-)
+from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe, subscribe_twice
 from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
@@ -141,8 +134,7 @@ class MappingNode(Node):
             reset=self._after_reset,
         )
         self._subscribe()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(LOOK_PERIOD_S, self._look_around, clock=steady)
+        steady_timer(self, LOOK_PERIOD_S, self._look_around)
         announce(self, config)
 
     def finish(self) -> None:

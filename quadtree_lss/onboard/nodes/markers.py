@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import ColorRGBA, Header
@@ -20,6 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import site_orientations
+from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
@@ -100,9 +100,7 @@ class MarkerPublisher:
         self._build = build
         self._changed = False
         self._subscribers = 0
-        node.create_timer(
-            VIEWER_PERIOD_S, self._send, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        steady_timer(node, VIEWER_PERIOD_S, self._send)
 
     def changed(self) -> None:
         """What the markers show changed."""

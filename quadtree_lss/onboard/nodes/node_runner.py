@@ -8,7 +8,8 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol, runtime_checkable
+from itertools import pairwise
+from typing import Any
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -45,14 +46,6 @@ What a killed process leaves behind in shared memory can keep its successor, whi
 port, from hearing the sensors for ten seconds or for good. The kernel cuts the size to what
 net.core.rmem_max allows; docs/evidence.md says what was measured.
 """
-
-
-@runtime_checkable
-class Finishing(Protocol):
-    """A node that has something to do before it ends in good order."""
-
-    def finish(self) -> None:
-        """Called once, but not after an exception: what the node holds may be broken then."""
 
 
 def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | None = None) -> int:
@@ -101,8 +94,9 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
         with contextlib.suppress(ExternalShutdownException), stop.breaking():
             while rclpy.ok() and not stop.asked:
                 executor.spin_once(timeout_sec=STOP_PERIOD_S)
-        if isinstance(node, Finishing):
-            node.finish()
+        # Not after an exception: what the node holds may be broken then.
+        if finish := getattr(node, "finish", None):
+            finish()
     except KeyboardInterrupt:  # what it had at work is half done, and is not written
         print("asked to end once more: broken off", file=sys.stderr)
     except QuadtreeLssError as error:
@@ -180,7 +174,7 @@ def configuration_text(config: Config, arguments: Sequence[str]) -> str:
     ``arguments``: of the command line; what stands in none of its files came otherwise."""
     values = values_from_config(config)
     changed = [row.name for row in parameters() if values[row.name] != row.default]
-    files = [path for option, path in _pairs(arguments) if option == "--params-file"]
+    files = [path for option, path in pairwise(arguments) if option == "--params-file"]
     if not changed:
         return f"configuration: the defaults{' (as in ' + ', '.join(files) + ')' if files else ''}"
     origin = _origins(arguments)
@@ -215,14 +209,10 @@ def topics_text(ends: Iterable[Any]) -> str:
     return ", ".join(f"{topic} ({' and '.join(ways)})" for topic, ways in found.items())
 
 
-def _pairs(arguments: Sequence[str]) -> list[tuple[str, str]]:
-    return list(zip(arguments, arguments[1:], strict=False))
-
-
 def _origins(arguments: Sequence[str]) -> dict[str, str]:
     """The last file of the command line that sets a parameter, by the parameter's name."""
     origin: dict[str, str] = {}
-    for option, value in _pairs(arguments):
+    for option, value in pairwise(arguments):
         if option == "--params-file":
             try:
                 origin |= dict.fromkeys(read_values(value), value)

@@ -16,7 +16,6 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -32,6 +31,7 @@ from quadtree_lss.onboard.config.settings import (
     unknown_parameter,
     values_from_config,
 )
+from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.files import is_below
 
 #: Parameters that every ROS node has, whatever its package.
@@ -158,7 +158,7 @@ class NodeParameters:
                         f" but of {', '.join(has[entity])}"
                     )
 
-        timer = node.create_timer(0.0, tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        timer = steady_timer(node, 0.0, tell)
 
     def _check(self, changes: Iterable[RosParameter]) -> SetParametersResult:
         try:

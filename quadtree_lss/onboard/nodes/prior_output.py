@@ -41,7 +41,7 @@ class PriorOutput:
         self._offset = None
         if prior is None:
             return
-        from quadtree_lss.onboard.core.landing.look_first import look_first
+        from quadtree_lss.onboard.elevation.look_first import look_first
 
         self._offset = advertise(node, PoseWithCovarianceStamped, PRIOR, latched())
         self._first = advertise(node, PoseArray, LOOK_FIRST, latched())

@@ -6,8 +6,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+
+from quadtree_lss.onboard.nodes.executor import steady_timer
 
 LATE = 0.6
 """How long after it was due the next change is waited for, in intervals between changes."""
@@ -26,8 +27,7 @@ class ChangePublisher:
         self._period_ns = round(1e9 / rate)
         self._publish = publish
         self._due_ns = self._changed_ns = 0
-        clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(1.0 / rate, self._send, clock=clock)
+        self._timer = steady_timer(node, 1.0 / rate, self._send)
         self._timer.cancel()
 
     def changed(self) -> None:

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
@@ -21,6 +20,7 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
 from quadtree_lss.onboard.messages.outputs import PRIOR, SELECTED, STATUS
 from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, subscribe, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
@@ -59,8 +59,7 @@ class TargetOutput:
             subscribe(node, PoseWithCovarianceStamped, PRIOR, self._on_prior, latched())
         self._chosen = False
         self._frame = ""
-        clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._again = node.create_timer(0.4 * TARGET_S, self._say, clock=clock)
+        self._again = steady_timer(node, 0.4 * TARGET_S, self._say)
         node.create_service(Trigger, "~/release", self._on_release)
         node.create_service(Trigger, "~/land_now", self._on_land_now)
 

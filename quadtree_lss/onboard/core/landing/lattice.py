@@ -6,9 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import cython
 import numpy as np
+from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
 
@@ -16,6 +18,7 @@ from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
 NEAR = 126
 #: Points of a row of which distances are looked for together.
 SPAN = cython.declare(cython.Py_ssize_t, 64)
+Kind = TypeVar("Kind", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,15 @@ def touching(cells: Bytes) -> Bytes:
     out = np.zeros((rows + 1, columns + 1), dtype=np.uint8)
     for i, j in (0, 0), (0, 1), (1, 0), (1, 1):
         out[i : i + rows, j : j + columns] |= cells
+    return out
+
+
+def with_neighbours(values: NDArray[Kind]) -> NDArray[Kind]:
+    """The greatest of each point's value and its four neighbours', (ny, nx)."""
+    out = values.copy()
+    for one, other in ((out, values), (out.T, values.T)):
+        np.maximum(one[1:], other[:-1], out=one[1:])
+        np.maximum(one[:-1], other[1:], out=one[:-1])
     return out
 
 

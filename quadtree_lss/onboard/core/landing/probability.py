@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing.lattice import with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 
@@ -151,8 +152,8 @@ class RiskTable:
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
         out = np.empty((len(LOCAL), *judged.shape), dtype=np.float32)
         for k, contact, limit in ((0, worst.rise, clearance), (2, worst.slope, steep)):
-            np.divide(contact, np.float32(limit), out=out[k])
-            set_beside(out[k], float(self._low[k]), out[k + 1])
+            np.fmax(contact / np.float32(limit), np.float32(self._low[k]), out=out[k])
+            out[k + 1] = with_neighbours(out[k])
         known = ~raster.bridged
         share = np.bincount(raster.leaf[known], minlength=len(cells.level))
         # Returns on a square as wide as the clearance, of those that their leaf has there.
@@ -332,33 +333,6 @@ def _middle(weights: Array, count: int) -> Array:
     """Of `normal_weights` those of points of a lattice of so many, as seen from any of them."""
     beyond = max(len(weights) // 2 - count, 0)
     return weights[beyond : len(weights) - beyond]
-
-
-@cython.boundscheck(False)
-@cython.locals(own=cython.float[:, ::1], out=cython.float[:, ::1])
-def set_beside(own: Single, least: float, out: Single) -> None:
-    """Set the greatest of a grid point and its four neighbours (ny, nx), ``least`` at the least.
-
-    Where there is none (NaN) it is ``least``, in ``own`` as well.
-    """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    rows: cython.Py_ssize_t = own.shape[0]
-    columns: cython.Py_ssize_t = own.shape[1]
-    z: cython.float = least
-    with cython.nogil:
-        for i in range(rows):
-            for j in range(columns):
-                own[i, j] = own[i, j] if own[i, j] >= z else z
-        for i in range(rows):
-            for j in range(columns):
-                out[i, j] = own[i, j]
-            for j in range(1, columns):
-                out[i, j] = max(out[i, j], own[i, j - 1])
-                out[i, j - 1] = max(out[i, j - 1], own[i, j])
-            if i > 0:
-                for j in range(columns):
-                    out[i, j] = max(out[i, j], own[i - 1, j])
-                    out[i - 1, j] = max(out[i - 1, j], own[i, j])
 
 
 @cython.boundscheck(False)

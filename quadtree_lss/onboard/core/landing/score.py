@@ -21,6 +21,7 @@ from quadtree_lss.onboard.core.landing.lattice import (
     ground_planes,
     grown,
     touching,
+    with_neighbours,
 )
 from quadtree_lss.onboard.core.landing.probability import RiskTable
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
@@ -64,18 +65,13 @@ def ground_radius(lss: LssConfig) -> float:
     return 0.75 * 0.5 * lss.vehicle.diameter
 
 
-def zone_radius(lss: LssConfig) -> float:
-    """Radius of the landing zone, m."""
-    return 0.5 * lss.vehicle.diameter + lss.margin
-
-
 def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     """What lies about the grid points of a map."""
     domain = raster.domain
     n, side = domain.finest_count, domain.finest_size
     radius = min(ground_radius(lss), 0.5 * domain.size)
     planes = ground_planes(raster.elevation, raster.seen, side, radius)
-    limit = max(zone_radius(lss), DISTANCE_CAP * lss.vehicle.size)
+    limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.size)
     room = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
     unmapped = touching(raster.unmapped.view(np.uint8)) > 0
     to_unmapped = distance_from(unmapped, side, limit + lss.vehicle.pad_radius)
@@ -85,12 +81,7 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     np.minimum(room, border[:, None], out=room)
     needed = (0.5 - SLACK) * lss.vehicle.diameter
     judged, inside = room >= needed, border >= needed
-    met = judged.copy()
-    met[1:] |= judged[:-1]
-    met[:-1] |= judged[1:]
-    met[:, 1:] |= judged[:, :-1]
-    met[:, :-1] |= judged[:, 1:]
-    met &= inside & inside[:, None]
+    met = with_neighbours(judged) & inside & inside[:, None]
     return Surroundings(planes, room, to_unmapped, judged, met)
 
 
@@ -135,7 +126,7 @@ def assess_points(
     of ``check`` decide if ``lss.assessment`` is ``touchdown``; without ``table`` nobody asks for
     the risk."""
     cells, n, side = raster.cells, raster.domain.finest_count, raster.domain.finest_size
-    vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, zone_radius(lss)
+    vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, lss.zone
     cap = DISTANCE_CAP * vehicle.size
     bits = hazards.avoided_features(cells, lss).take(raster.leaf)
     bits *= raster.seen.view(np.uint8)
@@ -208,7 +199,7 @@ def zones_about(
     zone may move in any direction until it touches a hazard (or, with the touchdown check, until
     the lander fails within the margin), unseen ground or the domain's border, 0 where it does.
     """
-    raster, domain, zone = points.raster, points.raster.domain, zone_radius(lss)
+    raster, domain, zone = points.raster, points.raster.domain, lss.zone
     side, last = domain.finest_size, domain.finest_count - 1
     over = disc(min(zone, 0.5 * domain.size), side)
     # A zone that reaches beyond the border has the cells at it.

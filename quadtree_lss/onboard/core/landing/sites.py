@@ -11,30 +11,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array, Bytes
+from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
-from quadtree_lss.onboard.core.geometry.heights import height_by_error
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.assessment import (
+    Doubts,
     LandingAssessment,
     Selected,
     Sites,
     no_target,
     nothing_mapped,
 )
-from quadtree_lss.onboard.core.landing.doubt import Doubts
-from quadtree_lss.onboard.core.landing.grid import Aims, GridSampler, aim, best_points, users_grid
+from quadtree_lss.onboard.core.landing.grid import (
+    Aims,
+    GridSampler,
+    aim,
+    best_points,
+    reachable,
+    users_grid,
+    within_reach,
+)
 from quadtree_lss.onboard.core.landing.lattice import disc, touching
-from quadtree_lss.onboard.core.landing.light import in_shadow, within
-from quadtree_lss.onboard.core.landing.now import within_reach
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     RiskTable,
     limits,
     remaining_risks,
 )
-from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster, in_shadow, rasterise
 from quadtree_lss.onboard.core.landing.score import (
     SLACK,
     PointAssessment,
@@ -42,7 +47,6 @@ from quadtree_lss.onboard.core.landing.score import (
     ground_radius,
     look_around,
     unknown_bits,
-    zone_radius,
     zones_about,
 )
 from quadtree_lss.onboard.core.landing.target import (
@@ -56,7 +60,7 @@ from quadtree_lss.onboard.core.landing.target import (
     grid_point,
 )
 from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, height_by_error
 
 #: Why there is no target, where the same map would not give one either.
 WAITING = (Reason.SETTLING, Reason.UNLIKELY)
@@ -199,48 +203,35 @@ class LandingSiteSelector:
         doubts: tuple[str, ...] = ()
         if self._doubts is not None:
             doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
-        safe, cost = aims.candidates.safe, aims.candidates.cost
+        cost = aims.candidates.cost
         landable = bool(np.isfinite(cost).any())
-        explanation = f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
-        if not safe.any():
-            explanation = _why_none(points, lss)
-        elif not landable:
-            explanation = "no safe ground within the landing area and outside the keep-outs"
-            if above.any():
-                explanation += " that does not lie above the vehicle: poses in NED, or the lidar's"
-                explanation += " mount is another; quadtree-lss doctor says which"
-        if aims.withheld:
-            explanation = f"no site is given out: {aims.withheld}"
 
         def why_not(row: int, column: int) -> Reason:
             if aims.withheld or above[row, column]:
                 return Reason.WITHHELD
             if unwanted := wanted.fault(at.x[column], at.y[row], lss):
                 return unwanted
-            if at.nearest(points.around.room)[row, column] >= (1.0 - SLACK) * zone_radius(lss):
+            if at.nearest(points.around.room)[row, column] >= (1.0 - SLACK) * lss.zone:
                 return Reason.HAZARD
             away = at.nearest(points.around.to_unmapped)[row, column]
-            reach = (1.0 - SLACK) * (zone_radius(lss) + lss.vehicle.pad_radius)
+            reach = (1.0 - SLACK) * (lss.zone + lss.vehicle.pad_radius)
             return Reason.UNMAPPED if away < reach else Reason.UNSEEN
 
-        none = Reason.WITHHELD if aims.withheld else Reason.NO_SITE
         seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
         settled = seen >= lss.settle_share or waited >= lss.settle_time
-        below = None
+        below = descent = None
         if motion is not None:
-            below = self._descent(points, at, motion, (motion.x, motion.y))
+            below = _descent(points, at, motion, (motion.x, motion.y))
+            descent = _descent(points, at, motion, self._target.held)
         here = within_reach(aims, wanted, lss, motion, below)
         choice = self._choose(
             aims.candidates,
             why_not=why_not,
-            why_none=none,
-            descent=None if motion is None else self._descent(points, at, motion, self._over(at)),
+            why_none=Reason.WITHHELD if aims.withheld else Reason.NO_SITE,
+            descent=descent,
             settled=settled,
             now=here,
         )
-        reach = None
-        if aims.shadow is not None:
-            reach = within(at.x, at.y, wanted, lss, motion, below)
         ranked = self._rank(cost, at.x, at.y)
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
@@ -261,45 +252,23 @@ class LandingSiteSelector:
             x=at.x,
             y=at.y,
             hazard=aims.hazard,
-            safe=safe,
+            safe=aims.candidates.safe,
             score=aims.score,
             probability=aims.probability,
             risk=aims.risk,
-            explanation=explanation,
+            explanation=_explanation(points, aims, above, lss),
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
             ground=(at, points),
             doubts=doubts,
             shadow=aims.shadow,
-            reach=reach,
+            reach=None
+            if aims.shadow is None
+            else reachable(at.x, at.y, wanted, lss, motion, below),
         )
 
     def _choose(self, ground: Candidates, **situation: Any) -> Choice:
         return self._target.choose(ground, self.config.lss, reach=self._reach(), **situation)
-
-    def _over(self, at: GridSampler) -> tuple[float, float] | None:
-        """The target, if there is one and it is a grid point."""
-        held = self._target.held
-        return held if held is not None and grid_point(at.x, at.y, *held) else None
-
-    def _descent(
-        self,
-        points: PointAssessment,
-        at: GridSampler,
-        motion: Motion,
-        over: tuple[float, float] | None,
-    ) -> Descent:
-        """Over a place; without one, or where its ground is not seen, over all of the ground."""
-        ground = float("nan")
-        if over is not None and at.x[0] <= over[0] <= at.x[-1] and at.y[0] <= over[1] <= at.y[-1]:
-            row, column = (
-                near[np.abs(axis - place).argmin()]
-                for near, axis, place in zip(at.near, (at.y, at.x), over[::-1], strict=True)
-            )
-            ground = float(points.around.planes.elevation[row, column])
-        if isnan(ground):
-            ground = float(np.mean(points.raster.elevation[points.raster.seen]))
-        return Descent(motion.z - ground, motion.down)
 
     def _reach(self) -> float:
         """How far from each other sites are the same, m: no two of a ranking are."""
@@ -381,15 +350,40 @@ class LandingSiteSelector:
         )
 
 
-def _why_none(points: PointAssessment, lss: LssConfig) -> str:
-    raster = points.raster
+def _descent(
+    points: PointAssessment, at: GridSampler, motion: Motion, over: tuple[float, float] | None
+) -> Descent:
+    """Over a place; without one, or where its ground is not seen, over all of the ground."""
+    ground = float("nan")
+    if over is not None and at.x[0] <= over[0] <= at.x[-1] and at.y[0] <= over[1] <= at.y[-1]:
+        row = at.near[0][np.abs(at.y - over[1]).argmin()]
+        column = at.near[1][np.abs(at.x - over[0]).argmin()]
+        ground = float(points.around.planes.elevation[row, column])
+    if isnan(ground):
+        ground = float(np.mean(points.raster.elevation[points.raster.seen]))
+    return Descent(motion.z - ground, motion.down)
+
+
+def _explanation(points: PointAssessment, aims: Aims, above: Mask, lss: LssConfig) -> str:
+    """How many grid points are safe, or why there are no sites."""
+    safe, raster = aims.candidates.safe, points.raster
+    if aims.withheld:
+        return f"no site is given out: {aims.withheld}"
+    if np.isfinite(aims.candidates.cost).any():
+        return f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
+    if safe.any():
+        text = "no safe ground within the landing area and outside the keep-outs"
+        if above.any():
+            text += " that does not lie above the vehicle: poses in NED, or the lidar's mount is"
+            text += " another; quadtree-lss doctor says which"
+        return text
     seen, unmapped = float(np.mean(raster.seen)), float(np.mean(raster.unmapped))
     hazardous = (points.hazard & hazards.IDENTIFIED > 0) & (points.hazard & hazards.UNSEEN == 0)
     return (
         f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
         + (f"{100.0 * unmapped:.0f} % seen but not yet mapped, " if unmapped > 0.0 else "")
         + f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
-        f"{zone_radius(lss):.2f} m radius is both seen and allowed"
+        f"{lss.zone:.2f} m radius is both seen and allowed"
     )
 
 

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import dist, inf, nan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,9 +31,6 @@ from quadtree_lss.onboard.arrays import Array, Mask, Numbers
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.tree.domain import carried
-
-if TYPE_CHECKING:
-    from quadtree_lss.onboard.core.landing.now import Now
 
 #: Places that are remembered; of more the oldest are forgotten.
 MAX_PLACES = 1000
@@ -166,21 +163,16 @@ class Restrictions:
         return why
 
     def _exclude(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> None:
-        """Does as `apply` says.
-
-        Raises:
-            ValueError, TypeError: a polygon with fewer than three finite vertices, a target that is
-                not finite, or not numbers.
-        """
+        """Does as `apply` says. Raises `ValueError` or `TypeError`: a polygon or target is none."""
         if self.area is None and not self.keep_outs and self.target is None:
             return
         # Only what is left is looked at: areas come with every second of a flight.
         row, column = np.nonzero(np.isfinite(cost))
-        left, zone = cost[row, column], 0.5 * lss.vehicle.diameter + lss.margin
+        left = cost[row, column]
         if self.area is not None:
-            left[signed_distance(self.area, x[column], y[row]) < zone] = np.nan
+            left[signed_distance(self.area, x[column], y[row]) < lss.zone] = np.nan
         for polygon in self.keep_outs:
-            left[signed_distance(polygon, x[column], y[row]) > -zone] = np.nan
+            left[signed_distance(polygon, x[column], y[row]) > -lss.zone] = np.nan
         if self.target is not None:
             goal = np.asarray(self.target, dtype=np.float64)
             if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
@@ -212,8 +204,8 @@ class Restrictions:
         """Why landing is not wanted at a place, None if nothing speaks against it."""
         if not self.area_holds(x, y, lss):
             return Reason.OUTSIDE_AREA
-        zone, at = 0.5 * lss.vehicle.diameter + lss.margin, (np.array([x]), np.array([y]))
-        touched = any(signed_distance(polygon, *at)[0] > -zone for polygon in self.keep_outs)
+        at = np.array([x]), np.array([y])
+        touched = any(signed_distance(polygon, *at)[0] > -lss.zone for polygon in self.keep_outs)
         return Reason.KEEP_OUT if touched else None
 
     def area_holds(self, x: float, y: float, lss: LssConfig) -> bool:
@@ -224,7 +216,7 @@ class Restrictions:
             inside = signed_distance(self.area, np.array([x]), np.array([y]))[0]
         except (TypeError, ValueError):
             return False
-        return bool(inside >= 0.5 * lss.vehicle.diameter + lss.margin)
+        return bool(inside >= lss.zone)
 
     def is_near(self, x: float, y: float, reach: float) -> bool:
         """Whether the place to be near to is this one."""
@@ -272,6 +264,21 @@ class Candidates:
             if np.abs(to[0] - of[0] - steps[-1] * (of[1] - of[0])) > SAME * (of[1] - of[0]):
                 return nowhere
         return carried(self.safe, steps[0], steps[1], False)
+
+
+@dataclass(frozen=True)
+class Now:
+    """What there is within reach at a moment (see `grid.within_reach`).
+
+    Attributes:
+        cost: (ny, nx) how bad a grid point is, NaN where it is no choice.
+        best: Row and column of the best, None if there is none.
+        gain: What `WAIT_S` more are worth, as a probability; NaN if nobody asked for one.
+    """
+
+    cost: Array
+    best: tuple[int, int] | None = None
+    gain: float = float("nan")
 
 
 @dataclass(frozen=True)

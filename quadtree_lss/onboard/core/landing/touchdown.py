@@ -31,9 +31,9 @@ from cython.cimports.libc.math import fabs, sqrt
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Single
 from quadtree_lss.onboard.config.limits import YAWS
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.geometry import feature
 from quadtree_lss.onboard.core.landing.lattice import disc
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
+from quadtree_lss.onboard.core.tree import cell_map
 from quadtree_lss.onboard.core.tree.domain import Domain, carried
 
 if cython.compiled:
@@ -49,7 +49,7 @@ else:  # otherwise from the .pxd
 SLOPE_ROUNDING = cython.declare(cython.double, 1e-4)
 #: Where a resting plane may sink below the lowest pad, as a share of the pads' spread.
 SAG = cython.declare(cython.double, 0.5 * (2.0**0.5 - 1.0))
-SHAPE = cython.declare(cython.double, feature.SHAPE)
+SHAPE = cython.declare(cython.double, cell_map.SHAPE)
 NAN = cython.declare(cython.double, float("nan"))
 
 

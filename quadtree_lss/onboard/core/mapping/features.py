@@ -3,7 +3,8 @@
 
 Heights are above the cell's plane, so that a slope is no feature. The state is Eq. 51's
 (A, k, mu_x, mu_y, sigma), the centre relative to the cell's; the height over the plane is
-A + p exp(-r^2 / 2 sigma^2) with p = k^2 / (2 pi sigma^2) (`geometry.feature`).
+A + p exp(-r^2 / 2 sigma^2) with p = k^2 / (2 pi sigma^2), so that k^2 is the bump's volume
+(Eq. 49, Eq. 50, Eq. 51 and Eq. 57 with their errata).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
+from quadtree_lss.onboard.core.tree import cell_map
 from quadtree_lss.onboard.core.tree.leaves import Record
 
 if not cython.compiled:
@@ -32,8 +34,7 @@ SIGNIFICANCE = cython.declare(cython.double, 25.0)
 #: Points of one scan that a feature is estimated from, at most, and that start its estimate.
 MAX_SAMPLES = cython.declare(cython.Py_ssize_t, 512)
 MAX_RAISED = cython.declare(cython.Py_ssize_t, 24)
-#: Peak of the bell that fits a hemisphere (Eq. 53) best over the hemisphere's height.
-SHAPE = cython.declare(cython.double, 1.25)
+SHAPE = cython.declare(cython.double, cell_map.SHAPE)
 #: Updates of a first estimate at most.
 ITERATIONS = cython.declare(cython.int, 5)
 #: Relative change of the cost at which an estimate has converged.

@@ -13,12 +13,34 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Numbers
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
-from quadtree_lss.onboard.core.geometry.heights import height_by_error
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
 
 #: The least sigma of a feature, m, and the least n_z of a normal (`geometry.plane.keep_up`).
 LEAST_SIGMA, LEAST_UP = 1e-6, 1e-3
+#: Peak of the bell that fits a hemisphere (Eq. 53) best over the hemisphere's height.
+SHAPE = 1.25
+
+
+def peak(feature: Array) -> Array:
+    """Height of features over their surroundings, k^2 / (2 pi sigma^2): (..., 5) to (...), m."""
+    return np.asarray(feature[..., 1] ** 2 / (2.0 * np.pi * feature[..., 4] ** 2))
+
+
+def height_by_error(normal: Array, x: Array, y: Array) -> Array:
+    """Derivative (K, 3) of planes' heights at x, y (K,) from their origins by their errors.
+
+    Args:
+        normal: (K, 3) upward unit normals; the errors are a tilt along the axes of Eq. 2, rad, and
+            a shift along the normal, m.
+        x, y: (K,) from the points that the planes are stored about, m.
+    """
+    nx, ny, nz = normal.T
+    share, rise = 1.0 / (1.0 + nz), -(x * nx + y * ny) / nz
+    along = x * nx + y * ny
+    first = x - share * nx * along - nx * rise
+    second = y - share * ny * along - ny * rise
+    return np.asarray(np.column_stack([-first, -second, np.ones_like(x)]) / nz[:, None])
 
 
 def sound_planes(z: Array, normal: Array, covariances: Sequence[Array], feature: Array) -> Mask:

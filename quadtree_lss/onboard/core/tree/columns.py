@@ -9,7 +9,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Index
-from quadtree_lss.onboard.core.geometry import feature
+from quadtree_lss.onboard.core.tree.cell_map import SHAPE
 
 if cython.compiled:
     from cython.cimports.libc.math import NAN
@@ -21,7 +21,7 @@ else:
 
 #: A bell fitted to a hemisphere (Eq. 53) by least squares peaks a quarter above it. Its volume is
 #: right; a sigma wider by this lowers the peak and keeps it.
-WIDER = cython.declare(cython.double, feature.SHAPE**0.5)
+WIDER = cython.declare(cython.double, SHAPE**0.5)
 
 
 @cython.boundscheck(False)

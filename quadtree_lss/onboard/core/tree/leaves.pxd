@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+cimport cython
 from libc.math cimport INFINITY as INFINITE, NAN, fabs
 from quadtree_lss.onboard.core.geometry.morton cimport encode
 from quadtree_lss.onboard.core.geometry.plane cimport shift_origin
@@ -54,6 +55,7 @@ cdef void clear(Leaf* leaf) noexcept nogil
 cdef extern from * nogil:
     void prefetch "__builtin_prefetch" (const void* at)
 
+@cython.final
 cdef class LeafTable:
     cdef readonly object domain
     cdef readonly object rows
@@ -75,7 +77,7 @@ cdef class LeafTable:
     cdef void unknow(self, Leaf* leaf) noexcept nogil
     cdef void forget(self, Leaf* leaf) noexcept nogil
     cdef bint _stands_out(self, int level, int ix, int iy) noexcept nogil
-    cdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread) noexcept nogil
+    cpdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread) noexcept nogil
     cpdef reserve(self, Py_ssize_t more)
 
 cpdef unfold(unsigned char[::1] values, unsigned char[:, ::1] out)

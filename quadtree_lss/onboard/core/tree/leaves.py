@@ -320,13 +320,6 @@ class LeafTable:
         leaf.z = leaf.normal[0] = leaf.normal[1] = 0.0
         leaf.normal[2] = 1.0
 
-    def make_room_and_divide(
-        self, row: int, square: float, tilt: float, spread: float = 0.0
-    ) -> cython.bint:
-        """`divide` one leaf."""
-        self.reserve(3)
-        return self.divide(row, square, tilt, spread)
-
     def in_order(self) -> Index:
         """Rows of the leaves in Morton order: neighbours in space are near in the table."""
         code: cython.Py_ssize_t = 0

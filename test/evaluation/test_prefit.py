@@ -21,7 +21,7 @@ from core.builders import (
 from core.kernels import tangent_basis
 from scipy.stats import chi
 
-from quadtree_lss.onboard.core.mapping.consistency import (
+from quadtree_lss.lab.evaluation.prefit import (
     Counts,
     acceptance_interval,
     prefit_statistics,
