@@ -26,7 +26,7 @@ onboard.core.mapping: onboard.core.tree
 onboard.core.landing: onboard.config onboard.core.geometry onboard.core.sensing
 onboard.core.landing: onboard.core.tree
 onboard.messages: onboard.config onboard.core
-onboard.autopilot: onboard.config onboard.core.geometry
+onboard.autopilot: onboard.config onboard.core onboard.messages
 onboard.elevation: onboard.config onboard.core
 onboard.nodes: build onboard.config onboard.core onboard.messages onboard.autopilot
 onboard.nodes: onboard.elevation
