@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from report.pages import Page, accessible, in_a_browser, in_browser
+from report.pages import Page, accessible, in_a_browser, in_browser, sheets
 
 from quadtree_lss.lab.campaign.campaign_page import note_kept, page_files
 from quadtree_lss.lab.campaign.store import Record
@@ -97,3 +97,9 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
 @pytest.mark.slow
 def test_it_can_be_used_by_all(result, tmp_path):
     assert accessible(page_files(result, ())["campaign.html"].decode(), tmp_path)
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_it_prints_on_two_sheets(result, tmp_path):
+    assert 1 <= sheets(page_files(result, ())["campaign.html"].decode(), tmp_path) <= 2

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from report.pages import Page, accessible, in_a_browser, in_browser
+from report.pages import Page, accessible, in_a_browser, in_browser, sheets
 
 from quadtree_lss.cli import main
 from quadtree_lss.lab.flight.flight_page import write_flight
@@ -203,3 +203,9 @@ def test_a_flight_is_gone_over(text, tmp_path):
 @pytest.mark.slow
 def test_its_page_can_be_used_by_all(text, tmp_path):
     assert accessible(text, tmp_path)
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_its_page_prints_on_two_sheets(text, tmp_path):
+    assert 1 <= sheets(text, tmp_path) <= 2

@@ -141,7 +141,7 @@ def test_the_foxglove_layout_shows_topics_and_fields_that_there_are():
     hidden = {f"/{SITE_TABLE}", f"/{STATUS}"}
     assert len(markers) == 2 and set(topics) == set(kinds) - hidden
     for topic, about in topics.items():
-        needs = {"costmap": GRID_TYPE, "map": GRID_TYPE, "colormap": CLOUD_TYPE}
+        needs = dict.fromkeys(("costmap", "map", "custom"), GRID_TYPE) | {"colormap": CLOUD_TYPE}
         assert needs.get(about.get("colorMode"), kinds[topic]) == kinds[topic], topic
         assert "type" not in about or kinds[topic] in (POSES_TYPE, SELECTED_TYPE), topic
         assert "colorField" not in about or about["colorField"] in fields[topic], topic

@@ -148,6 +148,14 @@ def accessible(text, folder):
     return len(told) == 2
 
 
+def sheets(text, folder):
+    """How many sheets of paper a page prints on."""
+    page, paper = folder / "page.html", folder / "page.pdf"
+    page.write_text(text)
+    run_browser(folder, f"--print-to-pdf={paper}", page.as_uri())
+    return len(re.findall(rb"/Type\s*/Page\b", paper.read_bytes()))
+
+
 def run_browser(folder, *arguments):
     """What it prints."""
     command = [BROWSER, *FLAGS, f"--user-data-dir={folder / 'profile'}", *map(str, arguments)]

@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 from evaluation.scores import write_truth
-from report.pages import Page, accessible, in_a_browser, in_browser
+from report.pages import Page, accessible, in_a_browser, in_browser, sheets
 
 from quadtree_lss.desk.replay.results import load_results
 from quadtree_lss.lab.evaluation.evaluate import evaluate
@@ -77,3 +77,9 @@ def test_a_link_goes_to_the_place_and_a_section_shows_the_truth(evaluated, tmp_p
 @pytest.mark.slow
 def test_it_can_be_used_by_all(evaluated, tmp_path):
     assert accessible(evaluated[2], tmp_path)
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_print_fits_two_pages(evaluated, tmp_path):
+    assert 1 <= sheets(evaluated[2], tmp_path) <= 2

@@ -14,9 +14,8 @@ EXAMPLES = """examples:
   quadtree-lss compare before after --out difference        (also as JSON and picture)
   quadtree-lss compare before after --json
 
-The second is compared with the first, at the first one's grid points; exit code 1 if they are not
-of the same ground. Against a simulation's truth
-compare by: quadtree-lss evaluate A B --truth truth.npz
+Compared at the grid points of A. Exit code 1 if they are not of the same ground.
+Against the truth of a simulation: quadtree-lss evaluate A B --truth truth.npz
 """
 
 

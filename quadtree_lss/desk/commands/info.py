@@ -23,7 +23,7 @@ DOCTOR_EXAMPLES = """examples:
   quadtree-lss doctor flight_bag --config vehicle.yaml
 
 Frames, axes, units, quaternions, clocks, lag, mount, rates and covariances. Move the vehicle
-meanwhile: what does not change cannot be told apart. Exit code 1 if something is wrong.
+meanwhile: without motion some faults look alike. Exit code 1 if something is wrong.
 """
 
 

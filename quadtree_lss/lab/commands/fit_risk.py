@@ -9,7 +9,7 @@ from pathlib import Path
 from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import ProgressBar, show
 
-TEXT = "Fit how a map tells of a safe touchdown, for another lander or lidar (lss.risk_model)."
+TEXT = "Fit the probability of a safe touchdown for another lander or lidar (lss.risk_model)."
 EXAMPLES = """examples:
   quadtree-lss fit-risk --out mine.yaml --set lidar.range_noise=0.1
   quadtree-lss fit-risk --out mine.yaml --families whole,mixed,bare --seeds 1-30

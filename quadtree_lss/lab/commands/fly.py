@@ -36,9 +36,9 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--out", required=True, type=common.named, metavar="DIR", help="folder for the results")
     text = "without ROS: the nodes' functions, called in the flight's own time"
     add("--lockstep", action="store_true", help=text)
-    text = "seconds of flight per second over ROS (default 1); /clock tells them"
+    text = "speed of a flight over ROS (default 1); nodes go by /clock"
     add("--rate", type=common.positive, metavar="R", help=text)
-    text = "by the nodes; with the paper's rules; straight to the planned point; by the truth"
+    text = "by the nodes; by the paper's rules; straight to the planned point; by the true ground"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
     add("--terrain", type=common.named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
     text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
