@@ -198,6 +198,10 @@ MAKERS = {
 }
 
 
+def mapped_at(listener, stamp):
+    return listener.stamp("map/cells") == stamp
+
+
 def sites_of(listener, stamp):
     """Whether there are some of a map; none before what was bad has been lifted."""
     sites = listener.newest.get("landing/sites")
@@ -238,11 +242,13 @@ def test_bad_messages_beside_good_ones_change_nothing(ros, source):
                 print(f"seed {seed}: {dict(bad.sent)}")
                 for topic in ("landing/area", "landing/keep_out"):
                     bad.out[topic].publish(PolygonStamped(header=header_message(1, "map")))
-            last = sensors.publish(1, offset_ns=2 * LONG_NS, make_cloud=make)
-            done = lambda: listener.stamp("map/cells") == last  # noqa: B023, E731
-            assert listener.wait_for(done, timeout=120.0), mapping.output()
-            ranked = functools.partial(sites_of, listener, last)
-            assert listener.wait_for(ranked, timeout=120.0), lss.output()
+            for number in range(2, 12):  # a late bad map may take a good one's place
+                last = sensors.publish(1, offset_ns=number * LONG_NS, make_cloud=make)
+                done = functools.partial(mapped_at, listener, last)
+                assert listener.wait_for(done, timeout=120.0), mapping.output()[-9000:]
+                if listener.wait_for(functools.partial(sites_of, listener, last), timeout=10.0):
+                    break
+            assert sites_of(listener, last), lss.output()[-9000:]
             cells = map_from_messages(listener.newest["map/cells"], listener.newest["map/observed"])
             side = np.linspace(-15.0, 15.0, 121)
             grounds.append(cells.at(side, side[:, None]).height)
