@@ -28,7 +28,7 @@ PARAMETERS = """\
   ros__parameters:
     domain: {xmin: -16.0, ymin: -16.0, size: 32.0, min_level: 3, max_level: 6}
     lidar: {range_noise: 0.03}
-    lss: {max_risk: 0.003, grid_spacing: 0.5, sites: 3}  # of few returns
+    lss: {grid_spacing: 0.5, sites: 3}
     qos: {scan_reliability: reliable}
     publish.diagnostics_rate: 5.0
 """

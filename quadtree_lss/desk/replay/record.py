@@ -15,10 +15,12 @@ from rosbags.rosbag2.errors import WriterError
 
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.stream import ReplayError
+from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.elevation.look_first import Look
+from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
 from quadtree_lss.onboard.messages.outputs import (
     GRID_MAP,
     LOOK_FIRST,
@@ -55,7 +57,7 @@ class Recorder:
         self._connections: dict[str, Any] = {}
         self._viewed_ns: int | None = None
         self._unseen: tuple[int, LandingAssessment] | None = None
-        self._prior: Any = None
+        self._prior: Array | None = None
         #: How far the map lies from its prior, None without; and where to look first.
         self.offset: Callable[[], PriorOffset | None] = lambda: None
         self.looks: tuple[Look, ...] = ()
@@ -81,8 +83,9 @@ class Recorder:
             return
         if self._prior is None:
             self._write(LOOK_FIRST, self._messages.looks(self.looks), now_ns)
-        self._prior = self._messages.prior(offset, cells.stamp_ns)
-        self._write(PRIOR, self._prior, now_ns)
+        prior = self._messages.prior(offset, cells.stamp_ns)
+        self._prior = prior_from_message(prior, prior.header.frame_id)  # as lss_node hears it
+        self._write(PRIOR, prior, now_ns)
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """Writes an answer, with the age of its map in the bag's time."""

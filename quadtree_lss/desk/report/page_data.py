@@ -103,7 +103,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         | {"limits": palette.colour_limits(grid["elevation"])},
         "slope": columns.quantised(part("slope_deg"), least=5e-3)
         | {"limits": slopes, "mark": limit},
-        "score": columns.quantised(part("score"), least=2e-5)
+        "score": columns.quantised(part("score"), least=2e-4)
         | {"limits": palette.colour_limits(grid["score"])},
         "hazard": columns.whole(part("hazard"), "u1"),
         "safe": columns.whole(part("safe"), "u1"),

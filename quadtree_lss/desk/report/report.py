@@ -79,7 +79,7 @@ def page(
         "answer": answer,
         "level": level,
         "facts": facts,
-        "picture_of_map": small(png(hazard_figure(content), dpi=75)),
+        "picture_of_map": small(png(hazard_figure(content), dpi=60)),
         "ground": ground,
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
         "head": [(word, unit, meaning) for word, unit, _, _, meaning in shown_columns],
