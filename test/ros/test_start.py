@@ -92,7 +92,8 @@ def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
         go.touch()
         waits = f"waiting for {first[name]}"
         assert listener.wait_for(lambda: waits in node.output()), node.output()
-        assert listener.wait_for(lambda: waits in listener.diagnostics[name].message)
+        status = listener.diagnostics
+        assert listener.wait_for(lambda: name in status and waits in status[name].message)
 
 
 ONBOARD_ALONE = """
