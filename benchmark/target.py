@@ -4,7 +4,8 @@
 Flights of Morpheus, or with ``--drone`` of a drone that comes down from 25 to 5 m in 20 s with its
 preset. True is the probability of a safe touchdown with the dispersion that the nodes are told,
 over the true ground. A change for a better target is in vain if it gains less than 1 %; a
-withdrawal is, if the lander stands safely there.
+withdrawal is, if the lander stands safely there. What follows a withdrawal is a change as well, but
+not one for a better target.
 """
 
 from __future__ import annotations
@@ -93,18 +94,20 @@ def main() -> None:
 @dataclass(frozen=True)
 class Move:
     """From a target to another, or to none: when, s, how far, m, and what of true probability it
-    gains; ``safe``: the one that is left was truly safe; ``late``: so, and over a diameter."""
+    gains; ``safe``: the one that is left was truly safe; ``late``: so, and over a diameter;
+    ``follows``: a withdrawal."""
 
     time: float
     away: float
     gain: float
     safe: bool
     late: bool
+    follows: bool = False
 
     @property
     def vain(self) -> bool:
-        """Gains next to nothing."""
-        return self.gain < GAIN
+        """For a better target that gains next to nothing."""
+        return self.gain < GAIN and not self.follows
 
 
 @dataclass
@@ -176,7 +179,7 @@ def drone(seed: int, name: str) -> Simulation:
 def fly(simulation: Simulation, config: Config, every: int, period: float) -> Tally:
     """A flight, assessed after every so many scans, ``period`` s."""
     selector, tally, truth = LandingSiteSelector(config), Tally(), None
-    held = None
+    held, withdrawn = None, False
     before = (float("nan"), float("nan"))
     told: list[tuple[tuple[int, int], float]] = []
     for number, (scan, _, mapper) in enumerate(steps(in_memory(simulation), config), start=1):
@@ -197,9 +200,11 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
             if held is None:
                 tally.first = now
             elif np.hypot(*(chosen.position - held)[:2]) > FAR:
-                tally.moves.append(_move(now, held, chosen.position, truth, config))
-            held = chosen.position
+                move = _move(now, held, chosen.position, truth, config)
+                tally.moves.append(replace(move, follows=withdrawn))
+            held, withdrawn = chosen.position, False
         elif held is not None and chosen.reason in LOST:
+            withdrawn = True
             tally.lost.append(_move(now, held, held, truth, config))
     assert truth is not None
     tally.last = 0.0 if held is None else float(truth.probability[truth.at(held)])
