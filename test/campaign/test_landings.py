@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The kind ``fly``: landings as flights of a study."""
 
+import csv
 from pathlib import Path
 
 import pytest
 
 from quadtree_lss.lab.campaign.kinds import Case
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
+from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.study import read_study
+from quadtree_lss.lab.campaign.summary import _write_flights
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.settings import flight_settings
 
@@ -40,8 +43,13 @@ def test_a_case_flies_as_the_function_does(study):
     assert figures["one"] == 1 and figures["unsafe"] + figures["aborted"] + figures["safe"] == 1
 
 
-def test_every_quantity_is_a_figure(study):
+def test_every_quantity_is_a_figure_and_a_column(study, tmp_path):
     figures = FLY.fly(study.case(0)).figures
+    record = Record(0, 1, "none", {}, figures)
+    _write_flights(tmp_path / "flights.csv", [record])
+    with (tmp_path / "flights.csv").open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert float(row["error"]) == figures["error"]
     missing = {q.name for q in FLY.quantities} - figures.keys()
     # Only with the conditions `reference` and `judge: physics`.
     assert missing == {"propellant_ratio", "physics_fails", "safe_but_fails"}

@@ -146,6 +146,8 @@ def test_it_comes_down_on_its_pads_wherever_the_map_has_its_origin():
     assert touch(LANDER, there, arrival).film.tobytes() == far.film.tobytes()
 
 
-def test_beside_the_terrain_there_is_one_line():
+def test_at_the_edge_it_stands_and_beside_the_terrain_there_is_one_line():
+    down, edge = np.array([0.0, 0.0, -1.0]), AXIS[-1] - 0.5 * LANDER.gear.diameter
+    assert touch(LANDER, ground(), Arrival(edge - 0.6, 0.0, down)).outcome == "stands"
     with pytest.raises(SimulationError, match="edge"):
-        touch(LANDER, ground(), Arrival(9.0, 0.0, np.array([0.0, 0.0, -1.0])))
+        touch(LANDER, ground(), Arrival(edge - 0.4, 0.0, down))

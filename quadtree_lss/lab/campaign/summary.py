@@ -235,6 +235,6 @@ def _write_flights(path: Path, records: Iterable[Record]) -> None:
     rows = []
     for r in records:
         of = {"flight": r.index, "seed": r.seed, "scenario": r.scenario}
-        rows.append(of | r.labels | r.figures | {"error": r.error})
+        rows.append(of | r.labels | r.figures | {"failed": r.error})  # `error`: from the aim, m
     names = list(dict.fromkeys(name for row in rows for name in row))
     write_csv(path, names, ([row.get(name) for name in names] for row in rows))

@@ -20,7 +20,8 @@ from quadtree_lss.onboard.arrays import Array
 LONGEST, LOOK, FILM = 30.0, 5, 30
 """s of a touchdown at most; steps between two looks at it; poses a second that are kept."""
 REACH = 2.0
-"""Half side of the ground about a touchdown, diameters of the pads' circle."""
+"""Half side of the ground about a touchdown, diameters of the pads' circle; at the edge of the
+terrain it is less, but for the circle and `SLID`."""
 FINE = 37.0
 """Posts are no farther apart than the diameter over this."""
 TIPPED_DEG = 40.0
@@ -187,7 +188,8 @@ def ground(legs: Legs, terrain: Terrain, arrival: Arrival) -> tuple[Array, Array
         post = float(axis[-1] - axis[0]) / (axis.size - 1)
         first, last = np.searchsorted(axis, (place - reach, place + reach))
         first, last = max(int(first) - 1, 0), min(int(last), axis.size - 1)
-        if not axis[0] + 0.5 * reach <= place <= axis[-1] - 0.5 * reach:
+        least = (0.5 + SLID) * legs.gear.diameter
+        if not axis[0] + least <= place <= axis[-1] - least:
             msg = f"touchdown at {arrival.x:.2f}, {arrival.y:.2f} m: too near the terrain's edge"
             raise SimulationError(msg)
         parts = max(int(np.ceil(post * FINE / legs.gear.diameter - 1e-6)), 1)
