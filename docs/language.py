@@ -19,7 +19,7 @@ REFUSED = {
     r"(map|rules|fits?|versions?|ones?|that|those|flights) of before|before leaves": "history",
     r"earlier revisions?|first version|former(ly)?|used to (be|have|do)": "history",
 }
-HISTORY = r"seeds? \d+|flights? \d{2,}(?! (flights|landings))"
+HISTORY = r"seeds? (from )?\d+|flights? \d{2,}(?! (flights|landings))"
 
 
 def pages():

@@ -83,6 +83,8 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
         tellTest("clicked", [3, 20].map(click));
         document.querySelector("button[data-flight]").click();
         tellTest("worst", chosen.flight);
+        const number = byId("number"); number.value = 5; number.dispatchEvent(new Event("change"));
+        tellTest("number", [chosen.flight, location.hash]);
         tellTest("wide", root.scrollWidth <= innerWidth);
         """,
     )
@@ -91,6 +93,7 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
     assert told["clicked"][0] == [3, "kept/000003/flight.html", None]
     assert told["clicked"][1][:2] == [20, None] and told["clicked"][1][2].endswith("--keep 20")
     assert told["worst"] == BAD - 1 and told["wide"]
+    assert told["number"] == [5, "#x=propellant&y=from_planned&flight=5"]
 
 
 @in_a_browser

@@ -44,6 +44,17 @@ def test_every_measured_table_and_picture_is_a_figure(page):
     assert not tables and not re.search(r"\]\(images/\w+\.png\)", rest)
 
 
+def test_no_table_of_numbers_is_without_its_command():
+    """On any page: half of its cells, or more, are numbers. What evidence lists is seeds."""
+    pages = [p for p in FIGURES["ROOT"].glob("docs/**/*.md") if p.name != "evidence.md"]
+    for page in [p for p in pages if not any(f.is_symlink() for f in (p, *p.parents))]:
+        rest = FIGURES["FIGURE"].sub("", page.read_text(encoding="utf-8"))
+        for table in re.findall(r"^\|.*\n\| ---.*\n((?:\|.*\n?)+)", rest, re.MULTILINE):
+            cells = [c.strip(" *") for row in table.splitlines() for c in row.split("|")[2:-1]]
+            numbers = [c for c in cells if re.fullmatch(r"[-–\d.,% ()]*\d[-–\d.,% ()]*", c)]
+            assert 2 * len(numbers) < len(cells) or "studies/" in table, (page.name, table)
+
+
 def test_every_picture_names_its_command():
     """Somewhere among the figures; axes.svg is drawn by hand."""
     shown = "".join(figure.body for figure in ALL)

@@ -200,6 +200,58 @@ def test_a_flight_is_gone_over(text, tmp_path):
 
 
 @in_a_browser
+def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, tmp_path):
+    """A click on a target's row or on a curve shows its moment."""
+    told = in_browser(
+        text,
+        tmp_path,
+        """
+        const f = data.flight, h = data.history;
+        const rows = document.querySelectorAll("#targets tbody tr");
+        rows[0].click(); tellTest("target", [momentTime(), Number(rows[0].cells[0].textContent),
+          rows[0].cells[1].textContent]);
+        const chart = charts_sites.find(c => c.axes[1].label === "height, m");
+        const box = chart.over.getBoundingClientRect(), k = f.time.length >> 1;
+        await until(() => Number.isFinite(chart.valToPos(1, "x")));
+        const there = { bubbles: true, button: 0, clientY: box.top + 20,
+          clientX: box.left + chart.valToPos(f.time[k] - f.before, "x") };
+        chart.over.dispatchEvent(new MouseEvent("mousemove", there));
+        chart.over.dispatchEvent(new MouseEvent("mousedown", there));
+        const labels = charts_sites.map(c => c.axes[1].label);
+        tellTest("curve", [view.moment - k, labels.includes("speed, m/s")]);
+        view.sites = view.allowed = view.relief = false; fit();
+        const drawn = () => { drawNow(); return [...map.getContext("2d").getImageData(
+          0, 0, map.width, map.height).data].join(); };
+        const differs = (without, back) => { const was = drawn(); without(); const now = drawn();
+          back(); return [was !== now, was === drawn()]; };
+        for (let n = 0; n < 5; n++) drawn(); // a canvas that is often read is drawn otherwise
+        const { areas } = f, { outline } = h;
+        tellTest("reach", differs(() => { f.areas = []; }, () => { f.areas = areas; }));
+        tellTest("view", differs(() => { h.outline = outline.map(() => NaN); },
+                                 () => { h.outline = outline; }));
+        setMode("scene");
+        await until(() => root.dataset.scene || document.querySelector("#scene .warning"));
+        const inSpace = () => { const found = []; let low = Infinity;
+          space.marks.traverse(o => {
+            if (o.isLine) found.push(o.material.color.getHexString());
+            const about = o.geometry && o.geometry.parameters;
+            if (about && about.radiusTop === data.lander.pad) low = Math.min(low, o.position.z); });
+          return [found.filter(c => c === "6fa8dc").length, found.includes("0072b2"),
+                  low - 0.03 + space.z0 - f.z[view.moment]]; };
+        if (space) { tellTest("space", inSpace()); moment(k + 20);
+          tellTest("later", [view.moment, ...inSpace()]); tellTest("corners", h.corners); }
+        """,
+    )
+    time, row, why = told["target"]
+    assert 0 <= time - row < 0.2 and why
+    assert told["curve"] == [0, True]
+    assert told["reach"] == told["view"] == [True, True]
+    if "space" in told:
+        for rays, reach, gap in (told["space"], told["later"][1:]):
+            assert rays == told["corners"] / 3 and reach and gap == pytest.approx(0, abs=1e-3)
+
+
+@in_a_browser
 @pytest.mark.slow
 def test_its_page_can_be_used_by_all(text, tmp_path):
     assert accessible(text, tmp_path)

@@ -433,6 +433,11 @@ def test_allowed_ground_is_outlined_on_every_layer(text, tmp_path):
           } return n; };
         tellTest("sides", [0, last].map(k => [allowedEdges(k).filter(([x0, , x1]) => x0 === x1 &&
           x0 > grid.xmin && x0 < grid.xmin + (grid.nx - 1) * grid.spacing).length, of(k)]));
+        const inner = (i, j) => grid.safe[j * grid.nx + i] && i >= 0 && i < grid.nx;
+        let own = 0; // of the end, at the domain's edge too
+        for (let j = 0; j < grid.ny; j++) for (let i = 0; i <= grid.nx; i++) {
+          own += !inner(i, j) !== !inner(i - 1, j); }
+        tellTest("end", [allowedEdges(-1).filter(([x0, , x1]) => x0 === x1).length, own]);
         """,
     )
     found = told["found"]
@@ -440,6 +445,7 @@ def test_allowed_ground_is_outlined_on_every_layer(text, tmp_path):
     assert on == off
     assert all(on > off + 50 for on, off in found.values()), found
     assert all(drawn == counted > 0 for drawn, counted in told["sides"][1:])
+    assert told["end"][0] == told["end"][1] > 0
 
 
 def test_bright_is_good_on_every_layer_that_knows_a_good(text, tmp_path):

@@ -103,7 +103,7 @@ function edges(name, at) { // x0, y0, x1, y1 of each side of a grid point that h
   if (outlines[name]) return outlines[name];
   for (const old of Object.keys(outlines)) if (/^allowed \d/.test(old)) delete outlines[old];
   const found = [], { nx, ny, spacing: s } = grid;
-  const has = (i, j) => i >= 0 && j >= 0 && i < nx && j < ny && at(j * nx + i);
+  const has = (i, j) => i >= 0 && j >= 0 && i < nx && j < ny && Boolean(at(j * nx + i));
   for (let j = 0; j <= ny; j++) for (let i = 0; i <= nx; i++) {
     const here = has(i, j), x = grid.xmin + (i - 0.5) * s, y = grid.ymin + (j - 0.5) * s;
     if (here !== has(i - 1, j)) found.push([x, y, x, y + s]);
