@@ -14,6 +14,7 @@ from geometry_msgs.msg import (
     PoseArray,
 )
 from nav_msgs.msg import OccupancyGrid
+from ros.conftest import status_values, told
 from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
 from sensor_msgs.msg import PointCloud2
 
@@ -98,14 +99,8 @@ class Vehicle:
         return last == stamp and len(places) == 0
 
     def values(self):
-        status = self.listener.diagnostics.get("lss_node")
-        return {} if status is None else {item.key: item.value for item in status.values}
+        return status_values(self.listener, "lss_node")
 
     def told(self, level, *words):
         """True if its last status has this level, and all these words in its text."""
-        status = self.listener.diagnostics.get("lss_node")
-        return (
-            status is not None
-            and status.level == level
-            and all(word in status.message for word in words)
-        )
+        return told(self.listener, "lss_node", *words, levels=(level,))
