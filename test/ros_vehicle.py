@@ -15,12 +15,10 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import OccupancyGrid
 from ros.conftest import status_values, told
-from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
+from ros_scene import START_NS, mapped
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes.qos import latched
 from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
@@ -41,11 +39,7 @@ def point(x, y):
 def flat_map():
     """A map that has room for sites everywhere."""
     domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
-    mapper = Mapper(load_config(overrides={"domain": domain}))
-    for event in events(2):
-        if event.points_lidar is not None:
-            mapper.update(event.points_lidar, Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE))
-    return mapper.snapshot()
+    return mapped(load_config(overrides={"domain": domain}), 2).snapshot()
 
 
 class Vehicle:
