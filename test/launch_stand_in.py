@@ -33,36 +33,6 @@ class Context:
         self.is_shutdown = False
 
 
-class LaunchDescription(Record): ...
-
-
-class DeclareLaunchArgument(Record): ...
-
-
-class EmitEvent(Record): ...
-
-
-class LogInfo(Record): ...
-
-
-class OpaqueFunction(Record): ...
-
-
-class RegisterEventHandler(Record): ...
-
-
-class OnProcessExit(Record): ...
-
-
-class ProcessExited(Record): ...
-
-
-class ShutdownProcess(Record): ...
-
-
-class Node(Record): ...
-
-
 class LaunchConfiguration(Record):
     """The value of an argument; one that is not declared is an error, as in launch."""
 
@@ -90,30 +60,36 @@ def matches_action(action: Any) -> Callable[[Any], bool]:
     return lambda other: other is action
 
 
+def kept(*names: str) -> dict[str, Any]:
+    """Classes of these names that only keep what they are given."""
+    return {name: type(name, (Record,), {}) for name in names}
+
+
 MODULES: dict[str, dict[str, Any]] = {
     "launch": {
         "LaunchContext": Context,
-        "LaunchDescription": LaunchDescription,
         "LaunchDescriptionEntity": Record,
+        **kept("LaunchDescription"),
     },
-    "launch.actions": {
-        "DeclareLaunchArgument": DeclareLaunchArgument,
-        "EmitEvent": EmitEvent,
-        "LogInfo": LogInfo,
-        "OpaqueFunction": OpaqueFunction,
-        "RegisterEventHandler": RegisterEventHandler,
-    },
-    "launch.event_handlers": {"OnProcessExit": OnProcessExit},
+    "launch.actions": kept(
+        "DeclareLaunchArgument", "EmitEvent", "LogInfo", "OpaqueFunction", "RegisterEventHandler"
+    ),
+    "launch.event_handlers": kept("OnProcessExit"),
     "launch.events": {"matches_action": matches_action},
-    "launch.events.process": {"ProcessExited": ProcessExited, "ShutdownProcess": ShutdownProcess},
+    "launch.events.process": kept("ProcessExited", "ShutdownProcess"),
     "launch.substitutions": {
         "LaunchConfiguration": LaunchConfiguration,
         "PathJoinSubstitution": PathJoinSubstitution,
     },
     "launch_ros": {},
-    "launch_ros.actions": {"Node": Node},
+    "launch_ros.actions": kept("Node"),
     "launch_ros.substitutions": {"FindPackageShare": FindPackageShare},
 }
+(DeclareLaunchArgument, EmitEvent, _, OpaqueFunction, RegisterEventHandler) = MODULES[
+    "launch.actions"
+].values()
+Node = MODULES["launch_ros.actions"]["Node"]
+ShutdownProcess = MODULES["launch.events.process"]["ShutdownProcess"]
 
 
 def built(path: Path, monkeypatch: Any, **given: str) -> tuple[list[Any], Context]:

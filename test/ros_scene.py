@@ -16,6 +16,9 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from quadtree_lss.lab.live.listener import Listener
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, BagRecorder, Messages
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.nodes.qos import stream
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
@@ -61,6 +64,15 @@ def _scan(rng: np.random.Generator) -> NDArray[np.float64]:
     z = 0.02 * x + on_block + rng.normal(0.0, 0.02, x.shape)
     points_map = np.stack([x, y, z], axis=-1)
     return (points_map - POSITION) @ ROTATION
+
+
+def mapped(config: Config, scans: int) -> Mapper:
+    """A mapper that has so many of the scans, at exact poses."""
+    mapper = Mapper(config)
+    for event in events(scans):
+        if event.points_lidar is not None:
+            mapper.update(event.points_lidar, Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE))
+    return mapper
 
 
 def write_bag(path: Path, scans: int) -> None:

@@ -14,12 +14,11 @@ from geometry_msgs.msg import (
     PoseArray,
 )
 from nav_msgs.msg import OccupancyGrid
-from ros_scene import COVARIANCE, POSITION, ROTATION, START_NS, events
+from ros.conftest import status_values, told
+from ros_scene import START_NS, mapped
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes.qos import latched
 from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
@@ -40,11 +39,7 @@ def point(x, y):
 def flat_map():
     """A map that has room for sites everywhere."""
     domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
-    mapper = Mapper(load_config(overrides={"domain": domain}))
-    for event in events(2):
-        if event.points_lidar is not None:
-            mapper.update(event.points_lidar, Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE))
-    return mapper.snapshot()
+    return mapped(load_config(overrides={"domain": domain}), 2).snapshot()
 
 
 class Vehicle:
@@ -98,14 +93,8 @@ class Vehicle:
         return last == stamp and len(places) == 0
 
     def values(self):
-        status = self.listener.diagnostics.get("lss_node")
-        return {} if status is None else {item.key: item.value for item in status.values}
+        return status_values(self.listener, "lss_node")
 
     def told(self, level, *words):
         """True if its last status has this level, and all these words in its text."""
-        status = self.listener.diagnostics.get("lss_node")
-        return (
-            status is not None
-            and status.level == level
-            and all(word in status.message for word in words)
-        )
+        return told(self.listener, "lss_node", *words, levels=(level,))

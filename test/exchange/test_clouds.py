@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from installed import error_without
 
 from quadtree_lss.desk.exchange import clouds
 from quadtree_lss.desk.exchange.clouds import READERS, read_clouds
@@ -106,11 +104,5 @@ def test_another_array_is_no_cloud(tmp_path, shape):
 )
 def test_a_missing_library_is_named_with_its_remedy(module, suffix, tmp_path):
     (tmp_path / f"a{suffix}").write_bytes(b"")
-    program = (
-        f"import sys; sys.modules['{module}'] = None\n"
-        f"from quadtree_lss.cli import main; sys.exit(main(['replay', 'a{suffix}']))"
-    )
-    command = [sys.executable, "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.returncode == 1 and done.stderr.count("\n") == 1
-    assert f"need {module}, which is not installed: pip install 'quadtree_lss[" in done.stderr
+    told = error_without(module, "replay", f"a{suffix}", cwd=tmp_path)
+    assert f"need {module}, which is not installed: pip install 'quadtree_lss[" in told

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from messages import samples
 
+from quadtree_lss.lab.simulation.recording import Messages
+
 WHOLE = [0, 1, 2, 3, 4, 7, 8, 12, 16, 255, 2**16, 2**22, 2**22 + 1, 2**31 - 1, 2**31, 2**32 - 1]
 NUMBERS = [0.0, -0.0, 1.0, -1.0, 2.0**0.5, math.inf, -math.inf, math.nan]
 NUMBERS += [
@@ -22,6 +24,16 @@ NAMES = ["x", "y", "z", "t", "time", "range", "azimuth", "elevation", "", "x\n\x
 FRAMES = ["map", "/map", "", "odom\nERROR all is well", "\x1b]0;title\x07", "m" * 10**6, "\u202e"]
 CONTAINERS = [np.asarray, bytes, lambda data: array.array("B", bytes(data))]
 KINDS = [("f4",) * 3, ("f8",) * 3, ("f4", "f8", "f4")]
+
+
+class Types(dict[str, Any]):
+    """Message classes that take anything."""
+
+    def __missing__(self, name: str) -> Any:
+        return SimpleNamespace
+
+
+GOOD = Messages(Types())
 
 
 def one_of(rng: np.random.Generator, among: Sequence[Any]) -> Any:
@@ -193,38 +205,6 @@ def random_image(rng: np.random.Generator, stamp_ns: int, z: np.ndarray) -> Simp
         else:
             image.header.stamp.nanosec = one_of(rng, [0, 999_999_999, 2**32 - 1])
     return image
-
-
-def depth_image(stamp_ns: int, z: np.ndarray) -> SimpleNamespace:
-    """A good one of z (H, W), m."""
-    data = np.rint(1e3 * z).astype("<u2").view(np.uint8).ravel()
-    return SimpleNamespace(
-        header=samples.header(stamp_ns, "camera"),
-        height=len(z),
-        width=z.shape[1],
-        encoding="16UC1",
-        is_bigendian=0,
-        step=2 * z.shape[1],
-        data=data,
-    )
-
-
-def camera_info(shape: tuple[int, int], focal_length: float) -> SimpleNamespace:
-    """Of a pinhole camera with its axis in the middle."""
-    height, width = shape
-    k = np.array(
-        [focal_length, 0, 0.5 * (width - 1), 0, focal_length, 0.5 * (height - 1), 0, 0, 1.0]
-    )
-    p = np.insert(k, (3, 6, 9), 0.0)
-    return SimpleNamespace(
-        header=samples.header(0, "camera"),
-        height=height,
-        width=width,
-        distortion_model="plumb_bob",
-        d=np.zeros(5),
-        k=k,
-        p=p,
-    )
 
 
 def random_camera_info(rng: np.random.Generator, good: SimpleNamespace) -> SimpleNamespace:

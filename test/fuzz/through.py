@@ -72,20 +72,13 @@ CONFIGS = [
 ]
 
 
-class Types(dict[str, Any]):
-    """Message classes that take anything."""
-
-    def __missing__(self, name: str) -> Any:
-        return SimpleNamespace
-
-
 def packed(values: np.ndarray) -> array[int]:
     out = array(values.dtype.char)
     out.frombytes(values.tobytes())
     return out
 
 
-MAKER = MessageMaker(Types(), packed, "map")
+MAKER = MessageMaker(cases.Types(), packed, "map")
 
 
 def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -536,7 +529,7 @@ class Depth:
         self.config = config_from_values(values, one_of(rng, CONFIGS))
         self.selector = LandingSiteSelector(self.config)
         self.intake, self.mapper = Intake(self.config), Mapper(self.config)
-        self.good = cases.camera_info(self.SHAPE, self.FOCAL)
+        self.good = cases.GOOD.camera(0, *self.SHAPE, self.FOCAL)
         self.intake.on_camera_info(self.good)
         self.now, self.sent, self.mapped, self.infos = 10**9, 0, 0, 0
 
@@ -548,7 +541,7 @@ class Depth:
         with np.errstate(all="raise", under="ignore"):
             if self.kind == "camera_info":
                 self.intake.on_camera_info(cases.random_camera_info(self.rng, self.good))
-                image = cases.depth_image(self.now, z)
+                image = cases.GOOD.depth(self.now, z)
             else:
                 image = cases.random_image(self.rng, self.now, z)
             self.intake.on_pose(samples.pose(self.now, (8.0, 8.0, HEIGHT), (1, 0, 0, 0)))

@@ -10,10 +10,11 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
+from quadtree_lss.onboard.messages.landing_inputs import INSTANCE_TYPE, POINT_TYPE, POLYGON_TYPE
+
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
-CLOUD = "sensor_msgs/msg/PointCloud2"
-POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 GROUND = {
     "domain.xmin": -16.0,
     "domain.ymin": -16.0,
@@ -27,8 +28,6 @@ GROUND = {
 }
 """Configuration that fits the ground these bags show."""
 
-POLYGON, POINT = "geometry_msgs/msg/PolygonStamped", "geometry_msgs/msg/PointStamped"
-INSTANCE = "geometry_msgs/msg/PolygonInstanceStamped"
 KEEP_OUT = [(0.0, -15.0), (15.0, -15.0), (15.0, 15.0), (0.0, 15.0)]
 """The eastern half of this ground."""
 
@@ -132,22 +131,16 @@ class LandingRecorder(Recorder):
     """Writes what may be asked of landing as well."""
 
     def polygon(self, topic, corners, received_ns, frame="map"):
-        points = [self.type("geometry_msgs/msg/Point32")(x, y, 0.0) for x, y in corners]
-        polygon = self.type("geometry_msgs/msg/Polygon")(points)
-        message = self.type(POLYGON)(self.header(received_ns, frame), polygon)
-        self.write(topic, message, POLYGON, received_ns)
+        message = Messages(self.store.types, frame=frame).polygon(received_ns, corners)
+        self.write(topic, message, POLYGON_TYPE, received_ns)
 
-    def keep_out(self, number, corners, received_ns, frame="map"):
-        points = [self.type("geometry_msgs/msg/Point32")(x, y, 0.0) for x, y in corners]
-        polygon = self.type("geometry_msgs/msg/Polygon")(points)
-        one = self.type("geometry_msgs/msg/PolygonInstance")(polygon, number)
-        message = self.type(INSTANCE)(self.header(received_ns, frame), one)
-        self.write("/landing/keep_outs", message, INSTANCE, received_ns)
+    def keep_out(self, number, corners, received_ns):
+        message = Messages(self.store.types).polygon(received_ns, corners, number)
+        self.write("/landing/keep_outs", message, INSTANCE_TYPE, received_ns)
 
     def target(self, topic, x, y, received_ns):
-        place = self.type("geometry_msgs/msg/Point")(x, y, 0.0)
-        message = self.type(POINT)(self.header(received_ns, "map"), place)
-        self.write(topic, message, POINT, received_ns)
+        message = Messages(self.store.types).point(received_ns, (x, y, 0.0))
+        self.write(topic, message, POINT_TYPE, received_ns)
 
 
 @contextmanager

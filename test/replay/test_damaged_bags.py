@@ -21,7 +21,6 @@ from replay.recordings import (
     flight,
     recording,
     storage_file,
-    write_ros1,
     write_ros2,
 )
 
@@ -40,21 +39,15 @@ VALUES = {**GROUND, "domain.max_level": 5}
 CONFIG = config_from_values(VALUES)
 SCANS = 24
 STORAGES = {
-    "mcap": lambda path, **more: write_ros2(path, **more),
-    "mcap, file": lambda path, **more: write_ros2(path, compression="file", **more),
-    "mcap, message": lambda path, **more: write_ros2(path, compression="message", **more),
-    "mcap, chunks": lambda path, **more: chunked(path, **more),
-    "sqlite3": lambda path, **more: write_ros2(path, plugin="sqlite3", **more),
-    "sqlite3, file": lambda path, **more: write_ros2(
-        path, plugin="sqlite3", compression="file", **more
-    ),
-    "ros1": lambda path, **more: write_ros1(path.with_suffix(".bag"), **more),
-    "ros1, bz2": lambda path, **more: write_ros1(
-        path.with_suffix(".bag"), compression="BZ2", **more
-    ),
-    "ros1, lz4": lambda path, **more: write_ros1(
-        path.with_suffix(".bag"), compression="LZ4", **more
-    ),
+    "mcap": {},
+    "mcap, file": {"compression": "file"},
+    "mcap, message": {"compression": "message"},
+    "mcap, chunks": {},
+    "sqlite3": {"plugin": "sqlite3"},
+    "sqlite3, file": {"plugin": "sqlite3", "compression": "file"},
+    "ros1": {},
+    "ros1, bz2": {"compression": "BZ2"},
+    "ros1, lz4": {"compression": "LZ4"},
 }
 
 
@@ -364,7 +357,9 @@ def test_names_in_a_bag_are_shown_in_one_short_line(tmp_path, capsys, name):
 def try_damage(storage, folder, seed, number):
     """Flipped bits, zeros, cuts and inserted bytes: no exception but one line, and no hanging."""
     rng = np.random.default_rng(seed)
-    path = STORAGES[storage](folder / "bag", scans=16)
+    make = chunked if "chunks" in storage else write_ros2
+    name = "flight.bag" if "ros1" in storage else "bag"
+    path = make(folder / name, scans=16, **STORAGES[storage])
     whole, losses = read(path)
     assert len(whole) == 50 and not losses
     file = file_of(path)

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import subprocess
-import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace as changed
 
 import numpy as np
 import pytest
 import yaml
+from installed import error_without
 from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
 from report.pages import in_a_browser, in_browser
@@ -330,16 +329,8 @@ def test_a_folder_that_cannot_be_written_is_named(written, tmp_path):
 
 @pytest.mark.parametrize(("module", "form"), [("rasterio", "geotiff"), ("trimesh", "ply")])
 def test_a_missing_library_is_one_line(module, form, written):
-    program = (
-        f"import sys; sys.modules['{module}'] = None\n"
-        "from quadtree_lss.cli import main\n"
-        f"sys.exit(main(['export', {str(written.out)!r}, '--format', '{form}']))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, cwd=written.out
-    )
-    assert done.returncode == 1 and done.stderr.count("\n") == 1
-    assert f"need {module}" in done.stderr and "quadtree_lss[exchange]" in done.stderr
+    told = error_without(module, "export", written.out, "--format", form, cwd=written.out)
+    assert f"need {module}" in told and "quadtree_lss[exchange]" in told
 
 
 def test_the_formats_of_the_command_are_those_there_are():

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """One replay for all tests of its page."""
 
+from functools import partial
+
 import pytest
 from replay.recordings import GROUND, write_ros2
+from report.pages import in_browser
 
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -17,3 +20,9 @@ def result(tmp_path_factory):
 @pytest.fixture(scope="session")
 def text(result):
     return (result.out / "report.html").read_text()
+
+
+@pytest.fixture
+def browse(text, tmp_path):
+    """Of some steps on the page, what a browser tells: see `in_browser`."""
+    return partial(in_browser, text, tmp_path)

@@ -32,11 +32,8 @@ def best(result):
     return x, y, (row[0], column[0])
 
 
-def test_the_first_screen_holds_map_table_and_answer(result, text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+def test_the_first_screen_holds_map_table_and_answer(result, browse):
+    told = browse("""
         const bottom = id => byId(id).getBoundingClientRect().bottom;
         tellTest("below", ["map", "sites", "legend"].map(bottom).concat(
           document.querySelector(".verdict").getBoundingClientRect().bottom));
@@ -50,8 +47,7 @@ def test_the_first_screen_holds_map_table_and_answer(result, text, tmp_path):
         tellTest("trust", facts.map(told));
         const edge = e => getComputedStyle(e).borderLeftColor;
         tellTest("edges", [edge(document.querySelector(".verdict")), edge(facts[0])]);
-        """,
-    )
+    """)
     level, facts = trust(read(result.out))
     assert told["trust"] == [[fact.name, fact.value, fact.level] for fact in facts]
     colours = {"good": "rgb(0, 158, 115)", "care": "rgb(230, 159, 0)", "none": "rgb(213, 94, 0)"}
@@ -65,12 +61,9 @@ def test_the_first_screen_holds_map_table_and_answer(result, text, tmp_path):
     assert {"allowed", "elevation"} < set(told["layers"])
 
 
-def test_the_pointer_tells_values_and_layers_differ(result, text, best, tmp_path):
+def test_the_pointer_tells_values_and_layers_differ(result, best, browse):
     x, y, place = best
-    told = in_browser(
-        text,
-        tmp_path,
-        f"""
+    told = browse(f"""
         at("pointermove", px({x}), py({y}));
         tellTest("values", shown());
         tellTest("beside", [tooltip.hidden, view.cursor.x, view.cursor.y]);
@@ -85,8 +78,7 @@ def test_the_pointer_tells_values_and_layers_differ(result, text, best, tmp_path
         }}
         tellTest("colours", colours);
         tellTest("legends", legends);
-        """,
-    )
+    """)
     values, sites = told["values"], result.assessment.sites
     height = result.assessment.elevation[place]
     assert float(values["height"].split()[0]) == pytest.approx(height, abs=0.03)
@@ -102,11 +94,8 @@ def test_the_pointer_tells_values_and_layers_differ(result, text, best, tmp_path
     assert legends["cells"][1] == [-1, 0, 1, 2]  # binary logarithms of 0.5 m to 4 m
 
 
-def test_mouse_fingers_and_window(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+def test_mouse_fingers_and_window(browse):
+    told = browse("""
         const wheel = deltaY => { const e = new WheelEvent("wheel", { deltaY, clientX: 400,
           clientY: 400, cancelable: true }); map.dispatchEvent(e); return e.defaultPrevented; };
         tellTest("scrolls", !wheel(100));   // all is seen: the page goes on
@@ -140,19 +129,15 @@ def test_mouse_fingers_and_window(text, tmp_path):
         const narrow = inside();
         zoom(2); const scale = view.scale; resized();
         tellTest("whole", [narrow, scale === view.scale]);
-        """,
-    )
+    """)
     assert told["scrolls"] and told["zooms"] and told["dragged"] == pytest.approx(40, abs=1)
     assert told["one"] is False and told["two"] is True
     assert told["pinched"] == pytest.approx(2.0, rel=0.01)
     assert told["tapped"] and told["whole"] == [True, True]
 
 
-def test_rows_and_keys(text, best, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+def test_rows_and_keys(best, browse):
+    told = browse("""
         const all = document.querySelectorAll("tr[data-site]");
         tellTest("rows", [all.length, [...all].every(row => row.tabIndex === 0)]);
         all[1].focus();
@@ -175,8 +160,7 @@ def test_rows_and_keys(text, best, tmp_path):
         document.querySelector("#filter").dispatchEvent(new Event("input"));
         const left = document.querySelectorAll("#configuration tbody tr:not([hidden])");
         tellTest("found", left.length);
-        """,
-    )
+    """)
     assert told["rows"][0] >= 1 and told["rows"][1] and told["moved"]
     assert told["centre"] == pytest.approx(best[:2]) and "Site 1" in told["why"]
     assert told["closer"] and told["all"] and told["next"] and told["right"]
@@ -184,29 +168,20 @@ def test_rows_and_keys(text, best, tmp_path):
     assert told["found"] == 1
 
 
-def test_the_address_leads_back_to_a_view(text, tmp_path):
-    there = in_browser(
-        text,
-        tmp_path,
-        """
+def test_the_address_leads_back_to_a_view(browse):
+    there = browse("""
         setLayer("slope"); choose(0); setBeside("elevation"); zoom(1.5);
         byId("show-leaves").click(); setMode("section");
         tellTest("address", address());
-        """,
-    )["address"]
-    told = in_browser(
-        text, tmp_path, 'tellTest("address", address());', address=f"#{there}", size=(1400, 900)
-    )
+    """)["address"]
+    told = browse('tellTest("address", address());', address=f"#{there}", size=(1400, 900))
     assert told["address"] == there
     assert "layer=slope" in there and "mode=section" in there and "leaves" in there
 
 
-def test_a_section_shows_the_planes_along_its_line(result, text, best, tmp_path):
+def test_a_section_shows_the_planes_along_its_line(result, best, browse):
     x, y, (row, _) = best
-    told = in_browser(
-        text,
-        tmp_path,
-        f"""
+    told = browse(f"""
         setMode("section");
         at("pointerdown", px({x} - 2), py({y})); at("pointermove", px({x} + 2), py({y}));
         at("pointerup", px({x} + 2), py({y}));
@@ -217,8 +192,7 @@ def test_a_section_shows_the_planes_along_its_line(result, text, best, tmp_path)
         profile.over.dispatchEvent(new MouseEvent("mousemove", {{
           clientX: over.left + profile.valToPos(2, "x"), clientY: over.top + 10 }}));
         tellTest("cursor", [view.cursor.x, view.cursor.y]);
-        """,
-    )
+    """)
     distance, height, above, below = (np.array(c, float) for c in told["profile"])
     assert distance[-1] == pytest.approx(4.0, abs=0.05) and told["drawn"] == len(distance)
     assert np.all(above[np.isfinite(above)] > height[np.isfinite(above)])
@@ -229,11 +203,8 @@ def test_a_section_shows_the_planes_along_its_line(result, text, best, tmp_path)
     assert told["cursor"] == pytest.approx([x, y], abs=0.05)
 
 
-def test_the_slider_shows_the_map_growing(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+def test_the_slider_shows_the_map_growing(browse):
+    told = browse("""
         const h = data.history, last = h.seconds.length - 1;
         const grey = k => { const { canvas } = picture("allowed", k);
           const d = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
@@ -272,8 +243,7 @@ def test_the_slider_shows_the_map_growing(text, tmp_path):
         tellTest("curves", charts_sites[0].data.length);
         const y = charts_sites[0].scales.y;
         tellTest("range", [y.min, y.max]);
-        """,
-    )
+    """)
     assert told["drawn"] == [True, True] and told["differing"] == 0
     assert told["rows"][0] == told["rows"][1] > 0
     _, x, y, z, score, share = told["then"]
@@ -288,11 +258,8 @@ def test_the_slider_shows_the_map_growing(text, tmp_path):
     assert told["unseen"][0] >= told["unseen"][1] and told["curves"] > 1
 
 
-def test_it_is_dark_where_that_is_wanted(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+def test_it_is_dark_where_that_is_wanted(browse):
+    told = browse("""
         const paper = () => getComputedStyle(document.body).backgroundColor;
         tellTest("light", paper());
         byId("theme").click(); tellTest("dark", [paper(), ink("--ink")]);
@@ -300,17 +267,14 @@ def test_it_is_dark_where_that_is_wanted(text, tmp_path):
         tellTest("printed", [paper(), view.printing, map.clientWidth]);
         window.dispatchEvent(new Event("afterprint"));
         tellTest("after", paper());
-        """,
-    )
+    """)
     assert told["light"] == "rgb(255, 255, 255)" and told["dark"][0] == "rgb(20, 24, 29)"
     assert told["printed"][0] == told["light"] and told["printed"][2] == pytest.approx(661, abs=3)
     assert told["after"] == told["dark"][0]
 
 
-def test_a_narrow_screen_needs_no_sideways_scroll(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
+def test_a_narrow_screen_needs_no_sideways_scroll(browse):
+    told = browse(
         """
         const out = e => !e.closest(".scroll") && e.getBoundingClientRect().right > innerWidth + 1;
         tellTest("wide", [innerWidth, root.scrollWidth, [...document.querySelectorAll("body *")]
@@ -324,11 +288,8 @@ def test_a_narrow_screen_needs_no_sideways_scroll(text, tmp_path):
     assert told["map"][2] and told["map"][1] > 150
 
 
-def test_space_shows_the_ground_and_the_lander(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+def test_space_shows_the_ground_and_the_lander(browse):
+    told = browse("""
         setMode("scene");
         await until(() => root.dataset.scene || document.querySelector("#scene .warning"));
         const none = document.querySelector("#scene .warning");
@@ -360,8 +321,7 @@ def test_space_shows_the_ground_and_the_lander(text, tmp_path):
           tellTest("gaps", pads.map(([x, y, z]) => z - 0.03 -
             space.on(x + space.middle.x, y + space.middle.y, 0).z));
         }
-        """,
-    )
+    """)
     if told["warning"]:
         pytest.skip(told["warning"])
     assert told["colours"] > 10 and told["painted"]
@@ -382,12 +342,9 @@ def test_a_map_without_sites(tmp_path):
     )
 
 
-def test_a_click_on_a_marker_selects_its_site(text, tmp_path):
+def test_a_click_on_a_marker_selects_its_site(browse):
     """A drag does not; with a finger it is a tap."""
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+    told = browse("""
         const click = (x, y, way = 0) => { at("pointerdown", x, y);
           if (way) at("pointermove", x + way, y); at("pointerup", x + way, y); };
         const marker = k => [px(sites[k].x), py(sites[k].y)];
@@ -401,19 +358,15 @@ def test_a_click_on_a_marker_selects_its_site(text, tmp_path):
         touch("touchstart", [new Touch({ identifier: 0, target: map, clientX: box.left + x,
                                          clientY: box.top + y })]);
         touch("touchend", []); tellTest("tapped", chosen());
-        """,
-    )
+    """)
     site, rank, why = told["clicked"]
     assert (site, rank) == (1, "2") and why.startswith("Site 2")
     assert told["beside"] == told["dragged"] == told["clicked"] and told["tapped"][:2] == [0, "1"]
 
 
-def test_allowed_ground_is_outlined_on_every_layer(text, tmp_path):
+def test_allowed_ground_is_outlined_on_every_layer(browse):
     """Of the shown time too, and not on the layer that is nothing else."""
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+    told = browse("""
         const green = rgb(data.colours.safe), found = {};
         view.relief = view.sites = false; zoom(3);
         const count = () => { drawNow(); const d = map.getContext("2d").getImageData(0, 0,
@@ -438,8 +391,7 @@ def test_allowed_ground_is_outlined_on_every_layer(text, tmp_path):
         for (let j = 0; j < grid.ny; j++) for (let i = 0; i <= grid.nx; i++) {
           own += !inner(i, j) !== !inner(i - 1, j); }
         tellTest("end", [allowedEdges(-1).filter(([x0, , x1]) => x0 === x1).length, own]);
-        """,
-    )
+    """)
     found = told["found"]
     on, off = found.pop("allowed")
     assert on == off
@@ -448,11 +400,8 @@ def test_allowed_ground_is_outlined_on_every_layer(text, tmp_path):
     assert told["end"][0] == told["end"][1] > 0
 
 
-def test_bright_is_good_on_every_layer_that_knows_a_good(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+def test_bright_is_good_on_every_layer_that_knows_a_good(browse):
+    told = browse("""
         const light = ([r, g, b]) => 0.2126 * r + 0.7152 * g + 0.0722 * b;
         const good = { probability: 1, slope: 0, score: 0, deviation: 0, roughness: 0 };
         tellTest("found", Object.entries(good).map(([name, end]) => {
@@ -470,19 +419,15 @@ def test_bright_is_good_on_every_layer_that_knows_a_good(text, tmp_path):
           return out; };
         const lit = read(); view.relief = false; const flat = read();
         tellTest("off", flat.map((v, k) => Math.abs(v - lit[k])).sort((a, b) => a - b));
-        """,
-    )
+    """)
     assert all(good > bad + 50 for _, good, bad in told["found"]), told["found"]
     off = told["off"]
     assert off[int(0.95 * len(off))] <= 12, off
 
 
-def test_past_moments_show_the_past(text, tmp_path):
+def test_past_moments_show_the_past(browse):
     """In headline, columns and tooltip; the run's own come back."""
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+    told = browse("""
         const words = () => [byId("verdict").className, byId("verdict").textContent];
         const columns = () => [...byId("sites").rows[1].cells].filter(c => c.offsetWidth).length;
         const there = () => { at("pointermove", px(sites[0].x) + 20, py(sites[0].y));
@@ -492,8 +437,7 @@ def test_past_moments_show_the_past(text, tmp_path):
         const h = data.history, first = h.sites[0];
         tellTest("then", [h.seconds[0], first.length, first.length ? first[0][5] : null]);
         setInstant(h.seconds.length - 1); tellTest("again", [words(), columns()]);
-        """,
-    )
+    """)
     (verdict, words), columns, rows = told["past"]
     seconds, number, share = told["then"]
     assert words.startswith(f"At {seconds:.1f} s. ") and "Landing is allowed on" in words
@@ -507,10 +451,8 @@ def test_past_moments_show_the_past(text, tmp_path):
     assert told["again"] == told["end"][:2]
 
 
-def test_values_are_at_the_foot_of_a_phone(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
+def test_values_are_at_the_foot_of_a_phone(browse):
+    told = browse(
         """
         const s = sites[0]; tell(s.x, s.y); const box = tooltip.getBoundingClientRect();
         tellTest("box", [box.left, root.clientWidth - box.right, box.bottom, box.height]);
@@ -583,16 +525,13 @@ def test_shadow_and_reach_are_layers(tmp_path):
                 assert "At touchdown or an hour later." in legend
 
 
-def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path):
+def test_sliders_recompute_what_a_landing_pass_would_find(result, browse):
     """Marked as no result of the run, which comes back."""
     tries = [
         {"dispersion": 0.7, "max_risk": CONFIG.lss.max_risk, "margin": 0.0},
         {"dispersion": 2.0, "max_risk": 0.15, "margin": 1.1},
     ]
-    told = in_browser(
-        text,
-        tmp_path,
-        f"""
+    told = browse(f"""
         const before = [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")];
         const {{ diameter, clearance }} = whatIf.vehicles[0], whole = {{ diameter, clearance }};
         const found = {json.dumps(tries)}.map(t => {{
@@ -610,8 +549,7 @@ def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path
         byId("what-if-reset").click();
         tellTest("same", JSON.stringify(before) === JSON.stringify(
           [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")]));
-        """,
-    )
+    """)
     for values, (allowed, probability, places) in zip(tries, told["found"], strict=True):
         config = config_from_values({f"lss.{name}": v for name, v in values.items()}, CONFIG)
         expected = LandingSiteSelector(config).assess(result.cells)
@@ -626,12 +564,9 @@ def test_sliders_recompute_what_a_landing_pass_would_find(result, text, tmp_path
     assert told["past"].startswith("At ") and told["same"]
 
 
-def test_sliders_try_other_vehicles(result, text, tmp_path):
+def test_sliders_try_other_vehicles(result, browse):
     """What a landing pass on the run's map finds, to the rounding of their risks."""
-    told = in_browser(
-        text,
-        tmp_path,
-        """
+    told = browse("""
         const { clearance } = whatIf.vehicles[0];
         const own = { dispersion: [...whatIf.dispersion], max_risk: whatIf.max_risk, margin: 0 };
         tellTest("found", whatIf.vehicles.map(({ diameter, clearance, doubt }) => {
@@ -646,8 +581,7 @@ def test_sliders_try_other_vehicles(result, text, tmp_path):
         tellTest("shown", [grid.safe.reduce((a, b) => a + b), data.zone, data.lander.radius,
           byId("try-diameter").nextSibling.textContent, byId("what-if-run").textContent]);
         byId("what-if-reset").click(); tellTest("back", [data.zone, data.lander.radius]);
-        """,
-    )
+    """)
     base, spacing = CONFIG.vehicle, CONFIG.lss.spacing
     allowed_of = {}
     for diameter, clearance, why, allowed, probability, best in told["found"]:

@@ -215,14 +215,6 @@ def test_a_page_can_be_made_again_from_the_folder(content, text):
     json.loads(Page(page(content)).scripts["data"])
 
 
-def test_figures_lie_beside_it(result):
-    names = {path.name for path in Path(result.out / "figures").iterdir()}
-    assert names == {
-        f"{name}.png"
-        for name in ("elevation", "slope", "hazards", "probability", "score", "timing")
-    }
-
-
 @pytest.mark.parametrize(("assessment", "limit"), [("touchdown", 10.8), ("probability", 12.0)])
 def test_the_slope_is_marked_where_the_reasons_say_it_ends(content, assessment, limit):
     limits = {"lss.assessment": assessment, "vehicle.max_slope_deg": 12.0}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import importlib.util
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import pytest
 if importlib.util.find_spec("rclpy") is None:
     collect_ignore_glob = ["test_*.py"]
 else:
+    from diagnostic_msgs.msg import DiagnosticStatus
     from rcl_interfaces.msg import SetParametersResult
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter
@@ -22,6 +23,8 @@ else:
 
     from quadtree_lss.lab.live.listener import TOPICS, Listener
     from quadtree_lss.lab.live.processes import NodeProcess, local_domain
+
+    OK, WARN, ERROR = (DiagnosticStatus.OK,), (DiagnosticStatus.WARN,), (DiagnosticStatus.ERROR,)
 
 PARAMETERS = """\
 /**:
@@ -48,6 +51,13 @@ def has(listener: Listener, key: str, number: int, node: str = "mapping_node") -
 def at_least(listener: Listener, key: str, number: int, node: str = "mapping_node") -> bool:
     """True if a diagnostic value is this number or more."""
     return int(status_values(listener, node).get(key, 0)) >= number
+
+
+def told(listener: Listener, node: str, *words: str, levels: Sequence[bytes] = ()) -> bool:
+    """True if the last status of a node has all these words, and a level of those given."""
+    status = listener.diagnostics.get(node)
+    found = status is not None and all(word in status.message for word in words)
+    return found and (not levels or status.level in levels)
 
 
 @contextmanager

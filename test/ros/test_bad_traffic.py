@@ -12,7 +12,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from fuzz import cases
-from fuzz.through import MAKER, Maps
+from fuzz.through import MAKER, Maps, Wishes
 from geometry_msgs.msg import (
     Point32,
     PointStamped,
@@ -121,7 +121,7 @@ class Bad:
                 "depth/image": (Image, stream(50, reliable=True)),
                 "depth/camera_info": (CameraInfo, stream(50, reliable=True)),
             }
-            self.good = cases.camera_info(SHAPE, FOCAL)
+            self.good = cases.GOOD.camera(0, *SHAPE, FOCAL)
             self.camera = DepthCamera(LidarConfig())
             self.camera.on_info(self.good)
         kinds = scans | {
@@ -171,7 +171,7 @@ class Bad:
         if topic == "map/cells":
             return self.make_map()
         kinds = {"target": target_of, "dispersion": pose_of}
-        made = kinds.get(name, polygon_of)(getattr(cases, MAKERS[name])(rng))
+        made = kinds.get(name, polygon_of)(Wishes.MAKE[name](rng))
         return made if refused(DECODE[name], made, "map") else None
 
     def make_map(self):
@@ -188,14 +188,6 @@ class Bad:
         half.info.width, half.info.height = grid.info.width, grid.info.height
         self.out["map/observed"].publish(half)
         return cloud_of(cloud)
-
-
-MAKERS = {
-    "area": "random_polygon",
-    "keep_out": "random_polygon",
-    "target": "random_target",
-    "dispersion": "random_dispersion",
-}
 
 
 def mapped_at(listener, stamp):

@@ -11,8 +11,7 @@ import subprocess
 import sys
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
-from ros.conftest import at_least, has, process
+from ros.conftest import ERROR, WARN, at_least, has, process, told
 from ros_scene import Sensors
 
 from quadtree_lss.desk.replay.configuration import load_config
@@ -47,6 +46,12 @@ sys.exit(main())
 SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 
 
+def keeping(ros, interval=0.1):
+    """Place of a checkpoint, and what has a node write it so often, s."""
+    path = ros.folder / "checkpoint.map"
+    return path, ("-p", f"checkpoint.path:={path}", "-p", f"checkpoint.interval:={interval}")
+
+
 @pytest.mark.survives(
     "ended by SIGINT, SIGTERM or SIGHUP",
     "the state is written first, and the next start goes on from there; `~/reset` begins anew",
@@ -58,8 +63,7 @@ SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, 
 )
 def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     """The sensors stay and are heard by the successor, as on a vehicle."""
-    path = ros.folder / "checkpoint.map"
-    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
         sensors = Sensors(listener).matched()
@@ -77,8 +81,7 @@ def test_killed_mapping_node_takes_up_its_checkpoint(ros):
         assert later, again.output()
         assert ros.call(listener, "/mapping_node/reset").success
         assert not path.exists(), "a reset forgets the checkpoint, too"
-        last = sensors.publish(SCANS, offset_ns=100 * TEN_SECONDS_NS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), again.output()
+        last = sensors.map(again, SCANS, offset_ns=100 * TEN_SECONDS_NS)
     assert again.stop(signal.SIGHUP) == 0
     assert _stamp_in(path) == last, "a clean end leaves the last state"
 
@@ -128,8 +131,7 @@ def test_damaged_checkpoint_is_set_aside_and_mapping_goes_on(ros):
     "it can be",
 )
 def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
-    path = ros.folder / "checkpoint.map"
-    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
     before = resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE, (20_000, before[1]))
@@ -146,8 +148,7 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
 
 
 def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
-    path = ros.folder / "checkpoint.map"
-    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=3600.0")
+    path, args = keeping(ros, 3600.0)
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
         sensors = Sensors(listener).matched()
@@ -194,9 +195,9 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     """Whatever it was, the map that it happened to may be half changed."""
-    path = ros.folder / "checkpoint.map"
-    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1") if kept else ()
-    command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params), *args]
+    path, args = keeping(ros)
+    command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params)]
+    command += args if kept else ()
     with (
         ros.listen() as listener,
         process(command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE) as faulty,
@@ -208,12 +209,9 @@ def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
         leaves = len(listener.newest["map/cells"].data)
         sensors.publish(1, offset_ns=TEN_SECONDS_NS)
 
-        def told():
-            status = listener.diagnostics["mapping_node"]
-            how = "that of the checkpoint" if kept else "sound and goes on"
-            return status.level == DiagnosticStatus.ERROR and how in status.message
-
-        assert listener.wait_for(told), listener.diagnostics
+        how = "that of the checkpoint" if kept else "sound and goes on"
+        failed = functools.partial(told, listener, "mapping_node", how, levels=ERROR)
+        assert listener.wait_for(failed), listener.diagnostics
         assert "ValueError" in listener.diagnostics["mapping_node"].message
         assert has(listener, "problems.scan_failed", 1)
         assert not kept or listener.wait_for(lambda: _stamp_in(path) == good)
@@ -233,24 +231,18 @@ def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     "nothing there",
 )
 def test_two_nodes_on_one_checkpoint(ros):
-    path = ros.folder / "checkpoint.map"
-    args = ("-p", f"checkpoint.path:={path}", "-p", "checkpoint.interval:=0.1")
+    path, args = keeping(ros)
     first = ros.start("mapping_node", *args)
     with ros.listen() as listener:
         sensors = Sensors(listener).matched()
         stamp = sensors.publish(SCANS)
         assert listener.wait_for(lambda: _stamp_in(path) == stamp), first.output()
         second = ros.start("mapping_node", *args, "-r", "__node:=second")
-        told = functools.partial(_warned, listener, "second", "another node keeps")
-        assert listener.wait_for(told), second.output()
+        kept = functools.partial(told, listener, "second", "another node keeps", levels=WARN)
+        assert listener.wait_for(kept), second.output()
         assert "newest scan" not in second.output()
         stored = path.stat()
         assert second.stop() == 0
         assert path.stat() == stored
         stamp = sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS)
         assert listener.wait_for(lambda: _stamp_in(path) == stamp), first.output()
-
-
-def _warned(listener, node, words):
-    status = listener.diagnostics.get(node)
-    return status is not None and status.level == DiagnosticStatus.WARN and words in status.message

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 import yaml
 from rclpy.serialization import deserialize_message, serialize_message
-from ros_scene import COVARIANCE, POSITION, ROTATION, Sensors, events
+from ros_scene import Sensors, mapped
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.maps import round_trip
 from quadtree_lss.onboard.nodes.markers import cell_markers, site_markers
 
@@ -30,12 +29,7 @@ MARKERS = {"map/markers": MarkerArray, "landing/markers": MarkerArray}
 @pytest.fixture(scope="module")
 def mapper():
     """A mapper after two scans."""
-    result = Mapper(load_config(["morpheus"]))
-    for event in events(2):
-        if event.points_lidar is not None:
-            pose = Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE)
-            result.update(event.points_lidar, pose)
-    return result
+    return mapped(load_config(["morpheus"]), 2)
 
 
 def test_serialised_markers_are_what_rclpy_would_send(mapper):

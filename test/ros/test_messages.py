@@ -10,12 +10,10 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
-from ros_scene import COVARIANCE, POSITION, ROTATION, events
+from ros_scene import mapped
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, round_trip
 from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
@@ -29,12 +27,7 @@ pytestmark = pytest.mark.xdist_group("ros")
 @pytest.fixture(scope="module")
 def cells():
     """A map of two scans, Morpheus configuration."""
-    mapper = Mapper(load_config(["morpheus"]))
-    for event in events(2):
-        if event.points_lidar is not None:
-            pose = Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE)
-            mapper.update(event.points_lidar, pose)
-    return mapper.snapshot()
+    return mapped(load_config(["morpheus"]), 2).snapshot()
 
 
 def test_map_survives_the_wire_as_it_survives_encoding(cells):

@@ -9,7 +9,7 @@ import time
 from types import SimpleNamespace
 
 import pytest
-from ros.conftest import process, status_values
+from ros.conftest import process, status_values, told
 from ros_scene import Sensors, cloud, pose
 from sensor_msgs.msg import PointCloud2
 
@@ -109,7 +109,7 @@ def test_maps_of_an_overloaded_node(ros, policy):
         values = functools.partial(status_values, listener, "mapping_node")
         if policy == "all":
             late = functools.partial(
-                told, listener, "scans wait to be mapped", "maps are sent after"
+                told, listener, "mapping_node", "scans wait to be mapped", "maps are sent after"
             )
             assert listener.wait_for(late), values()
             assert "scans.dropped.overload" not in values()
@@ -119,11 +119,6 @@ def test_maps_of_an_overloaded_node(ros, policy):
             assert 0 < int(values()["scans.dropped.overload"]) == int(values()["problems.overload"])
         node.terminate()
         assert node.wait(60.0) == 0
-
-
-def told(listener, *words):
-    status = listener.diagnostics.get("mapping_node")
-    return status is not None and all(word in status.message for word in words)
 
 
 def all_accounted(values):

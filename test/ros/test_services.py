@@ -8,9 +8,8 @@ import time
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PolygonStamped
-from ros.conftest import has, status_values
+from ros.conftest import ERROR, OK, WARN, has, status_values, told
 from ros_scene import Sensors
 from ros_vehicle import point, polygon
 
@@ -66,8 +65,7 @@ def test_reset_save_and_load(ros):
         path.write_bytes(path.read_bytes()[:-100])
         refused = call("/mapping_node/load_map")
         assert not refused.success and "\n" not in refused.message
-        later = sensors.publish(SCANS, offset_ns=10**10)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == later)
+        sensors.map(mapping, SCANS, offset_ns=10**10)
     assert "Traceback" not in mapping.output() + lss.output()
 
 
@@ -142,8 +140,8 @@ def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
         assert listener.wait_for(near), site_places(listener)
 
         goal.publish(point(float("inf"), 0.0))
-        told = functools.partial(has, listener, "problems.target_point", 1, "lss_node")
-        assert listener.wait_for(told), lss.output()
+        refused = functools.partial(has, listener, "problems.target_point", 1, "lss_node")
+        assert listener.wait_for(refused), lss.output()
         assert both() and near(), "the target that was asked for before still holds"
 
         area.publish(polygon([]))
@@ -173,18 +171,12 @@ def test_levels_follow_the_age_of_the_data(ros):
         ros.start(node, *limits)
     with ros.listen() as listener:
         sensors = Sensors(listener).matched()
-
-        def level(node):
-            status = listener.diagnostics.get(node)
-            return None if status is None else status.level
-
         expected = {"scan.rate_hz", "pose.age_s", "map_ms", "publish_ms", "points.dropped.outside"}
 
         def fine():
-            told = [set(status_values(listener, node)) for node in nodes]
-            return {level(node) for node in nodes} == {DiagnosticStatus.OK} and (
-                expected <= told[0] and {"map.rate_hz", "lss_ms"} <= told[1]
-            )
+            mapping, lss = (set(status_values(listener, node)) for node in nodes)
+            good = all(told(listener, node, levels=OK) for node in nodes)
+            return good and expected <= mapping and {"map.rate_hz", "lss_ms"} <= lss
 
         present = functools.partial(_all_in, nodes, listener.diagnostics)
         assert listener.wait_for(present, 40.0), listener.diagnostics
@@ -193,9 +185,9 @@ def test_levels_follow_the_age_of_the_data(ros):
             assert time.monotonic() < deadline, listener.diagnostics
             sensors.publish(SCANS, offset_ns=flown * 10**10)
             flown += 1
-        for wanted in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR):
+        for wanted in (WARN, ERROR):
             for node in nodes:
-                stale = functools.partial(_equal, level, node, wanted)
+                stale = functools.partial(told, listener, node, levels=wanted)
                 assert listener.wait_for(stale), listener.diagnostics
         assert "no scan on '/lidar/points'" in listener.diagnostics["mapping_node"].message
         assert "no map on '/map/cells'" in listener.diagnostics["lss_node"].message
@@ -203,10 +195,6 @@ def test_levels_follow_the_age_of_the_data(ros):
 
 def _all_in(nodes, found):
     return all(node in found for node in nodes)
-
-
-def _equal(level, node, wanted):
-    return level(node) == wanted
 
 
 def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
@@ -217,16 +205,11 @@ def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
         last = sensors.publish(SCANS)
         assert listener.wait_for(lambda: listener.stamp("landing/sites") == last)
         assert listener.newest["landing/sites"].poses == []
-        zone = functools.partial(_told, listener, "lss_node", "no safe site", "20.00 m")
+        zone = functools.partial(
+            told, listener, "lss_node", "no safe site", "20.00 m", levels=WARN + ERROR
+        )
         assert listener.wait_for(zone), listener.diagnostics
-        noise = functools.partial(_told, listener, "mapping_node", "lidar.range_noise")
+        noise = functools.partial(
+            told, listener, "mapping_node", "lidar.range_noise", levels=WARN + ERROR
+        )
         assert listener.wait_for(noise), listener.diagnostics
-
-
-def _told(listener, node, *words):
-    status = listener.diagnostics.get(node)
-    return (
-        status is not None
-        and status.level >= DiagnosticStatus.WARN
-        and all(word in status.message for word in words)
-    )

@@ -55,6 +55,13 @@ def test_the_first_scan_and_the_first_sites_are_told_once(ros):
     assert lss.output().count("first sites") == 1
 
 
+def run_first(ros, program):
+    """Whatever Python starts in this domain runs a program first."""
+    (ros.folder / "sitecustomize.py").write_text(program)
+    path = [str(ros.folder), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    ros.env["PYTHONPATH"] = os.pathsep.join(path)
+
+
 HELD_UP = """
 import os, sys, time
 class Late:
@@ -80,9 +87,7 @@ sys.meta_path.insert(0, Late())
 def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
     """As on a computer so loaded that its modules take half a minute to load."""
     go = ros.folder / "go"
-    (ros.folder / "sitecustomize.py").write_text(HELD_UP.format(module=module, go=str(go)))
-    path = [str(ros.folder), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    ros.env["PYTHONPATH"] = os.pathsep.join(path)
+    run_first(ros, HELD_UP.format(module=module, go=str(go)))
     node = ros.start(name)
     first = {"mapping_node": "'/lidar/points'", "lss_node": "a map", "autopilot_node": "the heart"}
     with ros.listen({}) as listener:
@@ -116,9 +121,7 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
         if of_extras & {distribution for distribution in distributions}
     }
     assert {"matplotlib", "rosbags", "argcomplete"} <= names
-    (ros.folder / "sitecustomize.py").write_text(ONBOARD_ALONE.format(lacking=sorted(names)))
-    path = [str(ros.folder), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    ros.env["PYTHONPATH"] = os.pathsep.join(path)
+    run_first(ros, ONBOARD_ALONE.format(lacking=sorted(names)))
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:
         sensors = Sensors(listener).matched()

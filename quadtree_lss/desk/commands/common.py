@@ -180,23 +180,13 @@ def parameter_settings(prefix: str, **_: Any) -> list[str]:
 
 
 def add_config_options(parser: argparse._ActionsContainer) -> None:
-    config = parser.add_argument(
-        "--config",
-        action="append",
-        default=[],
-        metavar="YAML",
-        help="ROS parameter file or shipped configuration (default, morpheus, parabola, …);"
-        " several overlay each other, the later wins",
-    )
-    setting = parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="set one parameter, for instance lss.margin=1.0; wins over every file",
-    )
-    completed(config, config_names)
-    completed(setting, parameter_settings)
+    add = parser.add_argument
+    several: dict[str, Any] = {"action": "append", "default": []}
+    text = "ROS parameter file or shipped configuration (default, morpheus, parabola, …);"
+    text += " several overlay each other, the later wins"
+    completed(add("--config", metavar="YAML", help=text, **several), config_names)
+    text = "set one parameter, for instance lss.margin=1.0; wins over every file"
+    completed(add("--set", metavar="KEY=VALUE", help=text, **several), parameter_settings)
 
 
 def overrides(options: argparse.Namespace) -> dict[str, Any]:

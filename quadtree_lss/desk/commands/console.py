@@ -48,7 +48,7 @@ class ProgressBar:
 
     def __init__(self, what: str, unit: str, verbose: bool) -> None:
         self._bar: Any = None
-        if wants_progress(verbose):
+        if not _Quiet.on and (verbose or sys.stderr.isatty()):
             self._bar = _bar(what, unit)
 
     def __enter__(self) -> ProgressBar:
@@ -114,11 +114,6 @@ class Interruption:
         end = "\n" if sys.stderr.isatty() else ""
         with contextlib.suppress(OSError):
             os.write(2, f"{end}{text}".encode(errors="replace"))
-
-
-def wants_progress(verbose: bool) -> bool:
-    """Bars are for people: on a terminal, or when asked for."""
-    return not _Quiet.on and (bool(verbose) or sys.stderr.isatty())
 
 
 def print_result(result: ReplayResult) -> None:

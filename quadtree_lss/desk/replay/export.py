@@ -162,7 +162,7 @@ def _colours(results: Results) -> Bytes:
     from quadtree_lss.plot import relief
 
     grid = results.grid
-    green = np.array([int(SAFE_COLOUR[k : k + 2], 16) for k in (1, 3, 5)], np.float64)
+    green = np.array(list(bytes.fromhex(SAFE_COLOUR[1:])), np.float64)
     base = np.where(grid["safe"][..., None], 0.45 * green + 120.0, 175.0)
     shade = np.nan_to_num(relief(grid["elevation"], grid.spacing), nan=0.5)
     return np.clip(base * (0.5 + shade[..., None]), 0.0, 255.0).astype(np.uint8)

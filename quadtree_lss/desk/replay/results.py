@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import json
 import os
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.cells import ResultsError, cell_map, cells_arrays, unreadable
+from quadtree_lss.desk.exchange.tables import Table, read_table
 from quadtree_lss.desk.replay.configuration import dump_config, load_config
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.history import History
@@ -37,9 +37,6 @@ SITE_COLUMNS += ("hazard_distance", "subscale_height", "id", "probability")
 REPORT = "report.html"
 FIGURES = ("elevation", "slope", "hazards", "probability", "score", "timing")
 """Names of the figures, ``figures/<name>.png``, in the order of the page."""
-
-Table = dict[str, NDArray[Any]]
-"""Columns of a CSV file by name: whole numbers, numbers, or else texts."""
 
 
 def write_results(
@@ -177,7 +174,7 @@ class Results:
     @cached_property
     def sites(self) -> Table:
         """``sites.csv``, best first."""
-        return _read_table(self.folder / "sites.csv")
+        return read_table(self.folder / "sites.csv")
 
     @property
     def positions(self) -> Array:
@@ -188,12 +185,12 @@ class Results:
     @cached_property
     def selected(self) -> Table:
         """``selected.csv``: changes of the target."""
-        return _read_table(self.folder / "selected.csv")
+        return read_table(self.folder / "selected.csv")
 
     @cached_property
     def timing(self) -> Table:
         """``timing.csv``: a row per mapped scan."""
-        return _read_table(self.folder / "timing.csv")
+        return read_table(self.folder / "timing.csv")
 
     @cached_property
     def grid(self) -> Grid:
@@ -239,23 +236,3 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
         return read_arrays(path)
     except ExchangeError as error:
         raise ResultsError(error) from None
-
-
-def _read_table(path: Path) -> Table:
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            header, *rows = list(csv.reader(file)) or [[]]
-    except (OSError, ValueError, csv.Error) as error:
-        raise unreadable(path, error) from None
-    if any(len(row) != len(header) for row in rows):
-        raise unreadable(path, "its rows differ in length")
-    return {name: _column([row[k] for row in rows]) for k, name in enumerate(header)}
-
-
-def _column(texts: list[str]) -> NDArray[Any]:
-    for kind in (np.int64, np.float64):
-        try:
-            return np.array([int(t) if kind is np.int64 else float(t) for t in texts], dtype=kind)
-        except (ValueError, OverflowError):
-            continue
-    return np.array(texts)

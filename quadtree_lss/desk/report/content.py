@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,10 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.exchange.tables import read_table
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config, config_from_values, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 from quadtree_lss.onboard.core.tree.domain import carried
+from quadtree_lss.onboard.elevation.archives import read_arrays
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -108,37 +109,10 @@ def read(folder: str | Path) -> Content:
     path = Path(folder)
     history = path / "history.npz"
     return Content(
-        grid=_arrays(path / "grid.npz"),
-        cells=_arrays(path / "cells.npz"),
-        history=_arrays(history) if history.exists() else {},
-        sites=_columns(path / "sites.csv"),
-        timing=_columns(path / "timing.csv"),
+        grid=read_arrays(path / "grid.npz"),
+        cells=read_arrays(path / "cells.npz"),
+        history=read_arrays(history) if history.exists() else {},
+        sites=read_table(path / "sites.csv"),
+        timing=read_table(path / "timing.csv"),
         summary=json.loads((path / "summary.json").read_text(encoding="utf-8")),
     )
-
-
-def _arrays(path: Path) -> Arrays:
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
-
-
-def _columns(path: Path) -> Arrays:
-    """Columns of a CSV file; whole numbers stay exact, what is no number becomes NaN."""
-    with path.open(newline="", encoding="utf-8") as file:
-        header, *rows = csv.reader(file)
-    columns = zip(*rows, strict=True) if rows else [()] * len(header)
-    return {name: _numbers(texts) for name, texts in zip(header, columns, strict=True)}
-
-
-def _numbers(texts: tuple[str, ...]) -> NDArray[Any]:
-    try:
-        return np.array([int(text) for text in texts], dtype=np.int64)
-    except ValueError:
-        return np.array([_number(text) for text in texts])
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from quadtree_lss.desk.exchange.mesh import ground_mesh
 from quadtree_lss.desk.report.content import Content
 from quadtree_lss.desk.report.palette import EXCLUDED_COLOUR, SAFE_COLOUR, UNSEEN_COLOUR
-from quadtree_lss.onboard.arrays import Array, Bytes, Mask
+from quadtree_lss.onboard.arrays import Bytes, Mask
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 
 MOST = 60
@@ -34,7 +35,8 @@ def write_rerun(content: Content, path: Path) -> None:
     out = rr.RecordingStream("quadtree_lss")
     out.save(path)
     out.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    places, triangles = mesh(grid["x"], grid["y"], grid["elevation"])
+    places, triangles = ground_mesh(grid["x"], grid["y"], grid["elevation"])
+    known = np.isfinite(grid["elevation"]).ravel()
     out.log(
         "map/ground", rr.Mesh3D(vertex_positions=places, triangle_indices=triangles), static=True
     )
@@ -43,7 +45,7 @@ def write_rerun(content: Content, path: Path) -> None:
     for answer in mapped[np.unique(np.linspace(0, len(mapped) - 1, MOST).round().astype(int))]:
         out.set_time("bag", timestamp=np.datetime64(int(stamps[answer]), "ns"))
         seen, allowed = (
-            content.then(name, np.array([answer])).ravel().astype(bool)
+            content.then(name, np.array([answer])).ravel().astype(bool)[known]
             for name in ("seen", "allowed")
         )
         out.log("map/ground", rr.Mesh3D.from_fields(vertex_colors=colours(seen, allowed)))
@@ -68,22 +70,8 @@ def write_rerun(content: Content, path: Path) -> None:
     out.flush()
 
 
-def mesh(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Vertices (ny nx, 3), and triangles (T, 3) where all corners have a height."""
-    along, across = np.meshgrid(x, y)
-    number = np.arange(z.size).reshape(z.shape)
-    a, b, c, d = (
-        number[i : i + z.shape[0] - 1, j : j + z.shape[1] - 1].ravel()
-        for i, j in ((0, 0), (0, 1), (1, 1), (1, 0))
-    )
-    both = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    known = np.isfinite(z.ravel())
-    places = np.column_stack([along.ravel(), across.ravel(), np.where(known, z.ravel(), 0.0)])
-    return places, both[known[both].all(axis=1)]
-
-
 def colours(seen: Mask, allowed: Mask) -> Bytes:
     """(N, 3) of grid points by what is known of them."""
     names = (UNSEEN_COLOUR, EXCLUDED_COLOUR, SAFE_COLOUR)
-    table = np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], np.uint8)
+    table = np.array([list(bytes.fromhex(name[1:])) for name in names], np.uint8)
     return np.asarray(table[np.where(seen, 1 + allowed.astype(int), 0)])

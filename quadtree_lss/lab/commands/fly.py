@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from quadtree_lss.desk.commands import common
@@ -67,10 +68,7 @@ def _run(options: argparse.Namespace) -> int:
         options.parser.error("--rate: only over ROS, not with --lockstep")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
     with ProgressBar("fly", "s", options.verbose) as bar:
-
-        def progress(seconds: float) -> None:
-            bar.update(seconds, LONGEST)
-
+        progress = partial(bar.update, total=LONGEST)
         try:
             if alone:
                 done = flown(options.seed, settings, progress=progress, record=not options.no_page)

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.desk.replay.files import new_folder
+from quadtree_lss.desk.replay.files import new_folder, write_json
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.provenance import check_truth, recorded_bag, results_config
@@ -81,8 +80,7 @@ def evaluate(
     )
     if figures:
         result = _with_page(result, Path(results_dir), truth, safety)
-    text = json.dumps(result.as_dict(), indent=2, allow_nan=False)
-    (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+    write_json(folder / "evaluation.json", result.as_dict())
     return result
 
 
@@ -212,6 +210,5 @@ def compare(
         heights = metrics.elevation_field(results[names[-1]].map, results[names[-1]].grid, truth)
         drawn = draw_together(together, truth, heights, results)
     result = ComparisonResult(runs, together, drawn)
-    text = json.dumps(result.as_dict()["runs"], indent=2, allow_nan=False) + "\n"
-    (together / "evaluation.json").write_text(text, encoding="utf-8")
+    write_json(together / "evaluation.json", result.as_dict()["runs"])
     return result

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 import cython
@@ -65,13 +65,7 @@ class Counts:
     above_3: int = 0
 
     def __add__(self, other: Counts) -> Counts:
-        return Counts(
-            self.points + other.points,
-            self.below + other.below,
-            self.above + other.above,
-            self.below_3 + other.below_3,
-            self.above_3 + other.above_3,
-        )
+        return Counts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     @property
     def one_degree(self) -> Fractions:

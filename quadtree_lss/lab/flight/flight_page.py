@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from quadtree_lss.desk.replay.elevation_model import map_summary, rank_sites
-from quadtree_lss.desk.replay.files import write_npz
+from quadtree_lss.desk.replay.files import write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.result import ReplayResult
 from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.desk.report import drawing
@@ -56,9 +54,7 @@ def write_flight(out: Path, flown: Flown, *, report: bool = True) -> None:
 
 def write_outcome(out: Path, figures: Mapping[str, Any]) -> None:
     """``touchdown.json``. Raises `OSError`: ``out`` cannot be written."""
-    out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(figures, indent=2, allow_nan=False)
-    (out / "touchdown.json").write_text(text + "\n", encoding="utf-8")
+    write_json(out / "touchdown.json", figures)
 
 
 def figure(flown: Flown) -> Figure:
@@ -303,7 +299,5 @@ def _flight_data(data: dict[str, Any], columns: Columns, flown: Flown) -> dict[s
 
 
 def _write_csv(path: Path, header: Any, rows: Any) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)
+    told = ([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)
+    write_csv(path, header, told)

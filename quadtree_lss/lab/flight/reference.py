@@ -20,10 +20,6 @@ from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
-class NoReference(QuadtreeLssError):
-    """The convex reference cannot be had; the text is one clear line."""
-
-
 @dataclass(frozen=True)
 class Optimum:
     """The cheapest descent: propellant, kg; time, s; position and velocity (N + 1, 3), thrust (N +
@@ -42,7 +38,12 @@ class Descent:
 
     def __init__(self, vehicle: Vehicle, limits: Limits, steps: int = 30) -> None:
         self.vehicle, self.limits, self.steps = vehicle, limits, steps
-        self._cvxpy: Any = _cvxpy()
+        try:
+            import cvxpy
+        except ImportError:
+            msg = "the convex reference needs the extra 'guidance': pip install"
+            raise QuadtreeLssError(f"{msg} 'quadtree_lss[guidance]'") from None
+        self._cvxpy: Any = cvxpy
 
     def cheapest(
         self, position: Array, velocity: Array, end: Array, end_velocity: Array
@@ -103,13 +104,3 @@ class Descent:
         mass = vehicle.mass * np.exp(-burn.value / speed)
         thrust = np.asarray(size.value) * mass
         return Optimum(vehicle.mass - mass[n], seconds, r.value, v.value, thrust)
-
-
-def _cvxpy() -> Any:
-    try:
-        import cvxpy
-    except ImportError:
-        raise NoReference(
-            "the convex reference needs the extra 'guidance': pip install 'quadtree_lss[guidance]'"
-        ) from None
-    return cvxpy

@@ -185,11 +185,9 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
         f"   {len(stamps)} scans, {len(result.cells.level)} leaves,"
         f" {time.monotonic() - started:.1f} s with start-up"
     )
-    best = (
-        ", the best at x {:.2f}, y {:.2f} m".format(*result.position[0])
-        if len(result.position)
-        else ""
-    )
+    best = ""
+    if len(result.position):
+        best = ", the best at x {:.2f}, y {:.2f} m".format(*result.position[0])
     print(f"4. lss_node ranks {len(result.table)} landing sites{best}", flush=True)
     cells = cell_differences(offline / "cells.npz", live / "cells.npz")
     sites = site_difference(result, results.sites)
