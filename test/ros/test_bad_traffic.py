@@ -8,6 +8,7 @@ import functools
 import math
 from array import array
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from fuzz.through import MAKER, Maps, Wishes
 from geometry_msgs.msg import (
     Point32,
     PointStamped,
+    PolygonInstanceStamped,
     PolygonStamped,
     PoseWithCovarianceStamped,
 )
@@ -37,7 +39,7 @@ from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 pytestmark = [pytest.mark.xdist_group("ros_faults"), pytest.mark.slow]
 
-SCANS, MESSAGES = 60, 10_000
+SCANS, MESSAGES, IDS = 60, 10_000, 10
 NOW_NS = 1_700_000_000 * 10**9
 
 
@@ -94,6 +96,14 @@ def polygon_of(made):
     return out
 
 
+def one_of_set(made):
+    """One of few, so that each can be lifted again."""
+    out = PolygonInstanceStamped(header=header_of(made))
+    bare = SimpleNamespace(header=made.header, polygon=made.polygon.polygon)
+    out.polygon.polygon, out.polygon.id = polygon_of(bare).polygon, made.polygon.id % IDS
+    return out
+
+
 def target_of(made):
     out = PointStamped(header=header_of(made))
     out.point.x, out.point.y, out.point.z = made.point.x, made.point.y, made.point.z
@@ -131,6 +141,7 @@ class Bad:
             "map/observed": (OccupancyGrid, latched()),
             "landing/area": (PolygonStamped, latched()),
             "landing/keep_out": (PolygonStamped, latched()),
+            "landing/keep_outs": (PolygonInstanceStamped, latched(IDS)),
             "landing/target": (PointStamped, latched()),
             "landing/dispersion": (PoseWithCovarianceStamped, latched()),
         }
@@ -170,7 +181,7 @@ class Bad:
             return made if refused(pose_from_message, made, "map") else None
         if topic == "map/cells":
             return self.make_map()
-        kinds = {"target": target_of, "dispersion": pose_of}
+        kinds = {"target": target_of, "dispersion": pose_of, "keep_outs": one_of_set}
         made = kinds.get(name, polygon_of)(Wishes.MAKE[name](rng))
         return made if refused(DECODE[name], made, "map") else None
 
@@ -234,6 +245,10 @@ def test_bad_messages_beside_good_ones_change_nothing(ros, source):
                 print(f"seed {seed}: {dict(bad.sent)}")
                 for topic in ("landing/area", "landing/keep_out"):
                     bad.out[topic].publish(PolygonStamped(header=header_message(1, "map")))
+                for number in range(IDS):
+                    lifted = PolygonInstanceStamped(header=header_message(1, "map"))
+                    lifted.polygon.id = number
+                    bad.out["landing/keep_outs"].publish(lifted)
             for number in range(2, 12):  # a late bad map may take a good one's place
                 last = sensors.publish(1, offset_ns=number * LONG_NS, make_cloud=make)
                 done = functools.partial(mapped_at, listener, last)
