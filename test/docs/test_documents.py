@@ -12,6 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from replay.recordings import flight as hovering
+from replay.recordings import recording
+from replay.test_pose_inputs import OdometryRecorder
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
@@ -65,6 +69,43 @@ def test_commands_run_as_written(needs_flight, code, flight, tmp_path):
         ["bash", "-c", script], cwd=tmp_path, env=environment(), capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+class LevelBody(OdometryRecorder):
+    """As an autopilot tells a drone that hovers: odometry of a body that is level."""
+
+    odometry = ("/nav/odometry",)
+
+    def pose(self, stamp_ns, position):
+        return super().pose(stamp_ns, position, xyzw=(0.0, 0.0, 0.0, 1.0))
+
+
+def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path):
+    """Its file, and the commands that need neither a drone nor `ros2`, as written."""
+    page = (ROOT / "docs/tutorials/drone.md").read_text()
+    copied, check, _, look = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    (added,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    with recording(tmp_path / "hover", LevelBody) as recorder:
+        hovering(recorder, pose_topics=LevelBody.odometry)
+
+    def run(script):
+        script = script.replace("$(ros2 pkg prefix --share quadtree_lss)", str(ROOT))
+        script = script.replace("ros2 run quadtree_lss ", "")
+        script = script.replace("quadtree-lss ", f"{sys.executable} -m quadtree_lss.cli ")
+        done = subprocess.run(
+            ["bash", "-ec", script], cwd=tmp_path, env=environment(), capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run(copied)
+    file = tmp_path / "drone.yaml"
+    values = yaml.safe_load(file.read_text())
+    for name, section in yaml.safe_load(added)["/**"]["ros__parameters"].items():
+        values["/**"]["ros__parameters"].setdefault(name, {}).update(section)
+    file.write_text(yaml.safe_dump(values))
+    run(check)
+    assert "10 scans mapped, 0 dropped" in run(look)
 
 
 @pytest.mark.parametrize(("needs_flight", "code"), blocks("python"))
