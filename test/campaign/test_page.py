@@ -3,6 +3,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,6 +44,21 @@ def test_the_answer_comes_first_and_every_flight_is_in_it(result):
     assert np.isnan(found.column(data["columns"]["error"])).all()
     assert data["indices"] == list(range(COUNT)) and data["seeds"][3] == "1000000000000003"
     assert [k for k, bad in enumerate(data["bad"]) if bad] == [BAD - 1]
+
+
+def test_flights_of_several_cases_are_summed_first(result):
+    study = result.out.parent / "study.yaml"
+    cases = "cases:\n- {name: a}\n- {name: b, conditions: {rocks: 0.1}}\n"
+    study.write_text(f"kind: fly\nscenario: package\nseed: 1\nflights: 20\n{cases}")
+    records = {
+        k: replace(r, scenario="package", labels={"case": "ab"[k % 2]})
+        for k, r in result.records.items()
+    }
+    text = page_files(CampaignResult(result.out, read_study(study), records), ())
+    found = re.findall(r'<p class="verdict (\w*)">(.*?)</p>', text["campaign.html"].decode())
+    assert [level for level, _ in found] == ["none", "none", "good"]
+    assert found[0][1].startswith("all of package: Safe touchdowns 39 of 40, 95 %: ")
+    assert "20 of 20" in found[2][1]
 
 
 def test_only_what_is_kept_is_linked(result):

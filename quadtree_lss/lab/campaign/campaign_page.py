@@ -60,7 +60,10 @@ def _page(
         "lab/campaign/campaign.html",
         title=f"Campaign {study.name}",
         note=f"interrupted: {note}" if result.interrupted else note,
-        answers=[_answer(name, lines[0]) for name, lines in result.lines],
+        answers=[
+            *_answers_of_all(kind.quantities[0], parts),
+            *(_answer(name, lines[0]) for name, lines in result.lines),
+        ],
         legend=[(name, RUNS[k % len(RUNS)]) for k, (name, _) in enumerate(parts)],
         lines=[(name, [line.cells() for line in lines]) for name, lines in result.lines],
         keep=keep,
@@ -110,6 +113,21 @@ def note_kept(out: Path, page: str) -> None:
         tail = rest.partition("</script>")[2]
         found = json.dumps(kept_flights(out, page))
         write_bytes(path, f"{head}{mark}{found}</script>{tail}".encode())
+
+
+def _answers_of_all(
+    quantity: Quantity, parts: Sequence[tuple[str, Sequence[Record]]]
+) -> list[tuple[str, str]]:
+    """Of each scenario that was flown in several combinations, if the quantity is a rate."""
+    several: dict[str, list[Sequence[Record]]] = {}
+    for _, records in parts:
+        if records and quantity.of is not None:
+            several.setdefault(records[0].scenario, []).append(records)
+    return [
+        _answer(f"all of {name}:", line_of(quantity, [r for part in found for r in part]))
+        for name, found in several.items()
+        if len(found) > 1
+    ]
 
 
 def _answer(name: str, line: Line) -> tuple[str, str]:
