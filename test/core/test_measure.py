@@ -227,18 +227,22 @@ def test_points_as_far_apart_in_height_as_in_place_are_no_upright_plane():
     np.testing.assert_array_equal(ml.normal, height.normal)
 
 
-@pytest.mark.parametrize("turned", [0.0, 0.7, 2.2])
-def test_what_noise_along_the_ray_turns_and_lifts(turned):
+@pytest.mark.parametrize(("turned", "fall"), [(0.0, 0.0), (0.7, 0.0), (2.2, 0.0), (0.7, 0.9)])
+def test_what_noise_along_the_ray_turns_and_lifts(turned, fall):
     """A^-1 q with A the covariance of the points' places, q = var(e) (n.u) / n_z (u_x, u_y), and
-    `_bias`'s lift: half of both where nothing is left out, all where half is."""
+    `_bias`'s lift: half of both where nothing is left out, all where half is. A plane that falls
+    nearly as the ray does may have been turned to it, and counts as level."""
     rng, noise, lidar = np.random.default_rng(17), 0.05, np.array([80.0, -60.0, 100.0])
     turn = rotations.exp([0.0, 0.0, turned])
     for width in (1.0, 0.6):
         cloud = rng.uniform(-1.0, 1.0, (5000, 3)) * (0.7 * width, 0.7, 0.0) @ turn.T
+        cloud[:, 2] = cloud[:, :2] @ (0.8, -0.6) * fall
         centre = tuple(-lidar[:2])
         run = fit(rules(noise=noise), cloud - lidar, *centre, 1.98, UP, NO_POSE)[0]
         ray = run.centroid / np.linalg.norm(run.centroid)
         share, lean = 0.5 + min(run.unseen, 0.5), abs(ray @ run.normal) / run.normal[2]
+        assert (lean < -ray[2]) == (fall > 0.0)
+        lean = max(lean, -ray[2])
         spread = np.cov(cloud[:, :2].T, bias=True)
         turning = share * noise**2 * lean * np.linalg.norm(np.linalg.solve(spread, ray[:2]))
         assert run.bias[0] == pytest.approx(turning, rel=0.02)

@@ -33,20 +33,21 @@ def sizes(draws: list[shares.Draw], of: str) -> np.ndarray:
 
 @pytest.mark.parametrize("of", ["height", "slope"])
 def test_errors_are_as_claimed_over_all_shares(leaves, of):
-    """Root mean square of the ratios, pooled."""
+    """Pooled: claims are rather wide than narrow, and almost none is off."""
     ratios = sizes(leaves, of)
     assert len(ratios) > 1000
-    assert 0.7 < np.sqrt(np.mean(ratios**2)) < 1.5
+    assert 0.45 < np.sqrt(np.mean(ratios**2)) < 1.0
+    assert np.mean(ratios > 4.0) < 2e-3
 
 
 @pytest.mark.parametrize("scans", [1, 20])
 @pytest.mark.parametrize(
     ("low", "high", "most", "beyond"),
-    [(0.01, 0.25, 2.3, 0.06), (0.25, 0.5, 1.2, 0.02), (0.5, 1.0, 0.8, 1e-3)],
+    [(0.01, 0.25, 1.4, 0.012), (0.25, 0.5, 0.9, 4e-3), (0.5, 1.0, 0.8, 1e-3)],
 )
 def test_no_share_is_trusted_too_much(leaves, scans, low, high, most, beyond):
-    """Claims may be wide; they are narrow in strips alone, where cells of 0.25 m hold nothing but
-    what noise of 0.06 m carried over the edge of the strip, the same way in each scan."""
+    """Also where cells of 0.25 m hold nothing but what noise of 0.06 m carried over the edge of the
+    strip, the same way in each scan."""
     ratios = sizes([d for d in leaves if d.scans == scans and low <= d.share <= high], "all")
     assert np.sqrt(np.mean(ratios**2)) < most
     assert np.mean(ratios > 4.0) < beyond

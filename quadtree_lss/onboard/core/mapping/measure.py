@@ -191,7 +191,7 @@ def _bias(
 
     An edge on one side alone lifts the mean by r = sqrt(var(e)) |(u_x, u_y)| / w of a deviation
     in height, w the width of what was seen along the ray; a strip of less than four deviations may
-    be nothing but what noise moved there: `TAIL` r^2 stands for that, two deviations at most.
+    be nothing but what noise moved there: `TAIL` r^2 stands for that, four deviations at most.
 
     Args:
         run: Record of type `RUN`: points, scatter and unseen are read, the bias is written.
@@ -210,7 +210,7 @@ def _bias(
     # Of a vertical ray, or nearly, it is 0.
     thin = deviation * flat / sqrt(max(12.0 * along + least * flat, 1e-300))
     run.bias[0] = run.bias[2] = 0.0
-    run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 2.0)
+    run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 4.0)
     if sloped:
         xx += least
         yy += least
@@ -350,7 +350,9 @@ def measure(
     run.square = max(quadratic, 0.0) / free
     doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
     uneven = max(run.square - doubt, 0.0) + rules.uneven * (1.0 / (seen * seen) - 1.0)
-    _bias(run, ray_x, ray_y, sqrt(along), cosine / up, tilt < UNKNOWN_TILT and not line)
+    # A plane that noise has turned towards the ray is not free of it.
+    lean = max(cosine / up, -ray_z)
+    _bias(run, ray_x, ray_y, sqrt(along), lean, tilt < UNKNOWN_TILT and not line)
     if run.sloped == 0.0 and z == z:
         # Of a strip that is as wide as the noise, place and height err together, along the ray u:
         # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.

@@ -39,6 +39,9 @@ cdef class ScanUpdate:
     cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _doubt(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
+    cdef void _along(self, Leaf* leaf, Run* run, double* out) noexcept nogil
+    cdef double _height(self, double* known) noexcept nogil
+    cdef double _turn(self, Leaf* leaf, Run* run) noexcept nogil
     cdef bint _apart(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _begin(self, Leaf* leaf) noexcept nogil
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil

@@ -8,6 +8,7 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys
 from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
+from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.features import Heights
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
@@ -39,6 +40,8 @@ LEVEL_SIGMA = cython.declare(cython.double, 0.5)
 HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
 #: Variance of the places of a first plane along the ray, over that of noise, at least.
 APART = cython.declare(cython.double, 4.0)
+#: Noise turns no plane by more, rad.
+TURNED = cython.declare(cython.double, 1.5)
 #: A run contradicts a plane that is so many deviations off.
 CONTRADICTING = cython.declare(cython.double, 30.0)
 #: Points of a scan in a cell that tell the range noise.
@@ -304,6 +307,9 @@ class ScanUpdate:
         leaf.bias[2] += run.bias[2]
         leaf.bias[0] += run.bias[2] / max(leaf.bias[2], 1e-300) * (run.bias[0] - leaf.bias[0])
         leaf.bias[1] += run.points / leaf.points * (run.bias[1] - leaf.bias[1])
+        if leaf.bias[2] == 0.0:
+            turn = self._turn(leaf, run)
+            leaf.bias[0] = max(leaf.bias[0], turn) if leaf.known == INHERITED else turn
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
@@ -360,6 +366,38 @@ class ScanUpdate:
             of_range[i], of_pose[i] = known[i], pose[i]
         leaf.z += rise[0]
 
+    def _along(self, leaf: Record, run: Record, out: Vector) -> None:
+        """The ray to a run, of length one, along the tangent axes of a leaf's plane (2)."""
+        basis = cython.declare(cython.double[6])
+        basis_at(leaf.normal, basis)
+        x, y, z = run.centroid[0], run.centroid[1], run.centroid[2]
+        per = 1.0 / sqrt(x * x + y * y + z * z)
+        out[0] = per * (basis[0] * x + basis[1] * y + basis[2] * z)
+        out[1] = per * (basis[3] * x + basis[4] * y + basis[5] * z)
+
+    def _height(self, known: Vector) -> cython.double:
+        """Variance of a plane's height where its slope does not matter, m^2."""
+        x = known[4] * known[2] - known[1] * known[5]
+        y = known[0] * known[5] - known[1] * known[2]
+        share = 1.0 / max(known[0] * known[4] - known[1] * known[1], 1e-300)
+        return known[8] - share * (x * known[2] + y * known[5])
+
+    def _turn(self, leaf: Record, run: Record) -> cython.double:
+        """What noise along the ray may turn a plane by of which lines of points alone tell, rad.
+
+        A^-1 q, as of a fit (`measure._bias`). Here A is the covariance of the places of all scans
+        together. It follows from the covariance V of the slope and the variance h of the height:
+        A^-1 = V / h.
+        """
+        ray = cython.declare(cython.double[2])
+        self._along(leaf, run, ray)
+        known = leaf.range_part
+        x = known[0] * ray[0] + known[1] * ray[1]
+        y = known[1] * ray[0] + known[4] * ray[1]
+        height = max(self._height(known), 1e-300)
+        lean = run.variance / (run.cosine * leaf.normal[2])
+        return min(lean * sqrt(x * x + y * y) / height, TURNED)
+
     def _apart(self, leaf: Record, run: Record) -> cython.bint:
         """Whether a first plane is of places that lie farther apart along the ray than noise puts
         them: else it is turned towards the ray.
@@ -369,21 +407,14 @@ class ScanUpdate:
         have that which noise moves its points by along the plane, var(e) |B^T u|^2 over their
         number.
         """
-        basis = cython.declare(cython.double[6])
-        basis_at(leaf.normal, basis)
+        ray = cython.declare(cython.double[2])
+        self._along(leaf, run, ray)
         known = leaf.range_part
-        x, y, z = run.centroid[0], run.centroid[1], run.centroid[2]
-        square = x * x + y * y + z * z
-        first = basis[0] * x + basis[1] * y + basis[2] * z
-        second = basis[3] * x + basis[4] * y + basis[5] * z
-        flat = (first * first + second * second) / square
-        slope = first * first * known[0] + 2.0 * first * second * known[1]
-        slope = (slope + second * second * known[4]) / square
+        flat = ray[0] * ray[0] + ray[1] * ray[1]
+        slope = ray[0] * ray[0] * known[0] + 2.0 * ray[0] * ray[1] * known[1]
+        slope += ray[1] * ray[1] * known[4]
         told = flat / max(slope, 1e-300) - 1.0 / (LEVEL_SIGMA * LEVEL_SIGMA)
-        x = known[4] * known[2] - known[1] * known[5]
-        y = known[0] * known[5] - known[1] * known[2]
-        share = 1.0 / max(known[0] * known[4] - known[1] * known[1], 1e-300)
-        height = known[8] - share * (x * known[2] + y * known[5])
+        height = self._height(known)
         noise = run.variance / (run.cosine * run.cosine * run.points)
         return height * told >= APART * noise * flat
 

@@ -275,8 +275,10 @@ class LeafTable:
             at = row if child == 0 else self.count + child - 1
             self.leaf[at] = self.leaf[row]
             leaf = self.at(at)
+            turn = 0.0
             if leaf.known >= INHERITED:
                 leaf.known = INHERITED
+                turn = leaf.bias[0]
                 x = quarter if child & 1 else -quarter
                 y = quarter if child & 2 else -quarter
                 z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
@@ -297,6 +299,7 @@ class LeafTable:
             else:
                 leaf.known = NOTHING
             clear(leaf)
+            leaf.bias[0] = turn
             self._place(at, level + 1, ix + (child & 1), iy + (child >> 1))
         self.count += 3
         return True
