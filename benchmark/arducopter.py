@@ -12,6 +12,7 @@ makes the flight last longer.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
 import socket
@@ -25,7 +26,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -507,6 +508,16 @@ def fly(case: tuple[str, int, str, Path | None, float]) -> Landing:
             return flight.landing
 
 
+def _recorded(file: Path | None, cases: set[tuple[int, str]]) -> list[Landing]:
+    """The flights of these seeds and faults that a file holds."""
+    if file is None or not file.exists():
+        return []
+    lines = file.read_text("utf-8").splitlines()
+    return [
+        one for one in (Landing(**json.loads(x)) for x in lines) if (one.seed, one.fault) in cases
+    ]
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Flies, prints a line for each flight, and the table; 1 if one ended as none may."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -517,6 +528,8 @@ def main(args: Sequence[str] | None = None) -> int:
     text = "seconds of the simulator for one: less than 1 where nodes cannot keep up"
     parser.add_argument("--pace", type=float, default=1.0, help=text)
     parser.add_argument("--keep", type=Path, help="folder for what the processes say")
+    text = "file of flights, a line each: those that are in it are not flown again"
+    parser.add_argument("--records", type=Path, help=text)
     given = parser.parse_args(args)
     binary = os.environ.get("ARDUCOPTER", "")
     if not binary:
@@ -526,12 +539,16 @@ def main(args: Sequence[str] | None = None) -> int:
     names = [*[""] * given.landings, *faults]
     how = given.keep, given.pace
     cases = [(binary, given.seed + k, name, *how) for k, name in enumerate(names)]
-    found: list[Landing] = []
+    found = _recorded(given.records, {(seed, name) for _, seed, name, *_ in cases})
+    flown = {one.seed for one in found}
     with ProcessPoolExecutor(given.jobs) as pool:
         try:
-            for landing in pool.map(fly, cases):
+            for landing in pool.map(fly, [one for one in cases if one[1] not in flown]):
                 print(landing, flush=True)
                 found.append(landing)
+                if given.records:
+                    with given.records.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(asdict(landing)) + "\n")
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)
     rows = []

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import shutil
 import struct
 import sys
@@ -110,3 +112,22 @@ def test_a_touchdown_is_judged_by_the_true_ground_and_by_what_was_forbidden(tmp_
         flight._keep_out = places[good] + square + (beside, 0.0)
         flight._judge(np.append(places[good], 0.0))
         assert flight.landing.ground == ground
+
+
+def test_recorded_flights_are_not_flown_again(tmp_path, monkeypatch, capsys):
+    """Nor do flights of other seeds and faults count."""
+    monkeypatch.setenv("ARDUCOPTER", str(tmp_path / "none"))
+    records, args = tmp_path / "flights", ["--landings", "1", "--faults", "1", "--seed", "5"]
+    fault = arducopter.FAULTS[0]
+    flown = [
+        arducopter.Landing(5, "", "landed", "safe", 0.25),
+        arducopter.Landing(6, fault, "hovered"),
+        arducopter.Landing(7, "", "flew away"),
+        arducopter.Landing(6, "", "landed", "unsafe", 0.5),
+    ]
+    lines = [json.dumps(dataclasses.asdict(one)) for one in flown]
+    records.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    assert arducopter.main([*args, "--records", str(records)]) == 0
+    said = capsys.readouterr().out
+    assert "2 flights, seeds from 5" in said and "0.25" in said and "0.50" not in said
+    assert len(records.read_text("utf-8").splitlines()) == 4
