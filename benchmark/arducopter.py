@@ -45,7 +45,7 @@ from quadtree_lss.lab.live.listener import Listener
 from quadtree_lss.lab.live.processes import NodeProcess, ProcessError, local_domain
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.recording import Messages
-from quadtree_lss.lab.simulation.safety import contact_safe
+from quadtree_lss.lab.simulation.safety import contact_safe, worst_contact
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.autopilot.link import ARM_DISARM, ARMED, CUSTOM_MODE, DO_SET_MODE, dialect
@@ -249,6 +249,7 @@ class Landing:
         outcome: landed, hovered, given to the pilot, flew away, no start, or broken off.
         ground: Of a landing: safe, unsafe or withdrawn.
         miss: Truly, from the last target, m.
+        place: Of a landing: east and north, m; at which slope, deg, and rise, m, it stands.
         height: Over the target, at which the fault began, m; NaN if it never came.
         seconds: Of the landing, by the simulator.
         pace: Of these for one of real time: less than 1 on a computer too slow.
@@ -260,6 +261,7 @@ class Landing:
     outcome: str = ""
     ground: str = ""
     miss: float = math.nan
+    place: list[float] = field(default_factory=list)
     pace: float = math.nan
     height: float = math.nan
     seconds: float = 0.0
@@ -473,8 +475,10 @@ class Flight:
         terrain, landing = self.terrain, self.landing
         gear = SCENARIOS["drone"].lander
         spot = place[None, :2]
-        safe = contact_safe(terrain.x, terrain.y, terrain.elevation, spot, gear)[0]
-        landing.ground = "safe" if safe else "unsafe"
+        grid = terrain.x, terrain.y, terrain.elevation
+        slope, rise = (one[0] for one in worst_contact(*grid, spot, gear))
+        landing.place = [*map(float, spot[0]), math.degrees(math.atan(slope)), float(rise)]
+        landing.ground = "safe" if contact_safe(*grid, spot, gear)[0] else "unsafe"
         if self._keep_out is not None:
             beside = np.abs(place[:2] - self._keep_out.mean(axis=0)).max()
             landing.ground = "withdrawn" if beside < 2.0 else landing.ground
