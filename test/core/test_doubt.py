@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from core.builders import configured, flat, mapped
 
-from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.assessment import MOST_BRIDGED, Hindsight, coverage
@@ -41,23 +40,6 @@ def test_noise_of_stereo_is_doubted_where_it_grows():
     for far, doubted in ((2.0, False), (8.0, True)):
         said = doubt(config_from_values({**stereo, "lidar.max_range": far}))
         assert ("not one of stereo up to 0.27" in said) is doubted, said
-
-
-def test_a_vehicle_that_fails_on_rocks_lower_than_its_clearance_is_told():
-    """The height at which a block under a pad leans it too far is that of the true contact."""
-    axis = np.arange(-0.8, 0.8001, 0.01)
-    points = np.stack(np.meshgrid(np.arange(-0.4, 0.4, 0.02), [0.0, 0.06]), axis=-1).reshape(-1, 2)
-    limit = np.tan(np.radians(6.0))
-    for height, fails in ((0.7, False), (0.8, True)):
-        z = np.zeros((len(axis), len(axis)))
-        block = np.abs(axis) < 0.035
-        z[np.ix_(block, block)] = height * 0.6 * limit
-        gear = LandingGear(0.6, 0.02, 6.0, max_roughness=1.0)
-        assert (worst_contact(axis, axis, z, points, gear)[0] > limit).any() == fails
-    for slope, clearance, doubted in ((10.0, 0.08, False), (6.0, 0.05, False), (6.0, 0.08, True)):
-        vehicle = {"diameter": 0.6, "clearance": clearance, "max_slope_deg": slope}
-        said = doubt(config_from_values({f"vehicle.{name}": of for name, of in vehicle.items()}))
-        assert ("a pad on a rock of 0.047 m" in said) is doubted, said
 
 
 def test_what_is_right_on_average_is_no_doubt():

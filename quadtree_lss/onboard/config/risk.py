@@ -20,11 +20,6 @@ SHIPPED = "flash_lidar.yaml"
 Row = tuple[float, ...]
 #: What a fit was made with may differ from what it is used with by such a share.
 NEAR = 0.3
-#: A pad on a block that stands on flat ground, so high over diameter times the tangent of the
-#: slope limit, leans the vehicle by more than the limit at its worst heading.
-LEVER = 0.75
-#: A clearance over that height by more than such a share is a doubt.
-HIGHER = 0.1
 
 
 #: Why a landing fails: on something that rises under the lander, on ground too steep, and on what
@@ -165,8 +160,7 @@ def risk_model(name: str) -> RiskModel:
 
 
 def doubt(config: Config) -> str:
-    """In which way the model of a configuration was fitted to another vehicle or map, and whether
-    the vehicle fails on rocks lower than are looked for; or nothing.
+    """In which way the model of a configuration was fitted to another vehicle or map; or nothing.
 
     The provenance of a model says what it was ``fitted`` to, from and to: ``diameter``, m;
     ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``.
@@ -196,19 +190,10 @@ def doubt(config: Config) -> str:
         far.append(
             f"a noise that is {noise:g} m at any range, not one of stereo up to {stereo:.2g}"
         )
-    said = []
-    if far:
-        name = lss.risk_model or SHIPPED
-        said.append(
-            f"the risk model {name} was fitted for {'; '.join(far)}: fit-risk makes another"
-        )
-    leans = LEVER * vehicle.diameter * float(np.tan(np.radians(vehicle.max_slope_deg)))
-    if vehicle.clearance > (1.0 + HIGHER) * leans:
-        said.append(
-            f"a pad on a rock of {leans:.2g} m leans the vehicle by more than its limit, and lower"
-            f" ones than vehicle.clearance, {vehicle.clearance:g} m, are not looked for"
-        )
-    return "; ".join(said)
+    if not far:
+        return ""
+    name = lss.risk_model or SHIPPED
+    return f"the risk model {name} was fitted for {'; '.join(far)}: fit-risk makes another"
 
 
 def _from_values(values: Any) -> RiskModel:
