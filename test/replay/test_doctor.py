@@ -211,6 +211,7 @@ def test_nothing_is_wrong_with_a_good_flight(name, tmp_path):
     path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")
     info = inspect_bag(path, config_from_values(values))
     assert info.works and not [f for f in info.findings if f.mend], info.findings
+    assert ("calm" in {f.key for f in info.findings}) == (name == "hardly any motion")
 
 
 def test_nothing_is_wrong_with_one_that_looks_straight_down_and_the_command_says_so(
@@ -219,7 +220,9 @@ def test_nothing_is_wrong_with_one_that_looks_straight_down_and_the_command_says
     path = write_ros2(tmp_path / "bag", scans=20)
     settings = ("--set", "lidar.range_noise=0.03")
     code, out, _ = run(capsys, "doctor", path, *settings)
-    assert code == 0 and out == "nothing is wrong with /lidar/points and /nav/pose\n"
+    first, *notes = out.splitlines()
+    assert code == 0 and first == "nothing is wrong with /lidar/points and /nav/pose"
+    assert len(notes) == 1 and notes[0].startswith("note:  the flight is too calm")
     code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom")
     assert code == 1 and "mend:  frames.map: map" in out
     code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom", "--json")

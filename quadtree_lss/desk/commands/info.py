@@ -65,10 +65,14 @@ def _doctor(options: argparse.Namespace) -> int:
         with ProgressBar("doctor", "s", options.verbose) as bar:
             info = inspect_bag(bag, config, **how, progress=bar.update)
     wrong = [finding for finding in info.findings if finding.mend or finding.fatal]
+    notes = [finding for finding in info.findings if finding not in wrong]
     if options.json:
-        common.print_json({"findings": [finding._asdict() for finding in wrong]})
-    for finding in wrong * (not options.json):
+        common.print_json({"findings": [finding._asdict() for finding in (*wrong, *notes)]})
+        return common.ERROR if wrong else common.DONE
+    for finding in wrong:
         show(f"wrong: {finding.text}\nmend:  {finding.mend or 'none known'}")
-    if not wrong and not options.json:
+    if not wrong:
         show(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
+    for finding in notes:
+        show(f"note:  {finding.text}")
     return common.ERROR if wrong else common.DONE

@@ -47,6 +47,8 @@ LEAST_LAG, LAG_GAIN = 0.03, 0.8
 """s; and the share of the disagreement that is left without the lag."""
 LEVEL_DEG, LEAST_DEG, SURE = 3.0, 2.0, 3.0
 """Of ground: how far from level it may be on the whole; of a mount: what is no error; sigmas."""
+CALM_DEG = 5.0
+"""A flight is too calm if by it a mount that is so far off is not found."""
 GROUNDS = 5.0
 """Independent grounds that a flight sees: neighbouring scans see the same slopes."""
 FLIP = np.diag([1.0, -1.0, -1.0])
@@ -392,8 +394,14 @@ def _mount(flight: _Flight, config: Config) -> list[Finding]:
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
     angle = float(np.degrees(np.linalg.norm(fit.x[:2])))
     unsure = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])))
-    if angle < max(LEAST_DEG, SURE * unsure) or config.mount.gimbal:
+    if config.mount.gimbal:
         return []
+    if angle < max(LEAST_DEG, SURE * unsure):
+        if SURE * unsure < CALM_DEG:
+            return []
+        text = "the flight is too calm to find a short lag, or a lidar that looks"
+        text += f" {SURE * unsure:.0f} deg beside where it should: turn and sway the vehicle"
+        return [Finding("calm", text)]
     mount = flight.mounts[0] @ exp(fit.x[:2] @ across) @ cloud_turn(config.mount).T
     angles = np.round(Rotation.from_matrix(mount).as_euler("xyz", degrees=True), 1)
     roll, pitch, yaw = np.where(angles == -180.0, 180.0, angles)
