@@ -265,6 +265,25 @@ def test_parts_of_a_leaf_that_were_never_seen_leave_its_height_uncertain():
     assert cells.covariance_range[at, 2, 2] - leaf.range_part[8] > 0.1**2
 
 
+@pytest.mark.parametrize("part", [(0.0, 1.5, 0.0, 4.0), (1.0, 4.0, 2.5, 4.0), (0.0, 2.0, 0.0, 2.0)])
+def test_a_height_is_known_best_in_the_middle_of_what_was_seen(part):
+    """However little of the leaf that is, and wherever; far from it the slope makes it worse."""
+    config = configured(domain={"min_level": 2, "max_level": 6}, lidar={"range_noise": 0.01})
+    mapper, (x, y) = Mapper(config), lattice(0.0, 0.0, 4.0, 160)
+    west, east, south, north = part
+    here = (x > west) & (x < east) & (y > south) & (y < north)
+    for _ in range(5):
+        look(mapper, flat(), x[here], y[here])
+    cells = mapper.snapshot()
+    assert cells.measured.sum() == 1
+    at = np.arange(0.125, 4.0, 0.25)
+    deviation = cells.at(at[None, :], at[:, None]).deviation
+    row, column = np.unravel_index(deviation.argmin(), deviation.shape)
+    assert abs(at[column] - 0.5 * (west + east)) < 0.26
+    assert abs(at[row] - 0.5 * (south + north)) < 0.26
+    assert deviation.max() > 3.0 * deviation.min()
+
+
 @pytest.mark.parametrize("ray", [(0.8, 0.0, -0.6), (0.0, -0.8, -0.6)])
 @pytest.mark.parametrize("error", [-0.012, 0.012])
 def test_the_place_of_a_strip_is_where_its_rays_meet_the_known_plane(ray, error):

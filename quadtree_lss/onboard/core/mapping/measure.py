@@ -388,7 +388,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
 
     However often a part is seen, it says nothing of the rest, whose slope may differ by
     `UNSEEN_TILT`: a tilt about the middle of the finest cells in which a point fell, by as much of
-    the leaf's width as these leave out.
+    the leaf's width as these leave out. Noise along the rays turned the plane about there, too.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -401,16 +401,17 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             leaf = table.at(rows[i])
             slope[0] = slope[3] = leaf.bias[0] * leaf.bias[0]
             slope[1] = slope[2] = 0.0
-            covariance_about(slope, leaf.bias[1] * leaf.bias[1], 0.0, 0.0, part)
-            for j in range(9):
-                out[i, j] = part[j]
+            lift = leaf.bias[1] * leaf.bias[1]
             j = 2 * (table.max_level - leaf.level)
             number = 1 << j
             first = encode(leaf.ix, leaf.iy) << j
             seen = 0
             for k in range(first, first + number):
-                seen += observed[k]
+                seen += 1 if observed[k] else 0
             if seen == 0 or seen == number or leaf.known < 3:
+                covariance_about(slope, lift, 0.0, 0.0, part)
+                for j in range(9):
+                    out[i, j] = part[j]
                 continue
             sx = sy = sxx = sxy = syy = 0.0
             for k in range(number):
@@ -434,8 +435,8 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
                 _unseen(sxx, correlation, across, seen), _unseen(syy, correlation, across, seen)
             )
             tilt = UNSEEN_TILT * min(max(wide / across, 0.0), 1.0)
-            slope[0] = slope[3] = tilt * tilt
-            slope[1] = slope[2] = 0.0
+            slope[0] += tilt * tilt
+            slope[3] += tilt * tilt
             side = table.side(leaf.level) / across
             x = side * (x - 0.5 * across)
             y = side * (y - 0.5 * across)
@@ -444,10 +445,10 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             basis_at(leaf.normal, basis)
             covariance_about(
                 slope,
-                0.0,
+                lift,
                 basis[0] * x + basis[1] * y + basis[2] * z,
                 basis[3] * x + basis[4] * y + basis[5] * z,
                 part,
             )
             for j in range(9):
-                out[i, j] += part[j]
+                out[i, j] = part[j]
