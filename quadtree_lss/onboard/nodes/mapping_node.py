@@ -44,7 +44,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import WhenWanted, steady_timer, transforms_type
+from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
 from quadtree_lss.onboard.nodes.map_files import MapServices
@@ -54,7 +54,7 @@ from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe, subscribe_twice
-from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
+from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages, pose_message
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
 DEPTH, CAMERA = "depth/image", "depth/camera_info"
@@ -158,7 +158,8 @@ class MappingNode(Node):
             subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
         poses = self._topics[POSES]
-        pose = subscribe(self, self._pose_kind, poses, self._on_pose, pose_qos, group=ahead)
+        kind = self._pose_kind
+        pose = subscribe(self, kind, poses, self._on_pose, pose_qos, group=ahead, raw=True)
         self._ahead = [(pose, self._take_pose)]
         if self._settings.config.mount.gimbal:
             gimbal = subscribe(
@@ -189,8 +190,8 @@ class MappingNode(Node):
             self._intake.on_cloud(message, arrival_ns)
         self._work()
 
-    def _on_pose(self, message: Any) -> None:
-        self._take_pose(message)
+    def _on_pose(self, raw: bytes) -> None:
+        self._take_pose(raw)
         self._take_ahead()
         self._work()
 
@@ -210,9 +211,12 @@ class MappingNode(Node):
             text = f"landing/{AREA}: {error}; the domain lies as the one before asked for"
             self._problems.report(f"{AREA}_{error.reason}", text)
 
-    def _take_pose(self, message: Any) -> None:
+    def _take_pose(self, raw: bytes) -> None:
         self._arrived["pose"].add()
-        self._intake.on_pose(message)
+        try:
+            self._intake.on_pose(pose_message(raw, self._pose_kind))
+        except MessageError as error:
+            self._intake.reject("pose", error)
 
     def _take_gimbal(self, message: Any) -> None:
         self._arrived["gimbal"].add()
@@ -225,11 +229,10 @@ class MappingNode(Node):
         after a pause the scans would run ahead of them and fill their queue.
         """
         for source, take in self._ahead:
-            with source.handle:
-                while (got := source.handle.take_message(source.msg_type, source.raw)) is not None:
-                    take(got[0])
-                    if len(self._intake.queue):
-                        self._work()
+            for message in arrived(source):
+                take(message)
+                if len(self._intake.queue):
+                    self._work()
 
     def _look_around(self) -> None:
         """What is due though nothing arrives that wakes the node."""
