@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,7 +63,7 @@ MAP_LATE = "by the scans' stamps and this node's clock, maps are sent after"
 SCAN_DEPTH, POSE_DEPTH = 50, 200
 """What the middleware may queue: 2.5 s of scans of 20 Hz, and of poses ten times as many."""
 LOOK_PERIOD_S = 0.1
-"""How often poses are taken and waiting scans looked at while nothing wakes the node."""
+"""How often poses are taken and waiting scans looked at while no scan comes."""
 
 
 class MappingNode(Node):
@@ -134,7 +134,7 @@ class MappingNode(Node):
             reset=self._after_reset,
         )
         self._subscribe()
-        steady_timer(self, LOOK_PERIOD_S, self._look_around)
+        self._look = steady_timer(self, LOOK_PERIOD_S, self._look_around)
         announce(self, config)
 
     def finish(self) -> None:
@@ -159,18 +159,18 @@ class MappingNode(Node):
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
         poses = self._topics[POSES]
         kind = self._pose_kind
-        pose = subscribe(self, kind, poses, self._on_pose, pose_qos, group=ahead, raw=True)
+        take = self._and_work(self._take_pose)
+        pose = subscribe(self, kind, poses, take, pose_qos, group=ahead, raw=True)
         self._ahead = [(pose, self._take_pose)]
         if self._settings.config.mount.gimbal:
-            gimbal = subscribe(
-                self, TransformStamped, GIMBAL, self._on_gimbal, pose_qos, group=ahead
-            )
+            take = self._and_work(self._take_gimbal)
+            gimbal = subscribe(self, TransformStamped, GIMBAL, take, pose_qos, group=ahead)
             self._ahead.append((gimbal, self._take_gimbal))
         if self._settings.config.mount.tf:
             # As tf2's own listeners: every broadcaster keeps its transforms for whoever comes late.
-            kept = latched()
-            kept.depth = 100
-            subscribe(self, transforms_type(), TRANSFORMS, self._on_transforms, kept)
+            kept = latched(100)
+            take = self._and_work(self._intake.on_transforms)
+            subscribe(self, transforms_type(), TRANSFORMS, take, kept)
 
     def _take_up_checkpoint(self, checkpoints: Checkpoints) -> None:
         try:
@@ -188,21 +188,18 @@ class MappingNode(Node):
         work_ms = self._map_ms.last + self._publish_ms.last
         if self._overload.takes(info["received_timestamp"], self._settings.config, work_ms):
             self._intake.on_cloud(message, arrival_ns)
-        self._work()
+        self._look.reset()
+        self._look_around()
 
-    def _on_pose(self, raw: bytes) -> None:
-        self._take_pose(raw)
-        self._take_ahead()
-        self._work()
+    def _and_work(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Callback of what scans may be waiting for."""
 
-    def _on_gimbal(self, message: Any) -> None:
-        self._take_gimbal(message)
-        self._take_ahead()
-        self._work()
+        def on_message(message: Any) -> None:
+            take(message)
+            self._take_ahead()
+            self._work()
 
-    def _on_transforms(self, message: Any) -> None:
-        self._intake.on_transforms(message)
-        self._work()
+        return on_message
 
     def _on_area(self, message: Any) -> None:
         try:
@@ -235,7 +232,7 @@ class MappingNode(Node):
                     self._work()
 
     def _look_around(self) -> None:
-        """What is due though nothing arrives that wakes the node."""
+        """What is due with each scan, and where none comes all the same."""
         self._take_ahead()
         self._work()
         self._waiting.tell(self._lacks())
