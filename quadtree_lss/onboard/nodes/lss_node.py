@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -101,7 +101,12 @@ class LssNode(Node):
         }
         prior = bool(config.prior.file)
         self._target = TargetOutput(
-            self, self._problems, self._age, self._release, self._land_now, prior=prior
+            self,
+            self._problems,
+            self._age,
+            lambda: self._at_once(self._selector.release),
+            lambda: self._at_once(self._selector.land_now),
+            prior=prior,
         )
         self._markers = MarkerPublisher(
             self,
@@ -131,15 +136,9 @@ class LssNode(Node):
         self._asked = True
         self._output.changed()
 
-    def _release(self) -> None:
-        """Somebody asked for another target."""
-        self._selector.release()
-        self._asked = True
-        self._output.now()
-
-    def _land_now(self) -> None:
-        """Somebody has to land: the best within reach, at once."""
-        self._selector.land_now()
+    def _at_once(self, ask: Callable[[], None]) -> None:
+        """Somebody asked the selector for another target, or for the best within reach."""
+        ask()
         self._asked = True
         self._output.now()
 
@@ -151,11 +150,11 @@ class LssNode(Node):
     def _on_cells(self, raw: bytes) -> None:
         for observed in arrived(self._observed):
             self._on_observed(observed)
-        if self._map.on_cells(raw):
+        if self._map.complete_with("cells", raw):
             self._output.changed()
 
     def _on_observed(self, raw: bytes) -> None:
-        if self._map.on_observed(raw):
+        if self._map.complete_with("observed", raw):
             self._output.changed()
 
     def _take_pose(self) -> None:

@@ -43,21 +43,14 @@ class ReceivedMap:
         self._halves: dict[str, bytes] = {}
         self._whole: tuple[bytes, bytes, float] | None = None
 
-    def on_cells(self, raw: bytes) -> bool:
-        """Takes ``map/cells``; True if a map is complete now."""
-        return self._join("cells", raw)
-
-    def on_observed(self, raw: bytes) -> bool:
-        """Takes ``map/observed``; True if a map is complete now."""
-        return self._join("observed", raw)
-
     @property
     def lacks_observed(self) -> bool:
-        """Whether cells wait for what was observed, or anything is news that comes."""
+        """True while cells wait for ``map/observed``, and before the first map."""
         return self.cells is None or "cells" in self._halves
 
-    def _join(self, half: str, raw: bytes) -> bool:
-        """A map is complete when both its messages carry the same stamp.
+    def complete_with(self, half: str, raw: bytes) -> bool:
+        """Takes one of a map's two messages, ``cells`` or ``observed``: it is complete when both
+        carry the same stamp.
 
         Neither is used twice: the next map may have the same stamp, and its cells must not be
         joined with what was observed before. Only the newest map is kept and decoded when its
