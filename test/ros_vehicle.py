@@ -70,10 +70,9 @@ class Vehicle:
     def send_map(self, seconds, frame="map", observed_frame=None):
         """The map with a stamp ``seconds`` after the start; the stamp."""
         stamp = START_NS + seconds * 10**9
-        cloud, grid = map_messages(dataclasses.replace(self.cells, stamp_ns=stamp), frame)
-        grid.header.frame_id = observed_frame or frame
-        self.send("map/observed", grid)
-        self.send("map/cells", cloud)
+        cells = dataclasses.replace(self.cells, stamp_ns=stamp)
+        self.send("map/observed", map_messages(cells, observed_frame or frame)[1])
+        self.send("map/cells", map_messages(cells, frame)[0])
         return stamp
 
     def send(self, topic, message):

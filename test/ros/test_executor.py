@@ -15,7 +15,7 @@ from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
 from quadtree_lss.lab.live.processes import local_domain
-from quadtree_lss.onboard.nodes.executor import OneNodeExecutor, WhenWanted
+from quadtree_lss.onboard.nodes.executor import OneNodeExecutor, WhenWanted, arrived
 from quadtree_lss.onboard.nodes.qos import stream, subscribe
 
 pytestmark = pytest.mark.xdist_group("ros_executor")
@@ -122,6 +122,21 @@ def test_what_is_not_wanted_neither_wakes_the_node_nor_is_served(node, executor)
     wanted.append(True)
     awake(executor, thread)
     spin(executor, lambda: heard)
+
+
+def test_what_is_not_wanted_is_there_for_who_asks(node, executor):
+    group, heard = WhenWanted(lambda: False), []
+    ahead = subscribe(node, Int32, "ahead", heard.append, stream(3, reliable=True), group=group)
+    sender = node.create_publisher(Int32, "ahead", stream(9, reliable=True))
+    spin(executor, sender.get_subscription_count)
+    taken = []
+    for number in range(5):
+        sender.publish(Int32(data=number))
+    end = time.monotonic() + 10.0
+    while 4 not in taken and time.monotonic() < end:
+        taken += [message.data for message in arrived(ahead)]
+    assert taken == sorted(taken) and taken[-1] == 4 and not heard
+    assert not list(arrived(ahead))
 
 
 def test_after_a_callback_the_node_sleeps(node, executor):

@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+import struct
+from operator import attrgetter
+
 import numpy as np
 import pytest
 import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -19,7 +24,7 @@ from quadtree_lss.onboard.messages.maps import CELL_FIELDS, round_trip
 from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
-from quadtree_lss.onboard.nodes.ros_messages import map_messages, message_maker
+from quadtree_lss.onboard.nodes.ros_messages import map_messages, message_maker, pose_message
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -30,9 +35,69 @@ def cells():
     return mapped(load_config(["morpheus"]), 2).snapshot()
 
 
+def sent(cells):
+    """``map/cells`` and ``map/observed`` as a subscriber gets them."""
+    return map(deserialize_message, map_messages(cells, "map"), (PointCloud2, OccupancyGrid))
+
+
+def test_the_map_is_serialised_as_rclpy_does(cells):
+    for raw, (_, message) in zip(
+        map_messages(cells, "map"), message_maker("map").of_map(cells), strict=True
+    ):
+        assert deserialize_message(raw, type(message)) == message
+        assert len(raw) == len(serialize_message(message))
+
+
+def pose_of(kind, rng, frame, child):
+    message = kind()
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = -3, 999_999_999
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = rng.normal(size=7).tolist()
+    message.pose.covariance = rng.normal(size=36)
+    if kind is Odometry:
+        message.child_frame_id = child
+    return message
+
+
+@pytest.mark.parametrize("kind", [PoseWithCovarianceStamped, Odometry])
+@pytest.mark.parametrize("frame", ["", "m", "ma", "map", "maps", "größe"])
+@pytest.mark.parametrize("child", ["", "b", "base_link"])
+def test_poses_are_read_from_their_bytes_as_rclpy_reads_them(kind, frame, child):
+    message = pose_of(kind, np.random.default_rng(len(frame)), frame, child)
+    read = pose_message(serialize_message(message), kind)
+    assert not isinstance(read, kind)
+    np.testing.assert_array_equal(read.pose.covariance, message.pose.covariance)
+    for name in (
+        "header.frame_id",
+        "header.stamp.sec",
+        "header.stamp.nanosec",
+        *(f"pose.pose.position.{axis}" for axis in "xyz"),
+        *(f"pose.pose.orientation.{axis}" for axis in "xyzw"),
+        *["child_frame_id"] * (kind is Odometry),
+    ):
+        assert attrgetter(name)(read) == attrgetter(name)(message), name
+
+
+def test_a_pose_in_the_other_byte_order_is_read_too():
+    numbers = np.arange(43.0)
+    raw = bytes(4) + struct.pack(">iII4s43d", 5, 6, 4, b"map", *numbers)
+    read = pose_message(raw, PoseWithCovarianceStamped)
+    assert read.header.stamp.nanosec == 6 and read.header.frame_id == "map"
+    assert read.pose.pose.position.z == 2.0
+    np.testing.assert_array_equal(read.pose.covariance, numbers[7:])
+
+
+@pytest.mark.parametrize("kind", [PoseWithCovarianceStamped, Odometry])
+def test_bytes_that_are_no_pose_are_refused(kind):
+    raw = serialize_message(pose_of(kind, np.random.default_rng(1), "map", "body"))
+    for some in (*(raw[:n] for n in range(0, 300, 7)), raw[:12] + b"\xff" * 4 + raw[16:]):
+        with pytest.raises(MessageError, match=f"no {kind.__name__}"):
+            pose_message(some, kind)
+
+
 def test_map_survives_the_wire_as_it_survives_encoding(cells):
-    cloud, grid = map_messages(cells, "map")
-    cloud = deserialize_message(serialize_message(cloud), PointCloud2)
+    cloud, grid = sent(cells)
     live, offline = map_from_messages(cloud, grid), round_trip(cells)
     assert live.stamp_ns == cells.stamp_ns
     assert live.domain == offline.domain
@@ -41,7 +106,7 @@ def test_map_survives_the_wire_as_it_survives_encoding(cells):
 
 
 def test_foreign_clouds_are_refused(cells):
-    cloud, grid = map_messages(cells, "map")
+    cloud, grid = sent(cells)
     cloud.fields = cloud.fields[:-1]
     with pytest.raises(MessageError, match="layout"):
         map_from_messages(cloud, grid)

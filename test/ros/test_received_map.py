@@ -44,8 +44,8 @@ def broken(cells):
 
 def give(received, cells):
     cloud, grid = map_messages(cells, "map")
-    assert not received.on_observed(grid)
-    assert received.on_cells(cloud)
+    assert not received.complete_with("observed", grid)
+    assert received.complete_with("cells", cloud)
 
 
 @pytest.mark.survives(
@@ -174,11 +174,13 @@ def test_what_a_first_map_lacks(cells):
     received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     cloud, grid = map_messages(cells, "map")
     assert "nothing came" in received.lacks()
-    received.on_cells(cloud)
+    received.complete_with("cells", cloud)
     assert "map/cells came, the other half" in received.lacks()
-    received.on_observed(map_messages(dataclasses.replace(cells, stamp_ns=1), "map")[1])
+    received.complete_with(
+        "observed", map_messages(dataclasses.replace(cells, stamp_ns=1), "map")[1]
+    )
     assert "both halves of one stamp did not" in received.lacks()
-    received.on_observed(grid)
+    received.complete_with("observed", grid)
     received.take()
     assert not received.lacks()
 

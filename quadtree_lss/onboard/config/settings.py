@@ -107,6 +107,7 @@ class Config:
 _TYPES: dict[str, type] = {"bool": bool, "int": int, "float": float, "str": str}
 
 
+@functools.cache
 def parameters() -> tuple[Parameter, ...]:
     """All parameters in the order of their sections."""
     return tuple(

@@ -8,7 +8,8 @@ through `messages.intake.Intake`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -41,44 +42,6 @@ class MessageError(QuadtreeLssError):
         self.reason = reason
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Where three coordinates lie within a cloud's bytes."""
-
-    height: int
-    width: int
-    point_step: int
-    row_step: int
-    order: str
-    offsets: tuple[int, int, int]
-    formats: tuple[str, str, str]
-
-    def columns(self, data: Bytes) -> tuple[NDArray[Any], ...]:
-        """Three (height, width) views of the bytes."""
-        return tuple(
-            np.ndarray(
-                (self.height, self.width),
-                dtype=self.order + kind,
-                buffer=data,
-                offset=offset,
-                strides=(self.row_step, self.point_step),
-            )
-            for offset, kind in zip(self.offsets, self.formats, strict=True)
-        )
-
-    def view(self, data: Bytes) -> Points | None:
-        """(height, width, 3) of the bytes themselves; None if they do not lie so."""
-        kind, size = self.formats[0], int(self.formats[0][1])
-        start, address = self.offsets[0], data.__array_interface__["data"][0]
-        aligned = not any(n % size for n in (address + start, self.point_step, self.row_step))
-        together = self.offsets == (start, start + size, start + 2 * size)
-        same = self.formats == (kind,) * 3 and np.dtype(self.order + kind).isnative
-        if not (aligned and together and same):
-            return None
-        shape, strides = (self.height, self.width, 3), (self.row_step, self.point_step, size)
-        return np.ndarray(shape, kind, data, start, strides)
-
-
 def points_from_cloud(msg: Any) -> Points:
     """Points of a cloud in lidar axes, m; NaN where a coordinate is missing: no return.
 
@@ -101,11 +64,13 @@ def points_from_cloud(msg: Any) -> Points:
     if height * width > MAX_POINTS:
         text = f"cloud claims {width} x {height} points; {MAX_POINTS} is the most"
         raise MessageError("too_large", text)
-    names, layout = _layout(msg, height, width, data.size)
-    seen = layout.view(data) if names is CARTESIAN else None
+    names, fields = _coordinate_fields(msg.fields)
+    _check_layout(msg, fields, data.size)
+    kinds = [FLOAT_TYPES[int(field.datatype)] for field in fields]
+    seen = _view(msg, fields, kinds, data) if names is CARTESIAN else None
     if seen is not None and not reach_beyond(seen.reshape(-1, 3), MAX_DISTANCE):
         return seen if height > 1 else seen[0]
-    first, second, third = layout.columns(data)
+    first, second, third = (column(msg, *of) for of in zip(fields, kinds, strict=True))
     with np.errstate(invalid="ignore", over="ignore"):
         if names is CARTESIAN:
             points = np.empty((height, width, 3), np.result_type(first, second, third))
@@ -172,9 +137,23 @@ def _copied_bytes(data: Any) -> Bytes:
     return values.astype(np.uint8)
 
 
-def _layout(msg: Any, height: int, width: int, size: int) -> tuple[tuple[str, ...], _Layout]:
+def _view(msg: Any, fields: list[Any], kinds: list[str], data: Bytes) -> Points | None:
+    """(height, width, 3) of the bytes themselves; None if they do not lie so."""
+    kind, size, start = kinds[0], int(kinds[0][1]), int(fields[0].offset)
+    address = data.__array_interface__["data"][0] + start
+    aligned = not any(n % size for n in (address, msg.point_step, msg.row_step))
+    together = [int(field.offset) for field in fields] == [start, start + size, start + 2 * size]
+    same = kinds == [kind] * 3 and bool(msg.is_bigendian) == (sys.byteorder == "big")
+    if not (aligned and together and same):
+        return None
+    shape, strides = (msg.height, msg.width, 3), (msg.row_step, msg.point_step, size)
+    return np.ndarray(shape, kind, data, start, strides)
+
+
+def _check_layout(msg: Any, fields: list[Any], size: int) -> None:
+    """Of the coordinates' fields, in ``size`` bytes of data. Raises `MessageError`."""
     point_step, row_step = _count(msg, "point_step"), _count(msg, "row_step")
-    names, fields = _coordinate_fields(msg.fields)
+    height, width = int(msg.height), int(msg.width)
     spans = []
     for field in fields:
         kind = FLOAT_TYPES.get(int(field.datatype))
@@ -187,17 +166,16 @@ def _layout(msg: Any, height: int, width: int, size: int) -> tuple[tuple[str, ..
         if int(field.count) != 1:
             text = f"cloud field '{field.name}' has count {field.count}; 1 is needed"
             raise MessageError("layout", text)
-        offset, length = int(field.offset), int(kind[1])
-        if offset < 0 or offset + length > point_step:
+        start, end = int(field.offset), int(field.offset) + int(kind[1])
+        if start < 0 or end > point_step:
             text = (
-                f"cloud field '{field.name}' at bytes {offset}..{offset + length} lies outside"
+                f"cloud field '{field.name}' at bytes {start}..{end} lies outside"
                 f" a point of {point_step} bytes"
             )
             raise MessageError("layout", text)
-        spans.append((offset, length, kind))
-    ordered = sorted(spans)
-    if any(a[0] + a[1] > b[0] for a, b in zip(ordered, ordered[1:], strict=False)):
-        text = f"cloud fields {', '.join(names)} overlap"
+        spans.append((start, end))
+    if any(a[1] > b[0] for a, b in pairwise(sorted(spans))):
+        text = f"cloud fields {', '.join(field.name for field in fields)} overlap"
         raise MessageError("layout", text)
     if row_step < width * point_step:
         text = f"cloud row_step {row_step} is less than {width} points of {point_step} bytes"
@@ -207,16 +185,6 @@ def _layout(msg: Any, height: int, width: int, size: int) -> tuple[tuple[str, ..
     if not least <= size <= most:
         text = f"cloud of {width} x {height} points needs {most} bytes, has {size}"
         raise MessageError("size", text)
-    offsets, kinds = [s[0] for s in spans], [s[2] for s in spans]
-    return names, _Layout(
-        height=height,
-        width=width,
-        point_step=point_step,
-        row_step=row_step,
-        order=">" if msg.is_bigendian else "<",
-        offsets=(offsets[0], offsets[1], offsets[2]),
-        formats=(kinds[0], kinds[1], kinds[2]),
-    )
 
 
 def _coordinate_fields(fields: Any) -> tuple[tuple[str, ...], list[Any]]:

@@ -237,6 +237,11 @@ class Navigation:
             self._vehicle = self._vehicle._replace(z=z, x=x, y=y)
         return True
 
+    @property
+    def known(self) -> bool:
+        """Whether there was a place in any frame."""
+        return self._vehicle is not None
+
     def vehicle(self, frame: str) -> Motion | None:
         """In a frame; None if nobody knows."""
         return self._vehicle if self._frame == frame.lstrip("/") else None

@@ -54,18 +54,11 @@ def pose_from_message(
     check_frame(msg.header.frame_id, map_frame, "pose")
     position = _position(msg.pose.pose.position, "pose position")
     rotation = _rotation(msg.pose.pose.orientation, "pose orientation")
-    known = _covariance(_content(msg.pose.covariance))
-    if known is None:
+    covariance = _covariance(_content(msg.pose.covariance))
+    if covariance is None:
         attitude = np.deg2rad(unknown_attitude_sigma_deg)
         sigmas = np.repeat([unknown_position_sigma, attitude], 3)
-        covariance: Array = np.diag(sigmas**2)
-    else:
-        covariance = known
-        widest = float(covariance.diagonal()[3:].max())
-        if widest > MAX_ATTITUDE_VARIANCE:
-            text = f"pose attitude has a variance of {widest:.3g} rad^2, so nothing is known of it"
-            text += "; a covariance of zeros says unknown (pose.unknown_attitude_sigma_deg)"
-            raise MessageError("attitude", text)
+        covariance = np.diag(sigmas**2)
     return Pose(stamp_ns(msg.header), position, rotation, covariance)
 
 
@@ -106,7 +99,7 @@ def _covariance(content: bytes) -> Array | None:
     Rounding is mended, more is refused. Asymmetry and eigenvalues are judged after scaling to unit
     diagonal, since metres and radians differ by orders of magnitude. Raises `MessageError`:
     ``covariance`` if it is of another length, not finite, not symmetric, or has a negative
-    eigenvalue.
+    eigenvalue; ``attitude`` if that is as good as unknown.
     """
     if content == _UNKNOWN:
         return None
@@ -139,6 +132,11 @@ def _covariance(content: bytes) -> Array | None:
     if least < 0.0:
         scaled = product(vectors * np.maximum(eigenvalues, 0.0), vectors.T)
     covariance: Array = scaled * np.outer(scale, scale)
+    widest = float(covariance.diagonal()[3:].max())
+    if widest > MAX_ATTITUDE_VARIANCE:
+        text = f"pose attitude has a variance of {widest:.3g} rad^2, so nothing is known of it"
+        text += "; a covariance of zeros says unknown (pose.unknown_attitude_sigma_deg)"
+        raise MessageError("attitude", text)
     covariance.flags.writeable = False
     return covariance
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any
 
@@ -13,6 +14,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from quadtree_lss.onboard.config.settings import ConfigError
@@ -35,7 +37,8 @@ def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> T
 
 
 class WhenWanted(CallbackGroup):
-    """Subscriptions that wake the node only while their messages are wanted.
+    """Subscriptions that wake the node only while their messages are wanted; at other times
+    `arrived` takes them.
 
     A scan takes along what arrived before it, so only one that waits needs the next pose at once;
     each wake-up costs as much as taking several messages. ``wanted``: True while they are.
@@ -57,6 +60,14 @@ class WhenWanted(CallbackGroup):
         """Nothing either."""
 
 
+def arrived(subscription: Subscription) -> Iterator[Any]:
+    """Takes what has arrived at a subscription, oldest first."""
+    of = subscription.handle
+    with of:
+        while (got := of.take_message(subscription.msg_type, subscription.raw)) is not None:
+            yield got[0]
+
+
 Work = tuple[Callable[[Any], Any], Any]
 """What takes from an entity that is ready, and the entity."""
 
@@ -64,12 +75,18 @@ KINDS = ("timer", "subscription", "client", "service")
 """Entities in the order in which they are served; events come before them."""
 
 
+EVENTS_S = 0.1
+"""How long those of the middleware may wait: publishers and subscribers that came or went, or do
+not fit."""
+
+
 class OneNodeExecutor(SingleThreadedExecutor):
     """Serves nodes in one thread; their callbacks may not wait for anything (``await``).
 
     rclpy's wakes itself twice after every callback, for other threads that it might have, and
     gathers all entities and makes a wait set anew each time that it wakes: that took a node more
-    processor time than most of its callbacks. Here it is done when an entity came or went.
+    processor time than most of its callbacks. Here it is done when an entity came or went. Events,
+    most of what a node has, need not wake it: they are looked at every `EVENTS_S`.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
@@ -78,6 +95,7 @@ class OneNodeExecutor(SingleThreadedExecutor):
         self._ready: Iterator[Work] = iter(())
         self._entities: dict[str, list[Any]] = {}
         self._events: list[Any] = []
+        self._look_at_events = 0.0
         self._groups: list[WhenWanted] = []
         self._set: Any = None
 
@@ -121,8 +139,11 @@ class OneNodeExecutor(SingleThreadedExecutor):
             for entity in entities:
                 if entity.callback_group not in held:
                     added.append((kind, add(entity.handle), entity))
-        # With its subscription: what arrives there would wake the node by its events.
-        events = [event for event in self._events if event.callback_group not in held]
+        events = []
+        if (now := time.monotonic()) >= self._look_at_events:
+            self._look_at_events = now + EVENTS_S
+            # With its subscription: what arrives there would wake the node by its events.
+            events = [event for event in self._events if event.callback_group not in held]
         for event in events:
             event.add_to_wait_set(waits)
         waits.add_guard_condition(self._guard.handle)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -30,7 +30,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import steady_timer
+from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
@@ -70,14 +70,21 @@ class LssNode(Node):
             lambda: self._settings.config.lss,
             binding=binding,
         )
-        subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), self._map_publishers.changed)
-        subscribe(self, OccupancyGrid, OBSERVED, self._on_observed, latched())
+        kinds, told = (PointCloud2, OccupancyGrid), self._map_publishers.changed
+        subscribe(self, kinds[0], CELLS, self._on_cells, latched(), told, raw=True)
+        # It is sent first: the cells take it along.
+        other = WhenWanted(lambda: self._map.lacks_observed)
+        self._observed = subscribe(
+            self, kinds[1], OBSERVED, self._on_observed, latched(), group=other, raw=True
+        )
         self._waiting = Waiting(self.get_logger())
         kind: Any = PoseWithCovarianceStamped
         kind, poses = (Odometry, "odometry") if config.pose.source == "odometry" else (kind, "pose")
-        # Best effort: it matches any publisher, and the newest is enough.
-        take = self._inputs.wishes.navigation.take
-        subscribe(self, kind, f"nav/{poses}", take, stream(1, reliable=False))
+        self._navigation = self._inputs.wishes.navigation
+        # Best effort: it matches any publisher. The newest is enough, and taken when it is needed.
+        first = WhenWanted(lambda: not self._navigation.known)
+        take, profile = self._navigation.take, stream(1, reliable=False)
+        self._poses = subscribe(self, kind, f"nav/{poses}", take, profile, group=first)
         self._began = float("nan")
         self._result: LandingAssessment | None = None
         self._failed = ""
@@ -94,7 +101,12 @@ class LssNode(Node):
         }
         prior = bool(config.prior.file)
         self._target = TargetOutput(
-            self, self._problems, self._age, self._release, self._land_now, prior=prior
+            self,
+            self._problems,
+            self._age,
+            lambda: self._at_once(self._selector.release),
+            lambda: self._at_once(self._selector.land_now),
+            prior=prior,
         )
         self._markers = MarkerPublisher(
             self,
@@ -124,15 +136,9 @@ class LssNode(Node):
         self._asked = True
         self._output.changed()
 
-    def _release(self) -> None:
-        """Somebody asked for another target."""
-        self._selector.release()
-        self._asked = True
-        self._output.now()
-
-    def _land_now(self) -> None:
-        """Somebody has to land: the best within reach, at once."""
-        self._selector.land_now()
+    def _at_once(self, ask: Callable[[], None]) -> None:
+        """Somebody asked the selector for another target, or for the best within reach."""
+        ask()
         self._asked = True
         self._output.now()
 
@@ -141,13 +147,19 @@ class LssNode(Node):
         latency = self._diagnostics.latency_ms(stamp_ns)
         return float("nan") if latency is None else 1e-3 * latency
 
-    def _on_cells(self, message: Any) -> None:
-        if self._map.on_cells(message):
+    def _on_cells(self, raw: bytes) -> None:
+        for observed in arrived(self._observed):
+            self._on_observed(observed)
+        if self._map.complete_with("cells", raw):
             self._output.changed()
 
-    def _on_observed(self, message: Any) -> None:
-        if self._map.on_observed(message):
+    def _on_observed(self, raw: bytes) -> None:
+        if self._map.complete_with("observed", raw):
             self._output.changed()
+
+    def _take_pose(self) -> None:
+        for message in arrived(self._poses):
+            self._navigation.take(message)
 
     def _withhold(self) -> str:
         """Why no site may be given out, empty if nothing speaks against it."""
@@ -158,6 +170,7 @@ class LssNode(Node):
     def _look_around(self) -> None:
         """Withdraws the sites when the map has become too old; says what it waits for; ends the
         wait for a target."""
+        self._take_pose()
         self._waiting.tell(self._lacks() or self._why_none())
         if self._result is None:
             return
@@ -200,6 +213,7 @@ class LssNode(Node):
             return
         new = cells is not self._assessed
         self._assessed, self._withheld, self._asked = cells, withheld, False
+        self._take_pose()
         start = time.perf_counter()
         restrictions = {**self._inputs.wishes.arguments(), "withheld": withheld}
         try:

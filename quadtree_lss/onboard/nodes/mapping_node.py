@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import WhenWanted, steady_timer, transforms_type
+from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
 from quadtree_lss.onboard.nodes.map_files import MapServices
@@ -54,7 +54,7 @@ from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe, subscribe_twice
-from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
+from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages, pose_message
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
 DEPTH, CAMERA = "depth/image", "depth/camera_info"
@@ -63,7 +63,7 @@ MAP_LATE = "by the scans' stamps and this node's clock, maps are sent after"
 SCAN_DEPTH, POSE_DEPTH = 50, 200
 """What the middleware may queue: 2.5 s of scans of 20 Hz, and of poses ten times as many."""
 LOOK_PERIOD_S = 0.1
-"""How often poses are taken and waiting scans looked at while nothing wakes the node."""
+"""How often poses are taken and waiting scans looked at while no scan comes."""
 
 
 class MappingNode(Node):
@@ -134,7 +134,7 @@ class MappingNode(Node):
             reset=self._after_reset,
         )
         self._subscribe()
-        steady_timer(self, LOOK_PERIOD_S, self._look_around)
+        self._look = steady_timer(self, LOOK_PERIOD_S, self._look_around)
         announce(self, config)
 
     def finish(self) -> None:
@@ -158,18 +158,19 @@ class MappingNode(Node):
             subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
         poses = self._topics[POSES]
-        pose = subscribe(self, self._pose_kind, poses, self._on_pose, pose_qos, group=ahead)
+        kind = self._pose_kind
+        take = self._and_work(self._take_pose)
+        pose = subscribe(self, kind, poses, take, pose_qos, group=ahead, raw=True)
         self._ahead = [(pose, self._take_pose)]
         if self._settings.config.mount.gimbal:
-            gimbal = subscribe(
-                self, TransformStamped, GIMBAL, self._on_gimbal, pose_qos, group=ahead
-            )
+            take = self._and_work(self._take_gimbal)
+            gimbal = subscribe(self, TransformStamped, GIMBAL, take, pose_qos, group=ahead)
             self._ahead.append((gimbal, self._take_gimbal))
         if self._settings.config.mount.tf:
             # As tf2's own listeners: every broadcaster keeps its transforms for whoever comes late.
-            kept = latched()
-            kept.depth = 100
-            subscribe(self, transforms_type(), TRANSFORMS, self._on_transforms, kept)
+            kept = latched(100)
+            take = self._and_work(self._intake.on_transforms)
+            subscribe(self, transforms_type(), TRANSFORMS, take, kept)
 
     def _take_up_checkpoint(self, checkpoints: Checkpoints) -> None:
         try:
@@ -187,21 +188,18 @@ class MappingNode(Node):
         work_ms = self._map_ms.last + self._publish_ms.last
         if self._overload.takes(info["received_timestamp"], self._settings.config, work_ms):
             self._intake.on_cloud(message, arrival_ns)
-        self._work()
+        self._look.reset()
+        self._look_around()
 
-    def _on_pose(self, message: Any) -> None:
-        self._take_pose(message)
-        self._take_ahead()
-        self._work()
+    def _and_work(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Callback of what scans may be waiting for."""
 
-    def _on_gimbal(self, message: Any) -> None:
-        self._take_gimbal(message)
-        self._take_ahead()
-        self._work()
+        def on_message(message: Any) -> None:
+            take(message)
+            self._take_ahead()
+            self._work()
 
-    def _on_transforms(self, message: Any) -> None:
-        self._intake.on_transforms(message)
-        self._work()
+        return on_message
 
     def _on_area(self, message: Any) -> None:
         try:
@@ -210,9 +208,12 @@ class MappingNode(Node):
             text = f"landing/{AREA}: {error}; the domain lies as the one before asked for"
             self._problems.report(f"{AREA}_{error.reason}", text)
 
-    def _take_pose(self, message: Any) -> None:
+    def _take_pose(self, raw: bytes) -> None:
         self._arrived["pose"].add()
-        self._intake.on_pose(message)
+        try:
+            self._intake.on_pose(pose_message(raw, self._pose_kind))
+        except MessageError as error:
+            self._intake.reject("pose", error)
 
     def _take_gimbal(self, message: Any) -> None:
         self._arrived["gimbal"].add()
@@ -225,14 +226,13 @@ class MappingNode(Node):
         after a pause the scans would run ahead of them and fill their queue.
         """
         for source, take in self._ahead:
-            with source.handle:
-                while (got := source.handle.take_message(source.msg_type, source.raw)) is not None:
-                    take(got[0])
-                    if len(self._intake.queue):
-                        self._work()
+            for message in arrived(source):
+                take(message)
+                if len(self._intake.queue):
+                    self._work()
 
     def _look_around(self) -> None:
-        """What is due though nothing arrives that wakes the node."""
+        """What is due with each scan, and where none comes all the same."""
         self._take_ahead()
         self._work()
         self._waiting.tell(self._lacks())

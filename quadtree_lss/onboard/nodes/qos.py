@@ -67,10 +67,12 @@ def subscribe(
     profile: QoSProfile,
     matched: Callable[[int], None] | None = None,
     group: CallbackGroup | None = None,
+    *,
+    raw: bool = False,
 ) -> Subscription:
     """Subscription that warns by name when a publisher's QoS cannot be matched. ``matched``: called
     with the number of publishers whenever it changes. ``group``: callback group, the node's default
-    one if None."""
+    one if None. ``raw``: messages come as bytes, not deserialised."""
     name = node.resolve_topic_name(topic)
 
     def incompatible(event: Any) -> None:
@@ -92,6 +94,7 @@ def subscribe(
         ),
         callback_group=group,
         qos_overriding_options=OVERRIDABLE,
+        raw=raw,
     )
 
 

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+
+from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -12,10 +14,14 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import map_from_messages
 from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import Arrivals, Problems
+from quadtree_lss.onboard.nodes.ros_messages import deserialised
+
+STAMP = slice(4, 12)
+"""Of a serialised message that begins with a header."""
 
 
 class ReceivedMap:
-    """Joins the two messages of a map and decodes them when asked to.
+    """Joins the two messages of a map, serialised, and decodes them when asked to.
 
     A map that cannot be used has not been received: the one before (``cells``, None before the
     first, in its ``frame``) is kept, and its age runs on; ``refused`` says why, empty if the newest
@@ -34,27 +40,25 @@ class ReceivedMap:
         self._problems = problems
         self._lss = lss
         self._binding = binding
-        self._halves: dict[str, Any] = {}
-        self._whole: tuple[Any, Any, float] | None = None
+        self._halves: dict[str, bytes] = {}
+        self._whole: tuple[bytes, bytes, float] | None = None
 
-    def on_cells(self, message: Any) -> bool:
-        """Takes ``map/cells``; True if a map is complete now."""
-        return self._join("cells", message)
+    @property
+    def lacks_observed(self) -> bool:
+        """True while cells wait for ``map/observed``, and before the first map."""
+        return self.cells is None or "cells" in self._halves
 
-    def on_observed(self, message: Any) -> bool:
-        """Takes ``map/observed``; True if a map is complete now."""
-        return self._join("observed", message)
-
-    def _join(self, half: str, message: Any) -> bool:
-        """A map is complete when both its messages carry the same stamp.
+    def complete_with(self, half: str, raw: bytes) -> bool:
+        """Takes one of a map's two messages, ``cells`` or ``observed``: it is complete when both
+        carry the same stamp.
 
         Neither is used twice: the next map may have the same stamp, and its cells must not be
         joined with what was observed before. Only the newest map is kept and decoded when its
         turn comes: maps are skipped, not queued.
         """
-        self._halves[half] = message
+        self._halves[half] = raw
         cells, observed = self._halves.get("cells"), self._halves.get("observed")
-        if cells is None or observed is None or cells.header.stamp != observed.header.stamp:
+        if cells is None or observed is None or cells[STAMP] != observed[STAMP]:
             return False
         self._halves = {}
         self._whole = (cells, observed, self.arrivals.now())
@@ -73,9 +77,10 @@ class ReceivedMap:
         """Decodes the newest complete map if that was not done yet."""
         if self._whole is None:
             return
-        (cells, observed, arrival), self._whole = self._whole, None
-        frame = cells.header.frame_id
+        (*halves, arrival), self._whole = self._whole, None
         try:
+            cells, observed = map(deserialised, halves, (PointCloud2, OccupancyGrid))
+            frame = cells.header.frame_id
             if self._binding:
                 check_frame(frame, self._configured, "map/cells")
             self.cells = map_from_messages(cells, observed, self._lss())
