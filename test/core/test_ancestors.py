@@ -53,16 +53,6 @@ def test_fused_planes_are_those_of_a_direct_fit(level):
         assert (np.abs(part - other) <= 0.15 * scale).all()
 
 
-def test_shared_pose_error_enters_once_and_range_noise_averages():
-    covariance = pose_covariance(0.3, 1e-6)
-    leaves = one_scan(4, covariance)
-    fused = fuse_to_level(leaves, 1)
-    below = leaves.covariance_pose[:, 2, 2].mean()
-    np.testing.assert_allclose(fused.pose_part[:, 2, 2], below, rtol=0.01)
-    assert below == pytest.approx(0.09, rel=0.02)
-    assert (fused.range_part[:, 2, 2] < leaves.covariance_range[:, 2, 2].min() / 20.0).all()
-
-
 def test_each_leaf_finds_its_ancestor():
     cells = mapped(
         configured(lidar={"range_noise": 0.03}), lambda x, y: 0.5 * (x > 5.1), density=50.0

@@ -7,7 +7,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, feature_height, flat, mapped, strip, upward_normals
+from core.builders import configured, feature_height, flat, mapped, strip
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
@@ -27,12 +27,6 @@ def terrain(x, y):
 def cells() -> CellMap:
     config = configured(lidar={"range_noise": 0.03})
     return mapped(config, terrain, density=120.0, scans=2).snapshot()
-
-
-def test_slope_is_the_angle_from_the_vertical():
-    normals = upward_normals(np.random.default_rng(1), 50, 1.5)
-    np.testing.assert_allclose(hazards.slope(normals), np.arccos(normals[:, 2]), atol=1e-7)
-    assert hazards.slope(np.array([0.0, 0.0, 1.0])) == 0.0
 
 
 def test_reference_level_is_the_nearest_in_size():

@@ -71,15 +71,6 @@ def test_the_shadow_of_a_wall_is_as_long_as_its_height_over_the_tangent():
     assert not shadow(ground, known, 0.25, 90.0, 20.0).any(), "unknown ground casts none"
 
 
-def test_a_post_throws_its_shadow_to_the_south_west_of_a_sun_in_the_north_east():
-    ground = np.zeros((21, 21))
-    ground[10, 10] = 1.0
-    dark = shadow(ground, np.ones(ground.shape, dtype=bool), 0.5, 45.0, 20.0)
-    count = int(1.0 / np.tan(np.radians(20.0)) / (0.5 * np.sqrt(2.0)))
-    diagonal = np.arange(10 - count, 10)
-    np.testing.assert_array_equal(np.argwhere(dark), np.column_stack([diagonal, diagonal]))
-
-
 @pytest.fixture(scope="module")
 def walled():
     """A wall 3 m high in the east."""

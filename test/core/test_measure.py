@@ -96,14 +96,6 @@ def test_a_turn_about_the_vertical_turns_the_fit(method):
         np.testing.assert_allclose(after, full @ before @ full.T, atol=1e-9 * before.max())
 
 
-def test_three_spread_points_are_met_exactly():
-    cloud = np.array([[-0.9, -0.9, 0.0], [0.9, -0.9, 0.3], [-0.9, 0.9, -0.2]])
-    for method in ("height", "ml"):
-        found = fitted(rules(method, 1e-4), cloud)
-        offset = (cloud - (0.0, 0.0, found.z)) @ found.normal
-        np.testing.assert_allclose(offset, 0.0, atol=1e-6)
-
-
 def test_where_points_tell_no_slope_the_prior_is_kept_and_called_unknown():
     prior = np.array([0.3, 0.2, 1.0]) / np.sqrt(1.13)
     for cloud in (np.zeros((1, 3)), np.tile([[0.3, 0.2, 0.1]], (50, 1))):

@@ -117,13 +117,6 @@ def test_wild_points_count_at_most_the_clip():
     assert roughness[0.5] == pytest.approx(0.5 * roughness[1000.0] + own, rel=0.02)
 
 
-def test_the_noise_floor_is_what_noise_makes_of_few_points():
-    """Four points a cell and scan: the common offset takes one."""
-    config = fixed(4, 0.05)
-    leaves = mapped(config, flat(), density=4.0, scans=60).leaves.rows
-    assert leaves.distance_sum.sum() == pytest.approx(leaves.noise_sum.sum(), rel=0.04)
-
-
 def test_exceptions_that_noise_makes_are_foreseen():
     """Of 0.3 m, the tolerance: on either side."""
     leaves = mapped(fixed(4, 0.3), flat(), density=60.0, scans=5).leaves.rows

@@ -453,15 +453,6 @@ def test_waiting_gains_by_the_choice_and_loses_by_the_reach(level_ground):
     assert 0.0 < gains[0] < 0.01 and gains[1] < -0.9
 
 
-def test_other_limits_do_not_release_the_target(level_ground):
-    selector = LandingSiteSelector(small())
-    held = target_of(selector, level_ground).selected
-    selector.configure(small(sites=2))
-    assert selector.assess(level_ground).selected.id == held.id
-    selector.release()
-    assert selector.assess(level_ground).selected.reason is Reason.RELEASED
-
-
 def test_covariance_is_that_of_drawn_maps():
     """Leaves drawn from their covariance, laid out and fitted again, scatter as it says."""
     cells = mapped(small(), lambda x, y: 0.1 * x - 0.05 * y, density=30.0).snapshot()
