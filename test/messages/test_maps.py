@@ -72,14 +72,6 @@ def test_a_round_trip_is_what_a_subscriber_decodes(cells):
     assert_same(maps.round_trip(cells), received)
 
 
-def test_a_second_round_trip_changes_nothing(cells):
-    once = maps.round_trip(cells)
-    assert_same(once, maps.round_trip(once))
-    np.testing.assert_array_equal(
-        maps.encode_cells(once).tobytes(), maps.encode_cells(cells).tobytes()
-    )
-
-
 @pytest.mark.parametrize("level", [0, 3])
 def test_maps_of_nothing_and_of_one_level_survive(level):
     config = configured(domain={"min_level": level, "max_level": level})

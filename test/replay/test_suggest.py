@@ -68,13 +68,6 @@ def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
     assert run(capsys, "config", "suggest", flight, "--vehicle", "small")[0] == 2
 
 
-def test_ground_above_the_lidar_is_told(flight):
-    turned = load_config((), {"mount.axes": "flu_to_optical"})
-    text = suggest_config(flight, turned).text()
-    sound = suggest_config(flight, load_config()).text()
-    assert "above the lidar" not in sound and ("above the lidar" in text or "domain" in text)
-
-
 def test_nothing_to_suggest_from_says_why(tmp_path, capsys):
     bag = write_ros2(tmp_path / "bag", scans=3)
     code, _, err = run(capsys, "config", "suggest", bag, "--set", "frames.map=moon")
