@@ -9,45 +9,12 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
-from ros_scene import mapped
-from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.maps import CELL_FIELDS, round_trip
-from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
-from quadtree_lss.onboard.nodes.ros_messages import map_messages, message_maker
+from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 pytestmark = pytest.mark.xdist_group("ros")
-
-
-@pytest.fixture(scope="module")
-def cells():
-    """A map of two scans, Morpheus configuration."""
-    return mapped(load_config(["morpheus"]), 2).snapshot()
-
-
-def test_map_survives_the_wire_as_it_survives_encoding(cells):
-    cloud, grid = map_messages(cells, "map")
-    cloud = deserialize_message(serialize_message(cloud), PointCloud2)
-    live, offline = map_from_messages(cloud, grid), round_trip(cells)
-    assert live.stamp_ns == cells.stamp_ns
-    assert live.domain == offline.domain
-    for name in ("level", "ix", "iy", "z", "normal", "covariance", "count", "feature", "observed"):
-        np.testing.assert_array_equal(getattr(live, name), getattr(offline, name), err_msg=name)
-
-
-def test_foreign_clouds_are_refused(cells):
-    cloud, grid = map_messages(cells, "map")
-    cloud.fields = cloud.fields[:-1]
-    with pytest.raises(MessageError, match="layout"):
-        map_from_messages(cloud, grid)
-    short = message_maker("map").cloud(np.zeros(3, [("x", "<f4")]), (("x", "f4"),), 0)
-    with pytest.raises(MessageError):
-        cloud_records(short, CELL_FIELDS)
 
 
 def test_grid_rows_run_along_y():
