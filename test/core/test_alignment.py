@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans that navigation puts beside the map come to lie on it; errors that are news are shared."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (

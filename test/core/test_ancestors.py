@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planes of higher levels fused from leaves, against a direct fit of all the points below."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

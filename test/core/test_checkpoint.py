@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A restored mapper goes on exactly as the one that was saved; nothing damaged is taken up."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import tracemalloc

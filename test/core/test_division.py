@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Division statistics against their expectations on planar ground, and who may judge a leaf."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (

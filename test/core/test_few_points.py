@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cells that get one or two points a scan: hints until they tell a plane, heights after that."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Avoided features of leaves and the raster that landing assessment reads."""
 
-from __future__ import annotations
-
 from unittest import mock
 
 import numpy as np

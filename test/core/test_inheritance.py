@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What children inherit: a leaf that divides does not forget what earlier scans said of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (

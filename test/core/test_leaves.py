@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tree as a table: leaves tile the domain, lookup agrees with descent, bounds hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import configured, divide, flat, look, mapped

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shadow against rays marched over a surface and by hand; what light and reach are in choosing."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

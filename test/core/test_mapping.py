@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper as a whole: recovered ground, division, inheritance, bounds, invariances."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

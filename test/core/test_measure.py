@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the points of one scan in a cell say: optimality, covariance by Monte Carlo, invariances."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

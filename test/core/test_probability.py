@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Probability of a safe touchdown: the fit looked up, dispersion, ranking, and what is left."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from unittest import mock
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Landing sites: what is safe, how it is scored and ranked, and what is said when nothing is."""
 
-from __future__ import annotations
-
 import dataclasses
 from unittest import mock
 

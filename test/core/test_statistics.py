@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roughness density (Eq. 55), exceptions (Eq. 48) and the check of the range noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The target: it stays while landing there is permitted; a number lasts as long as its place."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The touchdown check against a slow, straightforward one, heading by heading and cell by cell."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

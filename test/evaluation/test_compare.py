@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several runs over one ground, and what the figures are called."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Map and site messages: what is float64 comes back exactly, damage is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import tracemalloc
 

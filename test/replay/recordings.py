@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags for tests, written with rosbags: a lidar that looks straight down on a gentle slope."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import numpy as np

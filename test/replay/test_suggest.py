@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``config suggest``: domain, noise and cells from a bag, and that they do."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

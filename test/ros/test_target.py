@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``landing/selected`` over DDS: held, withdrawn with a reason, released, and missed when dead."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
