@@ -112,10 +112,13 @@ def test_subscale_is_the_mean_and_the_greatest_height_within_the_cell(place):
         assert not np.delete(layer, np.s_[16:24], axis=1).any()
 
 
-@pytest.mark.parametrize(("columns", "unseen"), [(1, []), (4, []), (5, [32]), (7, [32, 33, 34])])
-def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
-    """Centres lie 0.125, 0.375, 0.625 m ... from the nearest observed cell's edge; 0.6 m is set."""
-    raster = rasterise(strip(columns), LssConfig())
+@pytest.mark.parametrize(
+    ("columns", "gap", "unseen"),
+    [(1, 0.6, []), (4, 0.6, []), (5, 0.6, [32]), (5, 0.65, []), (7, 0.6, [32, 33, 34])],
+)
+def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, gap, unseen):
+    """Centres lie 0.125, 0.375, 0.625 m ... from the nearest observed cell's edge."""
+    raster = rasterise(strip(columns), LssConfig(max_gap=gap))
     assert np.flatnonzero(~raster.seen.all(axis=0)).tolist() == unseen
     assert np.isfinite(raster.elevation).all()
     # Gaps are bridged whole or not at all.
