@@ -5,8 +5,6 @@ Written from their documentation and sources (AC_PrecLand, modes guided and land
 offboard). The vehicle follows its set-points as a point of first order in speed.
 """
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

@@ -5,8 +5,6 @@ ROS's wheels have neither. Classes only keep what they are given; `built` does w
 service does with a description: declare arguments, run opaque functions, collect what they return.
 """
 
-from __future__ import annotations
-
 import runpy
 import sys
 from collections.abc import Callable, Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What lss_node hears of a vehicle, and all it says: for the tests of that node alone."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

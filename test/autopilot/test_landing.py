@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The states of a landing, flown by a point of first order in a time of its own."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """MAVLink's bytes over a socket: against the model of what ArduPilot and PX4 accept."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What judges the flights with ArduCopter: true place, bridge and ground; without the binary."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the map claims is what it errs by, however long the same ground is seen."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Benchmark scripts run to their end and print their tables; what they print is not judged."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns give the same files for any number of workers, after any end, by any scheduler."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import json

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight handed over in memory gives the same bits as through a bag."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The folder of a campaign."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The studies of the repository can be flown, and the small one is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

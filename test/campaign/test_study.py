@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Studies: which flights there are, and that each is decided by its number alone."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rates, means, intervals and worst flights of records made by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binom

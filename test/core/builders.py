@@ -5,8 +5,6 @@ Points are put where the caller wants them in x and y, so that no ray casting is
 noise moves each along its ray. All lengths in m, all frames the map's unless a name says other.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import itertools

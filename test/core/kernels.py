@@ -5,8 +5,6 @@ Compiled, they take C arrays: only other kernels call them. `test_interpreted` s
 sources give the same bits.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Callable

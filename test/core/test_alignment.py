@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans that navigation puts beside the map come to lie on it; errors that are news are shared."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (
     ABOVE,
-    EXACT,
     configured,
-    disturbed,
     flat,
     look,
     make_pose,
@@ -25,7 +21,6 @@ from quadtree_lss.onboard.core.mapping.departure import Departure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.mapping.update import ScanUpdate
-from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.register import register
 
 NOISE = 0.02
@@ -149,16 +144,6 @@ def test_an_exact_pose_is_believed_whatever_stands_there(ground, coarsest, monke
     assert max(tilted) < 0.03
 
 
-@pytest.mark.parametrize("claimed", [0.05, 0.1, 0.3, 1.0])
-@pytest.mark.parametrize("correlation_time", [0.0, 300.0])
-def test_a_pose_five_deviations_off_moves_the_map_by_less_than_a_tenth(claimed, correlation_time):
-    """What stays of it in the scan counts as one of five."""
-    off = 5.0 * claimed
-    cells = cells_of(np.full(100, off), of_scan=claimed**2, of_map=claimed**2, last=10.0)
-    found = offset_of(cells, 10.05, correlation_time)
-    assert found.map + (off - found.map - found.scan) / 5.0 < 0.1 * off
-
-
 def test_an_error_that_persists_stays_as_it_is_and_one_that_is_old_is_news():
     cells = cells_of(np.full(50, 0.05), last=10.0)
     small, large = (offset_of(cells, 10.0 + later, 100.0) for later in (0.05, 1000.0))
@@ -237,17 +222,6 @@ def test_a_second_flight_comes_to_lie_on_the_first():
     assert 0.05 < np.median(rise) < 0.27
 
 
-def test_errors_that_are_news_each_time_average():
-    """White height errors: all of the map ends at their mean, not at the first scan's."""
-    errors = np.random.default_rng(4).normal(0.0, 0.3, 25)
-    errors[0] = 0.9
-    mapper = mapper_of(0.0)
-    fly(mapper, flat(), errors, np.random.default_rng(5))
-    cells = mapper.snapshot()
-    assert np.std(cells.z[cells.measured]) < 0.01
-    assert np.median(cells.z) == pytest.approx(errors.mean(), abs=0.05)
-
-
 def test_new_ground_joins_at_the_height_of_the_old():
     """A scan that sees half of the map again: both halves are level in the end."""
     rng, mapper, sigma = np.random.default_rng(6), mapper_of(0.0), pose_covariance(0.3, 1e-9)
@@ -282,23 +256,6 @@ def test_the_map_tells_how_far_navigation_is_from_it():
     assert np.isnan(mapper.snapshot().offset_z)
 
 
-def test_exact_poses_are_left_alone():
-    """And what they say weighs as much as what was there before."""
-    rng, mapper = np.random.default_rng(7), mapper_of()
-    fly(mapper, waves, np.zeros(3), rng, EXACT)
-    fly(mapper, waves, np.full(3, 0.1), rng, EXACT, start=100.0)
-    assert np.median(heights(mapper)) == pytest.approx(0.05, abs=0.01)
-
-
-def test_a_hopeless_pose_moves_the_map_by_nothing():
-    """A variance of 1e6 m^2 comes to lie on the map, 40 m off as it is."""
-    rng, mapper = np.random.default_rng(8), mapper_of()
-    fly(mapper, waves, np.zeros(3), rng)
-    before = heights(mapper)
-    fly(mapper, waves, [40.0], rng, pose_covariance(1e3, 1e-9), start=10.0)
-    assert np.abs(heights(mapper) - before).max() < 0.02
-
-
 @pytest.mark.parametrize("sigma", [0.05, 0.2])
 @pytest.mark.parametrize("persistent", [False, True])
 def test_the_maps_height_is_as_well_known_as_it_says(sigma, persistent):
@@ -313,55 +270,3 @@ def test_the_maps_height_is_as_well_known_as_it_says(sigma, persistent):
         height = np.median(cells.z[cells.measured])
         squares.append(height**2 / np.median(cells.covariance_pose[cells.measured, 2, 2]))
     assert 0.02 < np.mean(squares) < 2.0
-
-
-def along_a_strip(align: bool, drift: float = np.radians(0.1)) -> float:
-    """Height at the far end of 500 m, seen 45 degrees ahead from 100 m, pitch wrong by ``drift``.
-
-    Each scan shows 40 m, 5 m farther on than the last; nothing is seen again.
-    """
-    config = configured(
-        domain={"xmin": 0.0, "ymin": -32.0, "size": 1024.0, "min_level": 7, "max_level": 7},
-        lidar={"range_noise": NOISE},
-        mapping={"align": align},
-    )
-    mapper, rng = Mapper(config), np.random.default_rng(12)
-    turn = np.array(
-        [[np.cos(drift), 0, -np.sin(drift)], [0, 1, 0], [np.sin(drift), 0, np.cos(drift)]]
-    )
-    sigma = np.diag([1e-4, 1e-4, 1e-4, 1e-10, drift**2, 1e-10])
-    for number in range(100):
-        at = np.array([5.0 * number - 80.0, 0.0, 100.0])
-        x = at[0] + 80.0 + 40.0 * rng.random(3000)
-        y = -20.0 + 40.0 * rng.random(3000)
-        keep = x > 0.0
-        true = make_pose(tuple(at), sigma)
-        points = scan(flat(), x[keep], y[keep], true, NOISE, rng)
-        stamp = 1 + 250_000_000 * number
-        estimate = Pose(stamp, at, turn @ true.rotation_map_lidar, sigma)
-        mapper.update(points, estimate)
-    cells = mapper.snapshot()
-    far = cells.measured & (cells.x > 480.0) & (cells.x < 520.0) & (np.abs(cells.y) < 16.0)
-    near = cells.measured & (cells.x > 20.0) & (cells.x < 60.0) & (np.abs(cells.y) < 16.0)
-    return float(np.mean(cells.z[far]) - np.mean(cells.z[near]))
-
-
-def test_a_strip_that_is_never_seen_twice_does_not_drift_away():
-    """Alignment is no odometry: what persists is not added up from scan to scan."""
-    assert abs(along_a_strip(True)) < abs(along_a_strip(False)) + 0.05
-
-
-def test_drawn_poses_keep_the_map_where_they_are():
-    """From 30 degrees aside, a hundred scans whose poses are drawn anew each time."""
-    rng, sigma = np.random.default_rng(10), pose_covariance(0.05, 1e-3)
-    mapper = mapper_of(0.0)
-    place = (8.0 - 400.0 * np.tan(np.radians(30.0)), 8.0, 400.0)
-    bound = 5.0 * np.hypot(0.05, 1e-3 * 500.0)
-    for k in range(100):
-        true = make_pose(place, sigma, 1_000_000_000 + 50_000_000 * k)
-        x, y = scattered(rng, 2.0, 2.0, 12.0, 3000)
-        points = scan(waves, x, y, true, NOISE, rng)
-        report = mapper.update(points, disturbed(true, rng))
-        assert report.points_used > 2500
-        assert abs(report.offset) < bound
-    assert abs(np.median(heights(mapper))) < 0.15

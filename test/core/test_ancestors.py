@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planes of higher levels fused from leaves, against a direct fit of all the points below."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -51,16 +49,6 @@ def test_fused_planes_are_those_of_a_direct_fit(level):
         part, other = np.median(getattr(fused, name), axis=0), np.median(other, axis=0)
         scale = np.sqrt(np.outer(np.diag(other), np.diag(other)))
         assert (np.abs(part - other) <= 0.15 * scale).all()
-
-
-def test_shared_pose_error_enters_once_and_range_noise_averages():
-    covariance = pose_covariance(0.3, 1e-6)
-    leaves = one_scan(4, covariance)
-    fused = fuse_to_level(leaves, 1)
-    below = leaves.covariance_pose[:, 2, 2].mean()
-    np.testing.assert_allclose(fused.pose_part[:, 2, 2], below, rtol=0.01)
-    assert below == pytest.approx(0.09, rel=0.02)
-    assert (fused.range_part[:, 2, 2] < leaves.covariance_range[:, 2, 2].min() / 20.0).all()
 
 
 def test_each_leaf_finds_its_ancestor():

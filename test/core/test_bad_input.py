@@ -5,8 +5,6 @@ Every scan fills each cell of the map with points of a kind of its own, so that 
 two to four dozen sets, under one pose covariance, which the messages' checks did not mend.
 """
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever the parameters within their ranges: computed in bounded time, or refused with why."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

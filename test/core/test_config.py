@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one table of parameters: ranges, nearest keys, contradictions, round trips."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

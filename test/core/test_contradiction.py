@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One wrong pose poisons nothing; many that agree with each other are right."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import configured, flat, look, make_pose, pose_covariance, scan, scattered

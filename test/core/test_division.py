@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Division statistics against their expectations on planar ground, and who may judge a leaf."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (
@@ -75,14 +73,6 @@ def test_the_statistic_is_that_of_noise_whatever_the_number_of_points(per_cell):
     leaves = mapped(config, slope(0.1, -0.2), density=per_cell, scans=8).leaves.rows
     mean = leaves.division_sum.sum() / leaves.division_weight.sum()
     assert mean == pytest.approx(MEAN_CHI_1, rel=0.02 + 3.0 / per_cell**2)
-
-
-def test_three_points_say_nothing_of_a_fit():
-    mapper = Mapper(configured(domain={"min_level": 4, "max_level": 4}))
-    x, y = np.array([4.1, 4.9, 4.5]), np.array([4.1, 4.2, 4.9])
-    for _ in range(9):
-        look(mapper, lambda x, y: np.sin(9.0 * x), x, y)
-    assert not mapper.leaves.rows.division_sum.any()
 
 
 def test_a_known_cells_statistic_is_that_of_equations_46_and_47():

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Doubts of an answer: a run outside the fit, ground seen thinly, risks that do not come true."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscale features: hemispheres in a flat 2 m cell are found, measured, and not imagined."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import by, configured, lattice, look, make_pose, mapped, slope

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cells that get one or two points a scan: hints until they tell a plane, heights after that."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (
@@ -28,15 +26,6 @@ CELLS_4M = {"min_level": 2, "max_level": 2}
 TWO = np.array([1.0, 3.0])
 
 
-def test_two_points_of_a_cell_are_kept_and_no_estimate():
-    mapper = Mapper(configured(domain={"min_level": 2, "max_level": 3}))
-    assert look(mapper, flat(), TWO, TWO).points_used == 2
-    cells = mapper.snapshot()
-    assert not cells.estimated.any()
-    assert np.count_nonzero(cells.observed) == 2
-    assert leaf_at(mapper, 2.0, 2.0).points == 2
-
-
 @pytest.mark.parametrize("fit", ["height", "ml"])
 def test_two_points_a_scan_make_a_plane_in_time(fit):
     """Never a fit by themselves; a few scans together tell slope and height."""
@@ -55,20 +44,6 @@ def test_two_points_a_scan_make_a_plane_in_time(fit):
     assert np.median(np.abs(error)) < 0.03
     # The median of a chi-square of three degrees is 2.37.
     assert np.median(nees(error, cells.covariance[cells.measured])) < 2.0 * 2.37
-
-
-def test_points_on_a_line_tell_no_plane_however_many():
-    config = configured(domain=CELLS_4M, lidar={"range_noise": 0.05})
-    rng, mapper = np.random.default_rng(1), Mapper(config)
-    for k in range(20):
-        t = 4.0 * rng.random(50)
-        look(mapper, flat(), t, t, rng, 0.05, make_pose(ABOVE, stamp_ns=k + 1))
-    assert not mapper.snapshot().measured.any()
-    # Off the line.
-    x, y = scattered(rng, 0.0, 0.0, 4.0, 20)
-    look(mapper, flat(), x, y, rng, 0.05, make_pose(ABOVE, stamp_ns=21))
-    assert leaf_at(mapper, 2.0, 2.0).z == pytest.approx(0.0, abs=0.05)
-    assert mapper.snapshot().measured.sum() == 1
 
 
 @pytest.mark.parametrize("crossed", [False, True])

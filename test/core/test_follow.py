@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A square that follows: what stays inside is as if it had always lain there, to the bit."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

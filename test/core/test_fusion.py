@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two estimates of a plane made one (Eq. 37 to Eq. 45), with pose errors alike or not."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The map asked at places and along lines; poses as matrices; what objects say of themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import differentiated, upward_normals

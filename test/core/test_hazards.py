@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Avoided features of leaves and the raster that landing assessment reads."""
 
-from __future__ import annotations
-
 from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, feature_height, flat, mapped, strip, upward_normals
+from core.builders import configured, feature_height, flat, mapped, strip
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
@@ -27,12 +25,6 @@ def terrain(x, y):
 def cells() -> CellMap:
     config = configured(lidar={"range_noise": 0.03})
     return mapped(config, terrain, density=120.0, scans=2).snapshot()
-
-
-def test_slope_is_the_angle_from_the_vertical():
-    normals = upward_normals(np.random.default_rng(1), 50, 1.5)
-    np.testing.assert_allclose(hazards.slope(normals), np.arccos(normals[:, 2]), atol=1e-7)
-    assert hazards.slope(np.array([0.0, 0.0, 1.0])) == 0.0
 
 
 def test_reference_level_is_the_nearest_in_size():
@@ -120,10 +112,13 @@ def test_subscale_is_the_mean_and_the_greatest_height_within_the_cell(place):
         assert not np.delete(layer, np.s_[16:24], axis=1).any()
 
 
-@pytest.mark.parametrize(("columns", "unseen"), [(1, []), (4, []), (5, [32]), (7, [32, 33, 34])])
-def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, unseen):
-    """Centres lie 0.125, 0.375, 0.625 m ... from the nearest observed cell's edge; 0.6 m is set."""
-    raster = rasterise(strip(columns), LssConfig())
+@pytest.mark.parametrize(
+    ("columns", "gap", "unseen"),
+    [(1, 0.6, []), (4, 0.6, []), (5, 0.6, [32]), (5, 0.65, []), (7, 0.6, [32, 33, 34])],
+)
+def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, gap, unseen):
+    """Centres lie 0.125, 0.375, 0.625 m ... from the nearest observed cell's edge."""
+    raster = rasterise(strip(columns), LssConfig(max_gap=gap))
     assert np.flatnonzero(~raster.seen.all(axis=0)).tolist() == unseen
     assert np.isfinite(raster.elevation).all()
     # Gaps are bridged whole or not at all.

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What children inherit: a leaf that divides does not forget what earlier scans said of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (
@@ -62,17 +60,6 @@ def test_children_keep_the_pose_part_of_all_scans(correlation_time):
     # error that lasts, 0.01 m^2.
     expected = 0.01 if correlation_time else 0.0025
     np.testing.assert_allclose(cells.covariance_pose[divided, 2, 2], expected, rtol=0.3)
-
-
-def test_a_first_scan_is_all_there_is_to_remember():
-    """Its pose error is one, however often the cells that it shows divide."""
-    config = configured(lidar={"range_noise": 0.02}, pose=INDEPENDENT)
-    mapper, rng = Mapper(config), np.random.default_rng(3)
-    look(mapper, block, *scattered(rng, 0.0, 0.0, 16.0, 8000), rng, 0.02, POSE, -0.2)
-    cells = mapper.snapshot()
-    assert np.median(cells.z[cells.measured]) == pytest.approx(-0.2, abs=0.01)
-    assert (cells.level > 2).any()
-    np.testing.assert_allclose(cells.covariance_pose[cells.measured, 2, 2], 0.01, rtol=1e-3)
 
 
 def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
@@ -154,20 +141,6 @@ def test_what_pose_errors_explain_of_a_part_does_not_stand_out(correlation_time,
     y = np.r_[16.0 * rng.random(6000), 4.0 + 4.0 * rng.random(200)]
     look(mapper, lambda x, y: 0.3 * (x < 8.0), x, y, rng, 0.02, make_pose(ABOVE, sigma, 10))
     assert leaf_at(mapper, 6.0, 6.0).raised_sum == pytest.approx(200.0 * stands_out, abs=20.0)
-
-
-def test_later_points_mend_what_a_child_inherited():
-    """A child that inherits 0.7 m too low from a rough parent comes to lie where it is seen."""
-    config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.05})
-    mapper, rng = mapped(config, flat(-0.7), density=60.0, scans=2), np.random.default_rng(6)
-    for row in range(16):
-        divide(mapper.leaves, row, 0.3**2, 12.0 * 0.05**2 / (5.0 * 2.0**2))
-    for k in range(3):
-        places, pose = scattered(rng, 0.0, 0.0, 16.0, 64 * 40), make_pose(stamp_ns=10 + k)
-        look(mapper, flat(), *places, rng, 0.05, pose)
-    cells = mapper.snapshot()
-    assert cells.measured.all()
-    assert np.abs(cells.z).max() < 0.06
 
 
 @pytest.mark.parametrize("towards", [1.0, -1.0])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sources of the core, run as they are for a debugger, give what the compiled core gives."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import pickle

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Isolated returns: strays go, alone or by twos; the edges of what is sound stay."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

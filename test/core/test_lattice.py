@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lattice against brute force: planes and means in discs, distances, values on other grids."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import configured, mapped, slope

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tree as a table: leaves tile the domain, lookup agrees with descent, bounds hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import configured, divide, flat, look, mapped
@@ -78,18 +76,6 @@ def test_centres_are_in_the_middle_of_their_finest_cells():
         rows, columns = np.nonzero(leaf == k)
         assert tree.rows.x[k] == pytest.approx(DOMAIN.xmin + middle[columns].mean(), abs=1e-12)
         assert tree.rows.y[k] == pytest.approx(DOMAIN.ymin + middle[rows].mean(), abs=1e-12)
-
-
-def test_children_cover_their_parent_x_fastest():
-    tree = LeafTable(DOMAIN, 100)
-    x, y = tree.rows.x[2], tree.rows.y[2]
-    assert divide(tree, 2)
-    children = tree.rows[[2, 4, 5, 6]]
-    quarter = DOMAIN.size / 2**DOMAIN.min_level / 4.0
-    expected = [(x - quarter, y - quarter), (x + quarter, y - quarter)]
-    expected += [(x - quarter, y + quarter), (x + quarter, y + quarter)]
-    np.testing.assert_allclose(np.column_stack([children.x, children.y]), expected)
-    assert (children.level == DOMAIN.min_level + 1).all()
 
 
 @pytest.mark.parametrize("max_cells", [4, 6, 7, 12, 40])
@@ -200,13 +186,6 @@ def test_where_a_return_stood_out_the_child_is_less_certain_and_the_ground_not_k
     seen = np.full(256, 2)
     seen[morton.encode(11, 3)] = 1
     np.testing.assert_array_equal(rough.observed, seen)
-
-
-def test_hints_are_no_plane_to_inherit():
-    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
-    tree.rows[0].known = 1
-    divide(tree, 0)
-    assert tree.rows.known[:4].tolist() == [0, 0, 0, 0]
 
 
 def test_bounded_cells_are_refused_counted_and_leave_no_hole():

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From ranges to points in the map, each in its cell: Eq. 14 and Eq. 15."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import configured, flat, lattice, make_pose, scan

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper as a whole: recovered ground, division, inheritance, bounds, invariances."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -11,7 +9,6 @@ from core.builders import (
     ABOVE,
     GROUND,
     METHODS,
-    NORMAL,
     assert_sound,
     configured,
     flat,
@@ -19,8 +16,6 @@ from core.builders import (
     look,
     make_pose,
     mapped,
-    nees,
-    plane_errors,
     pose_covariance,
     scan,
     scattered,
@@ -39,19 +34,6 @@ def assert_equal(a: CellMap, b: CellMap, tolerance: float = 0.0) -> None:
             np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
         else:
             np.testing.assert_array_equal(one, other)
-
-
-def test_pose_errors_of_half_a_metre_between_scans_do_not_tilt_the_ground():
-    """gamma_j: the slope follows from within each scan, whatever lies between them."""
-    config = configured(domain={"min_level": 4, "max_level": 4}, lidar={"range_noise": 0.02})
-    rng, mapper = np.random.default_rng(3), Mapper(config)
-    for k, high in enumerate((-0.5, 0.5, -0.3, 0.4)):
-        pose = make_pose(ABOVE, pose_covariance(0.5, 1e-12), k)
-        look(mapper, GROUND, *scattered(rng, 0.0, 0.0, 16.0, 8000), rng, 0.02, pose, high)
-    cells = mapper.snapshot()
-    error = plane_errors(cells, NORMAL, GROUND)[:, :2]
-    assert abs(nees(error, cells.covariance[:, :2, :2]).mean() - 2.0) < 5.0 * np.sqrt(4.0 / 256)
-    assert np.abs(error).max() < 0.05
 
 
 @pytest.mark.parametrize(("fit", "covariance", "division"), METHODS)
@@ -202,19 +184,6 @@ def test_a_scan_without_sound_points_changes_nothing(points):
     assert report.points_used == 0
     assert report.points == points.size // 3 == sum(report.dropped.values())
     assert_equal(before, mapper.snapshot())
-
-
-def test_returns_of_no_range_at_all_do_not_spoil_a_cell():
-    """(0, 0, 0) is what many drivers send for no return; also without a minimum range."""
-    config = configured(lidar={"min_range": 0.0}, domain={"max_level": 2})
-    mapper = mapped(config, GROUND, density=20.0, scans=1)
-    x, y = scattered(np.random.default_rng(16), 0.0, 0.0, 4.0, 500)
-    pose = make_pose((8.1, 8.1, 80.0))
-    points = scan(GROUND, x, y, pose, 0.0)
-    points[:2] = 0.0
-    mapper.update(points, pose)
-    assert_sound(mapper.snapshot())
-    assert mapper.snapshot().measured.all()
 
 
 def test_a_snapshot_does_not_change_with_later_scans():

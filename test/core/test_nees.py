@@ -5,8 +5,6 @@ Each map is one draw of pose errors, so statistics are over maps: one leaf and o
 Range noise is large, for beside it the 0.015 m must not count that ground may be uneven.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One plane: moments, regressions, covariances and changes of origin against numeric ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core import kernels

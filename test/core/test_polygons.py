@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signed distance from polygons against sampling and a general point-in-polygon test."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from matplotlib.path import Path

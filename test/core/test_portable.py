@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arithmetic of its own, where libraries end in other bits on other processors."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

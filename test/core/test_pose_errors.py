@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors that are white, that persist and that are larger than claimed are told apart, by draws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import configured, flat, look, make_pose, pose_covariance, scattered

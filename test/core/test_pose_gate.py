@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One leaping pose goes, a jump of navigation stays, and nothing is held back for long."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

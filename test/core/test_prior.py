@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A prior map: its planes, what leaves make of it, its offset from the map, where to look first."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import configured, lattice, leaf_at, look, make_pose, pose_covariance, scattered

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rocks that the mean over a large leaf hides divide it; curved ground and noise do not."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

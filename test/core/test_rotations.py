@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """SO(3) against SciPy's rotations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp

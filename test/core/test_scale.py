@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """No absolute length decides: world, vehicle, noise and cells scaled alike give the same answer."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

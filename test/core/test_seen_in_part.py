@@ -5,8 +5,6 @@ Scenes of closed formulas (``benchmark/common/rays.py``) are seen in every way t
 seen in part: small footprints, strips, edges, few looks, in any order, with any coarsest leaf.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

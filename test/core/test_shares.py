@@ -5,8 +5,6 @@ The leaves are those of ``benchmark/shares.py``: strips of 1 to 100 % of a leaf 
 in any direction, incidences of 0 to 75 degrees, 5 to 5,000 points a scan, planar ground.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

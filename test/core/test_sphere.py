@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sphere S^2: identities, round trips, numeric Jacobians, the errata of Eq. 5 and 9."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core import kernels

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roughness density (Eq. 55), exceptions (Eq. 48) and the check of the range noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (
@@ -115,13 +113,6 @@ def test_wild_points_count_at_most_the_clip():
     assert roughness[1000.0] > 15.0
     own = 64.0 * 0.5 / (2 * 4096)
     assert roughness[0.5] == pytest.approx(0.5 * roughness[1000.0] + own, rel=0.02)
-
-
-def test_the_noise_floor_is_what_noise_makes_of_few_points():
-    """Four points a cell and scan: the common offset takes one."""
-    config = fixed(4, 0.05)
-    leaves = mapped(config, flat(), density=4.0, scans=60).leaves.rows
-    assert leaves.distance_sum.sum() == pytest.approx(leaves.noise_sum.sum(), rel=0.04)
 
 
 def test_exceptions_that_noise_makes_are_foreseen():

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans that take time: every point is where the lidar saw it from, and waits for that pose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import configured

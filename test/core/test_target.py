@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The target: it stays while landing there is permitted; a number lasts as long as its place."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -451,15 +449,6 @@ def test_waiting_gains_by_the_choice_and_loses_by_the_reach(level_ground):
     selector = LandingSiteSelector(by_risk())
     gains = [selector.assess(level_ground, vehicle=(z, 2.0, 8.1, 8.1)).gain for z in (40.0, 9.0)]
     assert 0.0 < gains[0] < 0.01 and gains[1] < -0.9
-
-
-def test_other_limits_do_not_release_the_target(level_ground):
-    selector = LandingSiteSelector(small())
-    held = target_of(selector, level_ground).selected
-    selector.configure(small(sites=2))
-    assert selector.assess(level_ground).selected.id == held.id
-    selector.release()
-    assert selector.assess(level_ground).selected.reason is Reason.RELEASED
 
 
 def test_covariance_is_that_of_drawn_maps():

@@ -184,19 +184,6 @@ def test_a_looping_bag_is_taken_up_again_within_a_pose(poses_first):
     assert buffer.jumps + queue.jumps >= 1
 
 
-def test_a_single_wrong_stamp_ahead_costs_one_scan_and_no_map():
-    buffer = PoseBuffer(30 * SECOND, 150 * MS)
-    queue = queue_of(buffer)
-    mapped = []
-    for t in range(0, 3000, 100):
-        buffer.add(plain_pose(t * MS))
-        stamp = t + 1_000_000 if t == 1500 else t - 50
-        queue.push_scan(stamp * MS, t, t * MS)
-        mapped += [scan for _, scan, _ in queue.pop_ready()]
-        queue.expire(t * MS)
-    assert mapped == [t for t in range(100, 3000, 100) if t != 1500]
-
-
 @settings(max_examples=80, deadline=None)
 @given(data=st.data(), latency=st.integers(0, 250), period=st.integers(20, 90))
 def test_when_it_is_asked_for_does_not_change_what_comes_out(data, latency, period):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ground that is seen but not yet mapped is as bad as unseen; heights keep to what was measured."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

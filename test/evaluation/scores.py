@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results and truth files made up so that every score is known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Consistency of maps over simulated bags."""
 
-from __future__ import annotations
-
 import pytest
 from replay.recordings import write_ros2
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prefit residuals: their distribution by Monte Carlo, their formula by its definition."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from core.builders import (

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results, truth and bag of different flights are told; of one flight they are taken."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

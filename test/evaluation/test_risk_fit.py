@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fit of a risk model finds what made-up landings were made with; its command; its file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from unittest import mock
 

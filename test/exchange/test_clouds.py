@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point clouds of every format: what is written by its library comes back, and else one line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from installed import error_without

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Elevation models from NPZ and GeoTIFF."""
 
-from __future__ import annotations
-
 import struct
 import zipfile
 from io import BytesIO

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses in TUM's form and in CSV."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

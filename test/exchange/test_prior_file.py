@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``prior.file``: units, places, what is no prior; and what replay and flight make of it."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages made of plain attributes, as a publisher with any layout would send them."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

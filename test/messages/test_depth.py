@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth images to points: units, rays, distortion undone, decimation, edges, what is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scan that misses the domain: the usual mistakes about axes and frames are recognised."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

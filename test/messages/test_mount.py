@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of the body and the lidar's mount on it give the poses of the lidar."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scanning lidars: times in every driver's layout, and a map that motion does not bend."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

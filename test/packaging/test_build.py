@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The core is compiled, of the sources beside it, and what is not is refused in one line."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import shutil

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the launch file builds of its arguments, told by a small stand-in for `launch`."""
 
-from __future__ import annotations
-
 import os
 import re
 import runpy

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lock file holds all of constraints.txt with hashes, and that is all that is needed."""
 
-from __future__ import annotations
-
 import re
 from importlib import metadata
 from pathlib import Path

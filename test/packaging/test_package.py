@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The installed package is what ROS and pip expect, and the same as the checkout."""
 
-from __future__ import annotations
-
 import ast
 import importlib.metadata
 import importlib.util

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """docs/parameters.md is what the table says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from quadtree_lss.desk.commands.explained import parameter_table

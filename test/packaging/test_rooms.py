@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wings and rooms: which may import which, so that what flies needs neither desk nor lab."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is missing to compile is said first, in one line that names what to install."""
 
-from __future__ import annotations
-
 import runpy
 import subprocess
 import sys

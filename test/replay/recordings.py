@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags for tests, written with rosbags: a lidar that looks straight down on a gentle slope."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import numpy as np
@@ -57,16 +55,11 @@ class Recorder:
         sequence = {"seq": 0} if self.ros1 else {}
         return self.type("std_msgs/msg/Header")(**sequence, stamp=stamp, frame_id=frame)
 
-    def cloud(self, stamp_ns, points, times=None):
-        """``times`` (H, W), ns after the stamp, become a field ``t`` as Ouster has it."""
+    def cloud(self, stamp_ns, points):
         field = self.type("sensor_msgs/msg/PointField")
         points = np.asarray(points, dtype="<f4")
         height, width, _ = points.shape
         fields = [field(name, 4 * k, 7, 1) for k, name in enumerate("xyz")]
-        if times is not None:
-            fields.append(field("t", 12, 6, 1))
-            words = np.asarray(times, dtype="<u4").view("<f4")[..., None]
-            points = np.concatenate([points, words], axis=-1)
         return self.type(CLOUD)(
             header=self.header(stamp_ns, "lidar"),
             height=height,
@@ -110,21 +103,6 @@ def flight(
         points = np.stack([right * depth, down * depth, depth], axis=-1)
         for topic in scan_topics:
             recorder.write(topic, recorder.cloud(scan, points), CLOUD, scan + 5_000_000)
-
-
-def descent(recorder):
-    """Poses at 50 Hz and scans of 80 ms, row by row, of level ground that comes up at 20 m/s."""
-    side = np.linspace(-0.25, 0.25, 24)
-    right, down = np.meshgrid(side, side)
-    late = np.repeat(np.linspace(0, 80_000_000, 24).astype(np.int64)[:, None], 24, axis=1)
-    for k in range(26):
-        stamp = START + k * SECOND // 50
-        recorder.write("/nav/pose", recorder.pose(stamp, (0.0, 0.0, 60.0 - 0.4 * k)), POSE, stamp)
-        if k % 5 == 0 and k < 20:
-            depth = 60.0 - 0.4 * k - 20.0 * late / SECOND
-            points = np.stack([right * depth, down * depth, depth], axis=-1)
-            cloud = recorder.cloud(stamp, points, late)
-            recorder.write("/lidar/points", cloud, CLOUD, stamp + 90_000_000)
 
 
 class LandingRecorder(Recorder):

@@ -129,11 +129,6 @@ def test_options_that_do_not_go_together_are_named(capsys):
     assert code == 2 and "--no-report, --record do not go with --publish" in err
 
 
-def test_a_number_is_the_same_in_a_file_and_after_set(capsys):
-    out = run(capsys, "config", "--set", "lidar.range_noise=6e-2", "--plain")[1]
-    assert "range_noise: 0.06" in out
-
-
 @pytest.mark.parametrize("command", ["replay", "info", "config", "simulate", "evaluate"])
 def test_help_has_examples(capsys, command):
     code, out, _ = run(capsys, command, "--help")
@@ -170,13 +165,6 @@ def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     several = run(capsys, "evaluate", out, tmp_path / "other", "--truth", truth, "--json")
     runs = json.loads(several[1])["runs"]
     assert runs["results"]["elevation"] == runs["other"]["elevation"] == one["elevation"]
-
-
-def test_json_of_a_simulation(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    flight = ["--duration", "2", "--seed", "3", "--out", "flight/bag", "--json"]
-    made = json.loads(run(capsys, "simulate", "parabola", *flight)[1])
-    assert made["scans"] == 3 and made["bag_path"] == "flight/bag" and not made["interrupted"]
 
 
 def test_publishing_without_ros_says_so(bag, capsys, monkeypatch):

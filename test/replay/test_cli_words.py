@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the command line says: what was likely meant, all errors at once, narrow terminals."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import io

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point clouds without a bag: the same map as of a bag with the same scans and poses."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two results compared without truth: made ground with a known change between them."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

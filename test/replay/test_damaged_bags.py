@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Damage costs what it hits and is told; what could take gigabytes or for ever is not begun."""
 
-from __future__ import annotations
-
 import bz2
 import sqlite3
 import struct

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Landing sites straight on an elevation model."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

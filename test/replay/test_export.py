@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results for other programs, read back by other programs' libraries."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import xml.etree.ElementTree as ElementTree

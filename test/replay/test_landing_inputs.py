@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Areas, keep-outs and targets offline: of the bag and of the command line."""
 
-from __future__ import annotations
-
 import functools
 import json
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of a bag as Odometry, mounts from its /tf_static: the same map as told the other way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from replay.recordings import GROUND, POSE, START, Recorder, flight, recording

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results read back from their folder, plotted, and a bag mapped scan by scan."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure

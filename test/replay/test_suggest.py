@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``config suggest``: domain, noise and cells from a bag, and that they do."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -66,13 +64,6 @@ def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
     assert 5.0 < diameter * 2**config.domain.max_level / config.domain.size < 18.0
     assert ("too coarse for a vehicle of" in out) == sparse
     assert run(capsys, "config", "suggest", flight, "--vehicle", "small")[0] == 2
-
-
-def test_ground_above_the_lidar_is_told(flight):
-    turned = load_config((), {"mount.axes": "flu_to_optical"})
-    text = suggest_config(flight, turned).text()
-    sound = suggest_config(flight, load_config()).text()
-    assert "above the lidar" not in sound and ("above the lidar" in text or "domain" in text)
 
 
 def test_nothing_to_suggest_from_says_why(tmp_path, capsys):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes as real processes, each test in a ROS domain of its own on this computer alone."""
 
-from __future__ import annotations
-
 import importlib.util
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``autopilot_node`` as a process, between a model of an autopilot and what lss_node says."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -2,8 +2,6 @@
 """Ten thousand messages that cannot be used, over DDS, beside good ones: both nodes live, and the
 map is what it is without them."""
 
-from __future__ import annotations
-
 import functools
 import math
 from array import array

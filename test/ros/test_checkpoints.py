@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checkpoints of a running node: taken up, set aside, left alone, and what is told."""
 
-from __future__ import annotations
-
 import functools
 import resource
 import shutil

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A depth camera instead of a lidar: images and CameraInfo of a running mapping_node."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ros_scene import POSITION, SCAN_NS, START_NS, Sensors, pose

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``quadtree-lss doctor`` looks at what is live."""
 
-from __future__ import annotations
-
 import subprocess
 
 import pytest

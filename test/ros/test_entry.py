@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How nodes begin and end: signals at any moment, and stamps of the maps in between."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The installed example as a process."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes' executor: everything of a node is served, and nothing wakes it for nothing."""
 
-from __future__ import annotations
-
 import threading
 import time
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What goes wrong on a vehicle: nodes count it, say so, keep the map and go on."""
 
-from __future__ import annotations
-
 import functools
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A square that follows, in nodes: the vehicle as offline, and the landing area."""
 
-from __future__ import annotations
-
 import pytest
 from geometry_msgs.msg import PolygonStamped
 from replay.recordings import write_ros2

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag with body poses and a gimbal: the nodes and the replay make the same map of it."""
 
-from __future__ import annotations
-
 import subprocess
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``landing/grid_map`` live, where ``grid_map_msgs`` is installed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

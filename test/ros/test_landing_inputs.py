@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """No site inside a keep-out or outside an area that lss_node was told or could have read."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Map files: whole at any moment, and nothing else is harmed."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Markers: what the serialised ones contain, and when they are sent."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from pathlib import Path

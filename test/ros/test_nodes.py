@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes as processes over DDS."""
 
-from __future__ import annotations
-
 import functools
 import signal
 import subprocess

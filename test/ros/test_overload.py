@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans that come faster than they can be mapped: the map stays young, or it is told."""
 
-from __future__ import annotations
-
 import functools
 import sys
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Playing a bag into a running node: it can be held up and loses nothing by it."""
 
-from __future__ import annotations
-
 import functools
 import os
 import pty

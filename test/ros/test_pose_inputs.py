@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses as odometry, and a mount from /tf_static, of a running mapping_node."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A prior in mapping_node: what it says of it, and that it maps without one it cannot use."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped

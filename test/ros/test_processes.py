@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Domains of their own for processes that are started at the same time."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

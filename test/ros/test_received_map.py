@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A refused map is never received: its age runs, the status says so, sites are withdrawn."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import signal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The SROS 2 policy names what the nodes use, no less and no more."""
 
-from __future__ import annotations
-
 import functools
 import subprocess
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Services of mapping_node, landing inputs of lss_node, levels of the diagnostics."""
 
-from __future__ import annotations
-
 import functools
 import time
 

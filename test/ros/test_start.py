@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What nodes say when they start and first succeed, and of a state that lasts."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``landing/selected`` over DDS: held, withdrawn with a reason, released, and missed when dead."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -16,7 +14,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 from ros.conftest import process
-from ros_scene import BLOCK
 from ros_vehicle import Vehicle, flat_map, polygon
 from sensor_msgs.msg import PointCloud2
 
@@ -235,21 +232,3 @@ def test_the_target_is_said_again_while_a_pass_is_at_work(ros, pilot):
         assert pilot.listener.wait_for(lambda: pilot.status()["answer"] > before + 1, timeout=30.0)
     late = np.diff(heard)
     assert late.max() < 1.0, late
-
-
-@pytest.mark.parametrize("weight", [0.0, 0.5])
-def test_the_sun_counts_once_it_is_weighed(ros, pilot, weight):
-    """A block 1 m high throws 12 m of shadow to the west, over ground that falls by 2 % there."""
-    wait, edge = pilot.listener.wait_for, BLOCK[0]
-    shaded = edge - 1.0 / (np.tan(np.radians(6.0)) - 0.02)
-    lss = ros.start("lss_node")
-    pilot.send("landing/area", polygon([(-15, -8), (edge, -8), (edge, -3), (-15, -3)]))
-    pilot.send_map(0)
-    assert wait(pilot.has_target), lss.output()
-    sun = {"light.azimuth": 90.0, "light.elevation": 6.0, "lss.weight_shadow": weight}
-    for name, value in sun.items():
-        assert ros.set(pilot.listener, "lss_node", name, value).successful
-    before = pilot.status()["answer"]
-    assert ros.call(pilot.listener, "/lss_node/release").success
-    assert wait(functools.partial(pilot.has_target, before)), lss.output()
-    assert wait(lambda: pilot.place()[0] < shaded, timeout=3.0) == (weight > 0.0), lss.output()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ray caster against surfaces whose intersections are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

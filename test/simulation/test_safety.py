@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact simulation against plain loops and on ground whose answer is known."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

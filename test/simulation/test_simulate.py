@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags and truth files as a reader finds them."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Terrain: interpolation, rock sizes, files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

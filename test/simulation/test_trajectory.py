@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the lidar flies and looks, and what the navigation makes of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
