@@ -134,12 +134,13 @@ def test_a_gain_less_than_it_is_uncertain_by_moves_nothing():
 
 
 def test_a_divert_costs_more_the_lower_it_begins():
-    for height, moves in ((200.0, True), (41.0, False), (2.0, False)):
+    for height, moves in ((200.0, True), (62.0, True), (58.0, False), (41.0, False), (2.0, False)):
         keeper, wide = TargetKeeper(), AXIS * 10.0
         seen = ground([1, 1, 1, 0.5], axis=wide)
         choose(keeper, seen, seen)
         better = ground([1, 1, 1, 2.0], axis=wide)
-        # 30 m: half of the reach at 41 m of height, where 0.5 of margin are 1.9.
+        # 30 m are half of the reach at 59 m of height, where the margin is twice 0.5, and the gain
+        # is 1; at 41 m they are beyond it.
         descent = Descent(height, 3.8)
         choice = choose(keeper, better, better, descent=descent)
         assert (choice.place == (0, 3)) is moves, descent.reach
