@@ -100,7 +100,7 @@ class ScanUpdate:
         self.now = self.common_at = now
         self.common_is = 1.0
         self.residual = np.empty(count)
-        self.heights = Heights(min(count, 1024))
+        self.heights = Heights(count)
         self.divisions = self.refused = self.rested = 0
         self._gather()
 
