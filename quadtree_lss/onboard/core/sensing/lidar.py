@@ -101,6 +101,6 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
 
 def sound_covariance(covariance: Array) -> Array:
     """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
-    values, vectors = eigen(covariance)
-    root = vectors * np.sqrt(np.minimum(np.maximum(values, 0.0), MAX_VARIANCE))
+    values, root = eigen(covariance)
+    root *= np.sqrt(np.minimum(np.maximum(values, 0.0), MAX_VARIANCE))
     return product(root, root.T)
