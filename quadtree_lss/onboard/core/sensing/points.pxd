@@ -21,6 +21,8 @@ cpdef void turn(
     double[:, ::1] points,
     double[::1] ranges,
     int[::1] codes,
+    long long[::1] runs,
+    int[::1] begins,
     long long[::1] counts,
 )
 cpdef bint reach_beyond(const Coordinate[:, :] points, double limit)

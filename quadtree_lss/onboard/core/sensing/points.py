@@ -30,6 +30,8 @@ def turn(
     points: Array,
     ranges: Array,
     codes: Ints,
+    runs: Keys,
+    begins: Ints,
     counts: Keys,
 ) -> cython.void:
     """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
@@ -43,8 +45,9 @@ def turn(
         points: (N, 3) for the answer.
         ranges: (N,) for their ranges, NaN where there is no return.
         codes: (N,) for the Morton codes of the finest cells; ``count`` squared for none.
-        counts: (4,) for how many are not finite, out of range, in a cell, and of these above the
-            origin.
+        runs, begins: For what `find_runs` tells of the codes.
+        counts: (5,) for how many are not finite, out of range, in a cell, of these above the
+            origin, and how many runs there are.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
@@ -53,12 +56,15 @@ def turn(
     above: cython.longlong = 0
     cython.declare(x=cython.double, y=cython.double, z=cython.double, k=cython.Py_ssize_t)
     at: cython.Py_ssize_t = 0
+    run: cython.Py_ssize_t = -1
+    last: cython.longlong = -1
     cython.declare(code=cython.longlong)
     nowhere: cython.longlong = count * count
     side: cython.double = count
     moving: cython.bint = offsets.shape[0] > 0
     nearest: cython.double = max(least, 5e-324)  # more than nothing
     r = cython.declare(cython.double[12])
+    begins[0] = 0
     with cython.nogil:
         for k in range(12):
             r[k] = motion[0, k]
@@ -99,10 +105,15 @@ def turn(
                 else:
                     missing += 1
             codes[i] = code
+            run += code != last
+            last = code
+            runs[run] = (code << PLACE_BITS) | run
+            begins[run + 1] = i + 1
     counts[0] = missing
     counts[1] = beyond
     counts[2] = inside
     counts[3] = above
+    counts[4] = run + 1
 
 
 @cython.boundscheck(False)
