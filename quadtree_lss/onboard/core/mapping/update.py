@@ -108,20 +108,28 @@ class ScanUpdate:
 
     @cython.boundscheck(False)
     def _gather(self) -> None:
-        """The runs of points that share a leaf."""
-        i: cython.Py_ssize_t
+        """The runs of points that share a leaf: in steps that double until one leads out of it, and
+        then halve."""
+        i: cython.Py_ssize_t = 0
+        step: cython.Py_ssize_t
         cells: cython.Py_ssize_t = 0
         count: cython.Py_ssize_t = len(self.key)
-        last: cython.Py_ssize_t = -1
         row: cython.Py_ssize_t
         self.begins, self.rows = self.room.begins, self.room.rows
-        for i in range(count):
+        while i < count:
             row = self.table.over[self.key[i]]
-            if row != last:
-                self.begins[cells] = i
-                self.rows[cells] = row
-                cells += 1
-                last = row
+            self.begins[cells] = i
+            self.rows[cells] = row
+            cells += 1
+            step = 1
+            while i + step < count and self.table.over[self.key[i + step]] == row:
+                i += step
+                step *= 2
+            while step > 1:
+                step //= 2
+                if i + step < count and self.table.over[self.key[i + step]] == row:
+                    i += step
+            i += 1
         self.begins[cells] = count
         self.cells = cells
         self.room.hold_runs(cells + self.table.max_level + 1)
