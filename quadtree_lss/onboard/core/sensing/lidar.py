@@ -101,4 +101,5 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
 
 def sound_covariance(covariance: Array) -> Array:
     """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
-    return limited(covariance, MAX_VARIANCE)
+    sound: Array = limited(covariance, MAX_VARIANCE)
+    return sound

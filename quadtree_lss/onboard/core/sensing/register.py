@@ -123,7 +123,7 @@ def register(
     if sound and not inside:
         middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
     if isolated:
-        above = np.count_nonzero(points[:inside, 2] > 0.0)
+        above = int(np.count_nonzero(points[:inside, 2] > 0.0))
     above = inside if 2 * above > inside else 0
     scan = RegisteredScan(
         pose=Pose(
