@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory for what is found of one scan, kept for the next: fresh memory costs as much as much of
-the work in it, and so does telling NumPy what a record is."""
+"""Memory for what is found of one scan, kept for the next.
+
+To ask for it anew and to tell what its records are took a twentieth of a scan.
+"""
 
 from __future__ import annotations
 
