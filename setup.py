@@ -60,7 +60,8 @@ def extensions():
 
 def kernel(path, root=Path()):
     name = ".".join(path.with_suffix("").parts)
-    return Extension(name, [str(root / path)], extra_compile_args=COMPILE)
+    # Without the library's name exp is that of the oldest C library: a hundredth of a scan slower.
+    return Extension(name, [str(root / path)], extra_compile_args=COMPILE, libraries=["m"])
 
 
 def forget_what_changed(state):

@@ -138,7 +138,7 @@ def offset_of(
 def weighted_median(values: Array, weights: Array) -> float:
     """The value of (N,), one at least, up to which in their order half of the weights (N,) lie."""
     i: cython.Py_ssize_t = 0
-    order = cython.declare(cython.Py_ssize_t[::1], np.argsort(values))
+    order = cython.declare(cython.Py_ssize_t[::1], values.argsort())
     value = cython.declare(cython.double[:], values)
     weight = cython.declare(cython.double[:], weights)
     total = below = 0.0

@@ -4,7 +4,8 @@ from quadtree_lss.onboard.core.mapping.measure cimport Rules
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 
 cdef class Heights:
-    cdef double[::1] x, y, z
+    cdef Py_ssize_t[::1] near
+    cdef double[::1] x, y, z, bell
     cdef Py_ssize_t count
     cdef double weight
     cdef void clear(self, double weight) noexcept nogil

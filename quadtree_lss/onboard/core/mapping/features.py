@@ -42,12 +42,12 @@ SETTLED = cython.declare(cython.double, 5e-2)
 
 
 class Heights:
-    """Heights of one scan over one cell, those that may tell of a feature; room for a scan's."""
+    """Heights of one scan over one cell, those that may tell of a feature; ``near``: which of the
+    scan's ``most`` points lie near it."""
 
     def __init__(self, most: int) -> None:
-        self.x = np.empty(most)
-        self.y = np.empty(most)
-        self.z = np.empty(most)
+        self.near = np.empty(most + 1, dtype=np.intp)
+        self.x, self.y, self.z, self.bell = np.empty((4, MAX_SAMPLES))
         self.count = 0
         self.weight = 0.0
 
@@ -104,7 +104,8 @@ def _linearise(
     cost = sum (z - h(X))^2 / variance + (X - mean)^T information (X - mean), returned; the
     measurements' part of it is system[30], all of it system[31].
     """
-    # Whole rows of sums, of which the lower half is not used, are computed two at a time.
+    # Whole rows of sums, of which the lower half is not used, are computed two at a time, and apart
+    # from calls of the exponential function, over which a processor keeps no sums.
     row = cython.declare(cython.double[6])
     total = cython.declare(cython.double[30])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int)
@@ -113,13 +114,18 @@ def _linearise(
     level, root, x, y, sigma = state[0], state[1], state[2], state[3], state[4]
     inverse = 1.0 / (sigma * sigma)
     twice = root * inverse / PI
+    for i in range(heights.count):
+        dx = heights.x[i] - x
+        dy = heights.y[i] - y
+        square = (dx * dx + dy * dy) * inverse
+        heights.bell[i] = exp(-0.5 * square) if square < 80.0 else 0.0
     row[0] = 1.0
     cost = 0.0
     for i in range(heights.count):
         dx = heights.x[i] - x
         dy = heights.y[i] - y
         square = (dx * dx + dy * dy) * inverse
-        row[1] = twice * exp(-0.5 * square) if square < 80.0 else 0.0
+        row[1] = twice * heights.bell[i]
         bump = 0.5 * root * row[1]
         row[2] = dx * bump * inverse
         row[3] = dy * bump * inverse
@@ -321,6 +327,7 @@ def update_feature(
     state = cython.declare(cython.double[5])
     information = cython.declare(cython.double[25])
     cython.declare(i=cython.Py_ssize_t, k=cython.int, stride=cython.Py_ssize_t)
+    cython.declare(at=cython.Py_ssize_t)
     inside: cython.Py_ssize_t = 0
     held: cython.Py_ssize_t = 0
     raised: cython.Py_ssize_t = 0
@@ -351,20 +358,17 @@ def update_feature(
         for k in range(25):
             information[k] = 1.0 if k % 6 == 0 else 0.0
     reach = min(max(WINDOW * state[4], 0.5), side)
-    if end - begin > MAX_SAMPLES:
-        for i in range(begin, end):
-            dx = points[i, 0] - x
-            dy = points[i, 1] - y
-            inside += fabs(dx - state[2]) <= reach and fabs(dy - state[3]) <= reach
-    stride = max((inside + MAX_SAMPLES - 1) // MAX_SAMPLES, 1)
-    inside = 0
     for i in range(begin, end):
-        dx = points[i, 0] - x
-        dy = points[i, 1] - y
-        if fabs(dx - state[2]) <= reach and fabs(dy - state[3]) <= reach:
-            if inside % stride == 0:
-                heights.add(dx, dy, residual[i] / up)
-            inside += 1
+        # Without a branch, which nobody could foretell.
+        heights.near[inside] = i
+        off = max(fabs(points[i, 0] - x - state[2]), fabs(points[i, 1] - y - state[3]))
+        inside += off <= reach
+    stride = (inside + MAX_SAMPLES - 1) // MAX_SAMPLES
+    at = 0
+    while at < inside:
+        i = heights.near[at]
+        heights.add(points[i, 0] - x, points[i, 1] - y, residual[i] / up)
+        at += stride
     if not known and promise(heights, state) < 0.5 * SIGNIFICANCE:
         return
     total = square = 0.0

@@ -32,6 +32,7 @@ from quadtree_lss.onboard.core.mapping.departure import Departure, departure
 from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors, Steps
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorMatch, PriorOffset
+from quadtree_lss.onboard.core.mapping.room import Room
 from quadtree_lss.onboard.core.mapping.update import ScanUpdate
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS
@@ -106,6 +107,7 @@ class Mapper:
         self._prior = None if prior is None else PriorMatch(prior, self.domain)
         self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
+        self._room = Room()
         self.reset()
 
     def __repr__(self) -> str:
@@ -236,7 +238,7 @@ class Mapper:
     ) -> tuple[ScanUpdate, Array, Departure | None]:
         """A scan fitted to the leaves, its cells beside the map's, and what they have in common."""
         beginning = None if self._prior is None else self._prior.beginning(self.domain)
-        change = ScanUpdate(self.leaves, self._rules, scan, now, beginning)
+        change = ScanUpdate(self.leaves, self._rules, scan, now, beginning, self._room)
         change.fit()
         cells = change.compare()
         return change, cells, self._departure(scan, cells, now)

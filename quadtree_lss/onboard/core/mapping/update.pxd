@@ -3,8 +3,9 @@ from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge
-from quadtree_lss.onboard.core.mapping.features cimport Heights, update_feature
+from quadtree_lss.onboard.core.mapping.features cimport update_feature
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, measure, partial, pose_variance, record
+from quadtree_lss.onboard.core.mapping.room cimport Room
 from quadtree_lss.onboard.core.mapping.residuals cimport departs, rest, standing_out
 from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
 
@@ -13,7 +14,7 @@ cdef void know(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py
 cdef class ScanUpdate:
     cdef LeafTable table
     cdef Rules rules
-    cdef Heights heights
+    cdef Room room
     cdef double[:, ::1] points
     cdef double[::1] residual
     cdef long long[::1] key

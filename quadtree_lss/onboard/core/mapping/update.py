@@ -9,8 +9,8 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys
 from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
 from quadtree_lss.onboard.core.geometry.sphere import Vector
-from quadtree_lss.onboard.core.mapping.features import Heights
-from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.mapping.measure import Rules
+from quadtree_lss.onboard.core.mapping.room import KEPT_POINTS, Room
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
@@ -71,7 +71,7 @@ class ScanUpdate:
         cells: Leaves that the scan touches.
         divisions, refused: Cells divided, and divisions for which there was no room.
         ratio: (2, R) of the cells in which points came to rest and that tell the range noise:
-            observed over configured deviation, and points.
+            observed over configured deviation, and points; until the next scan.
 
     Of a prior, ``beginning`` holds what `prior.Planes.beginning` says of the coarsest cells.
     """
@@ -83,6 +83,7 @@ class ScanUpdate:
         scan: RegisteredScan,
         now: float,
         beginning: Array | None = None,
+        room: Room | None = None,
     ) -> None:
         count = len(scan.key)
         self.table = table
@@ -99,33 +100,40 @@ class ScanUpdate:
         self.aligned = False
         self.now = self.common_at = now
         self.common_is = 1.0
-        self.residual = np.empty(count)
-        self.heights = Heights(min(count, 1024))
+        self.room = Room() if room is None or count > KEPT_POINTS else room
+        self.room.hold(count)
+        self.residual = self.room.residual
         self.divisions = self.refused = self.rested = 0
         self._gather()
 
     @cython.boundscheck(False)
     def _gather(self) -> None:
-        """The runs of points that share a leaf."""
-        i: cython.Py_ssize_t
+        """The runs of points that share a leaf: in steps that double until one leads out of it, and
+        then halve."""
+        i: cython.Py_ssize_t = 0
+        step: cython.Py_ssize_t
         cells: cython.Py_ssize_t = 0
         count: cython.Py_ssize_t = len(self.key)
-        last: cython.Py_ssize_t = -1
         row: cython.Py_ssize_t
-        begins = np.empty(count + 1, dtype=np.intp)
-        rows = np.empty(count, dtype=np.intp)
-        self.begins, self.rows = begins, rows
-        for i in range(count):
+        self.begins, self.rows = self.room.begins, self.room.rows
+        while i < count:
             row = self.table.over[self.key[i]]
-            if row != last:
-                self.begins[cells] = i
-                self.rows[cells] = row
-                cells += 1
-                last = row
+            self.begins[cells] = i
+            self.rows[cells] = row
+            cells += 1
+            step = 1
+            while i + step < count and self.table.over[self.key[i + step]] == row:
+                i += step
+                step *= 2
+            while step > 1:
+                step //= 2
+                if i + step < count and self.table.over[self.key[i + step]] == row:
+                    i += step
+            i += 1
         self.begins[cells] = count
         self.cells = cells
-        runs = np.empty(cells + self.table.max_level + 1, dtype=RUN)
-        self.runs = runs if cython.compiled else runs.view(np.recarray)
+        self.room.hold_runs(cells + self.table.max_level + 1)
+        self.runs = self.room.runs
 
     def fit(self) -> None:
         """Fit every touched leaf."""
@@ -196,8 +204,7 @@ class ScanUpdate:
         """Fuse, judge and divide until no cell asks for it; then count the residuals."""
         cython.declare(i=cython.Py_ssize_t, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
         cython.declare(levels=cython.Py_ssize_t)
-        self.ratio = np.empty((2, len(self.key)))
-        self.ratios, self.weights = self.ratio[0], self.ratio[1]
+        self.ratios, self.weights = self.room.ratios, self.room.weights
         with cython.nogil:
             for i in range(self.cells):
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
@@ -208,7 +215,7 @@ class ScanUpdate:
                     with cython.gil:
                         self.table.reserve(levels)
                 self._settle(self.rows[i], begin, end, record(self.runs, i), False)
-        self.ratio = self.ratio[:, : self.rested]
+        self.ratio = self.room.ratio[:, : self.rested]
 
     def _measure(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
@@ -592,5 +599,5 @@ class ScanUpdate:
                 self.table.side(leaf.level),
                 run.variance,
                 run.greatest,
-                self.heights,
+                self.room.heights,
             )

@@ -21,15 +21,17 @@ cpdef void turn(
     double[:, ::1] points,
     double[::1] ranges,
     int[::1] codes,
+    long long[::1] runs,
+    int[::1] begins,
     long long[::1] counts,
 )
 cpdef bint reach_beyond(const Coordinate[:, :] points, double limit)
 cpdef Py_ssize_t find_runs(int[::1] codes, long long[::1] runs, int[::1] begins)
 cpdef void arrange(
-    double[:, ::1] points,
+    double[::1] points,
     long long[::1] runs,
     int[::1] begins,
-    double[:, ::1] arranged,
+    double[::1] arranged,
     long long[::1] keys,
     Py_ssize_t count,
 )

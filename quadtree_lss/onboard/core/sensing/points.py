@@ -30,6 +30,8 @@ def turn(
     points: Array,
     ranges: Array,
     codes: Ints,
+    runs: Keys,
+    begins: Ints,
     counts: Keys,
 ) -> cython.void:
     """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
@@ -43,20 +45,26 @@ def turn(
         points: (N, 3) for the answer.
         ranges: (N,) for their ranges, NaN where there is no return.
         codes: (N,) for the Morton codes of the finest cells; ``count`` squared for none.
-        counts: (3,) for how many are not finite, out of range, in a cell.
+        runs, begins: For what `find_runs` tells of the codes.
+        counts: (5,) for how many are not finite, out of range, in a cell, of these above the
+            origin, and how many runs there are.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
     beyond: cython.longlong = 0
     inside: cython.longlong = 0
+    above: cython.longlong = 0
     cython.declare(x=cython.double, y=cython.double, z=cython.double, k=cython.Py_ssize_t)
     at: cython.Py_ssize_t = 0
+    run: cython.Py_ssize_t = -1
+    last: cython.longlong = -1
     cython.declare(code=cython.longlong)
     nowhere: cython.longlong = count * count
     side: cython.double = count
     moving: cython.bint = offsets.shape[0] > 0
     nearest: cython.double = max(least, 5e-324)  # more than nothing
     r = cython.declare(cython.double[12])
+    begins[0] = 0
     with cython.nogil:
         for k in range(12):
             r[k] = motion[0, k]
@@ -76,7 +84,8 @@ def turn(
                     share = (offsets[i] - times[at]) / (times[at + 1] - times[at])
                     for k in range(12):
                         r[k] = motion[at, k] + share * (motion[at + 1, k] - motion[at, k])
-                points[i, 2] = r[6] * x + r[7] * y + r[8] * z + r[11]
+                up = r[6] * x + r[7] * y + r[8] * z + r[11]
+                points[i, 2] = up
                 east = r[0] * x + r[1] * y + r[2] * z + r[9]
                 north = r[3] * x + r[4] * y + r[5] * z + r[10]
                 points[i, 0] = east
@@ -87,6 +96,7 @@ def turn(
                     code = spread[cython.cast(cython.Py_ssize_t, column)]
                     code |= spread[cython.cast(cython.Py_ssize_t, row)] << 1
                     inside += 1
+                    above += up > 0.0
             else:
                 ranges[i] = NAN
                 # The square of an absurd coordinate may be infinite though it is not.
@@ -95,9 +105,15 @@ def turn(
                 else:
                     missing += 1
             codes[i] = code
+            run += code != last
+            last = code
+            runs[run] = (code << PLACE_BITS) | run
+            begins[run + 1] = i + 1
     counts[0] = missing
     counts[1] = beyond
     counts[2] = inside
+    counts[3] = above
+    counts[4] = run + 1
 
 
 @cython.boundscheck(False)
@@ -136,15 +152,16 @@ def find_runs(codes: Ints, runs: Keys, begins: Ints) -> cython.Py_ssize_t:
 def arrange(
     points: Array, runs: Keys, begins: Ints, arranged: Array, keys: Keys, count: cython.Py_ssize_t
 ) -> cython.void:
-    """Copy points run by run to ``arranged`` (M + 3, 3), the key of each to ``keys``; ``count`` is
+    """Copy points run by run to ``arranged`` (3 M + 9,), the key of each to ``keys``; ``count`` is
     M.
 
     How long a run is, nobody could foretell: four points of each are copied, the next run replaces
-    what is too much, and the last three of ``points`` (N + 3, 3) are anything. ``runs`` are sorted;
+    what is too much, and the last three of ``points`` (3 N + 9,) are anything. ``runs`` are sorted;
     those of points in no cell, the last, are left.
     """
+    four = cython.declare(cython.double[12])
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
-    cython.declare(k=cython.int, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
+    cython.declare(begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
     key: cython.longlong
     to: cython.Py_ssize_t = 0
     with cython.nogil:
@@ -154,12 +171,14 @@ def arrange(
             key = runs[i] >> PLACE_BITS
             run = runs[i] - (key << PLACE_BITS)
             begin, end = begins[run], begins[run + 1]
+            for j in range(12):
+                four[j] = points[3 * begin + j]
+            for j in range(12):
+                arranged[3 * to + j] = four[j]
             for j in range(4):
-                for k in range(3):
-                    arranged[to + j, k] = points[begin + j, k]
                 keys[to + j] = key
+            for j in range(12, 3 * (end - begin)):
+                arranged[3 * to + j] = points[3 * begin + j]
             for j in range(4, end - begin):
-                for k in range(3):
-                    arranged[to + j, k] = points[begin + j, k]
                 keys[to + j] = key
             to += end - begin

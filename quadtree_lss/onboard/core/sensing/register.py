@@ -78,7 +78,7 @@ def register(
         raise ValueError(msg)
     work = _workspace(len(flat))
     turned = work.points[: len(flat)]
-    counts = np.zeros(3, np.int64)
+    counts = np.empty(5, np.int64)
     moved = still(pose.rotation_map_lidar) if sweep is None else sweep
     x, y, z = pose.position.tolist()
     n = 1 << domain.max_level
@@ -98,6 +98,8 @@ def register(
         work.points,
         work.ranges,
         work.codes,
+        work.runs,
+        work.begins,
         counts,
     )
     if points_lidar.ndim == 3:
@@ -105,22 +107,24 @@ def register(
         isolated = isolated_in_image(image, lidar.outlier_gate)
     else:
         isolated = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
-    missing, beyond, inside = counts.tolist()
+    missing, beyond, inside, above, run_count = counts.tolist()
     if isolated:
         work.codes[np.isnan(work.ranges)] = nowhere
         inside = int(np.count_nonzero(work.codes != nowhere))
+        run_count = find_runs(work.codes, work.runs, work.begins)
     if not abs(z) < HIGHEST:
-        work.codes[:], inside = nowhere, 0
+        inside = 0
     sound = len(flat) - missing - beyond - isolated
-    run_count = find_runs(work.codes, work.runs, work.begins)
     runs, spare = work.runs[:run_count], work.spare[:run_count]
     points, key = work.answer()
     ordered = spare if sort_packed(runs, spare) else runs
-    arrange(work.points, ordered, work.begins, points, key, inside)
+    arrange(work.points.reshape(-1), ordered, work.begins, points.reshape(-1), key, inside)
     middle = None
     if sound and not inside:
         middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
-    above = inside if 2 * np.count_nonzero(points[:inside, 2] > 0.0) > inside else 0
+    if isolated:
+        above = int(np.count_nonzero(points[:inside, 2] > 0.0))
+    above = inside if 2 * above > inside else 0
     scan = RegisteredScan(
         pose=Pose(
             pose.stamp_ns, pose.position, pose.rotation_map_lidar, sound_covariance(pose.covariance)

@@ -22,6 +22,8 @@ from quadtree_lss.onboard.core.sensing.mount import PoseSource
 
 #: Angle between two rotations of the table, rad: a blend errs by its square over eight.
 STEP = 2e-3
+#: No point has a time of its own, and the table that of the stamp.
+AT_ONCE, AT_STAMP = np.empty(0, dtype=np.int32), np.zeros(1)
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ def still(rotation_map_lidar: Array) -> Sweep:
     """The sweep of a scan whose points are of one time."""
     motion = np.zeros((1, 12))
     motion[0, :9] = rotation_map_lidar.ravel()
-    return Sweep(np.empty(0, dtype=np.int32), np.zeros(1), motion)
+    return Sweep(AT_ONCE, AT_STAMP, motion)
 
 
 def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
