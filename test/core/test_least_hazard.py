@@ -94,5 +94,5 @@ def test_no_pad_may_stand_on_a_block_that_leans_the_vehicle_too_far():
     allowed = found.safe[near]
     assert (~stands).sum() > 150
     # What is left lies at the rim: by the simulator's headings a pad there is just on the block.
-    assert allowed[~stands].mean() < 0.1
+    assert allowed[~stands].mean() < 0.15
     assert allowed[stands].mean() > 0.4

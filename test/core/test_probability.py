@@ -144,21 +144,6 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
         np.testing.assert_allclose(found[name][judged], means[judged], atol=1e-4)
 
 
-def test_how_well_ground_is_seen_goes_by_the_least_hazard(rough_ground):
-    """Of a lander that leans too far on something lower than its clearance."""
-    config, cells = rough_ground
-    gentle = replace(config.vehicle, max_slope_deg=5.0)
-    lower = replace(gentle, clearance=gentle.least_hazard)
-    assert lower.clearance < 0.8 * gentle.clearance
-    found = []
-    for vehicle in (config.vehicle, gentle, lower):
-        other = replace(config, vehicle=vehicle)
-        given = landed(other, cells)
-        found.append(RiskTable(MODEL, other.lss, 0.06).features(*given)[LOCAL.index("seen")])
-    np.testing.assert_array_equal(found[1], found[2])
-    assert (found[1] < found[0]).all()
-
-
 @pytest.mark.parametrize("noise", [0.06, 0.03])
 def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     config, cells = rough_ground

@@ -71,16 +71,15 @@ class RiskModel:
         P(unsafe) = 1 - product over `CAUSES` of 1 / (1 + exp z),    z = constant + sum of curves.
 
     All that the curves go by is without a unit. With c the clearance and d the diameter of the
-    vehicle and h the least height that makes it fail (`VehicleConfig.least_hazard`), in squares
-    about the place:
+    vehicle, in squares about the place:
 
     - ``rise``: how far ground rises over the worst resting plane on the map, over c; ``tilt``: the
       tangent of the steepest one's slope over that of the limit; ``rise_beside``,
       ``tilt_beside``: the greatest of the place and its four neighbours.
     - ``seen``: k, how well the ground under the lander (0.9 d) is known: the mean of log10 of the
-      returns on a square as wide as h, in the returns that would tell as much at a range noise of
-      0.2 h and cells of 0.85 h: less log10(noise / 0.2 h) and, for wider ones, 3 log10(cell /
-      0.85 h). Ground without a return counts 0.001.
+      returns on a square as wide as c, in the returns that would tell as much at a range noise of
+      0.2 c and cells of 0.85 c: less log10(noise / 0.2 c) and, for wider ones, 3 log10(cell /
+      0.85 c). Ground without a return counts 0.001.
     - ``rocks``: square root of the share of the places about (4 d) where something rises by more
       than c on ground that is level enough; ``slopes``: the mean tangent of the slope there over
       that of the limit; ``roughness``: square root of the mean deviation from the leaves' planes
