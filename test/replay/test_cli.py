@@ -324,7 +324,7 @@ def test_config_checks_files_and_explains_keys(tmp_path, capsys):
     assert "0.162 x vehicle.diameter" in run(capsys, "config", "explain", "lss.max_gap")[1]
     out = run(capsys, "config", "explain", "vehicle", "--set", "vehicle.clearance=0.08")[1]
     (line,) = (line for line in out.splitlines() if line.startswith("  rock_height "))
-    assert "0.04 m " in line and "= 0.5 x vehicle.clearance" in line
+    assert "0.04 m " in line and "= 0.5 x least_hazard" in line
     assert "did you mean" not in run(capsys, "config", "explain", "")[2]
     code, _, err = run(capsys, "config", "explain", "lss.margn")
     assert code == 1 and "lss.margin" in err

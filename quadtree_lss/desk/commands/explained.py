@@ -154,13 +154,16 @@ def _default(row: Parameter) -> str:
     return str(row.default).lower() if row.type is bool else f"{row.default}"
 
 
+def rule(name: str) -> str:
+    """How a length follows: ``0.833 x vehicle.clearance``, ``0.5 x least_hazard``."""
+    item = Lengths.__dataclass_fields__[name]
+    if item.metadata["rule"]:
+        return str(item.metadata["rule"])
+    of, power = item.metadata["of"], item.metadata["power"]
+    share = item.default / getattr(VehicleConfig(), of) ** power
+    given = of if of in Lengths.__dataclass_fields__ else f"vehicle.{of}"
+    return f"{share:.3g} x {given}" + (f"^{power}" if power > 1 else "")
+
+
 if __name__ == "__main__":
     sys.stdout.write(parameter_table())
-
-
-def rule(name: str) -> str:
-    """How a length follows: ``0.833 x vehicle.clearance``."""
-    item = Lengths.__dataclass_fields__[name]
-    of, power = item.metadata["of"], item.metadata["power"]
-    share = item.default / getattr(VehicleConfig, of) ** power
-    return f"{share:.3g} x vehicle.{of}" + (f"^{power}" if power > 1 else "")

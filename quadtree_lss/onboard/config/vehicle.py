@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import lru_cache
+from math import radians, sqrt, tan
 from typing import Any
 
 from quadtree_lss.onboard.config.parameter import declared, live
@@ -38,27 +39,52 @@ class VehicleConfig:
         return self._ratio("clearance")
 
     @property
+    def least_hazard(self) -> float:
+        """Least height of one thing on level ground that makes it fail, m.
+
+        It fails on what rises over its clearance; or by its lean, with one of its four pads on
+        something of height h. The diagonal through that pad carries, its middle h / 2 high. Along
+        it the plane of rest falls by h / D, D the diameter, and as much across it, to a third pad
+        on the ground: by sqrt(2) h / D in all.
+        """
+        leans = self.diameter * tan(radians(self.max_slope_deg)) / sqrt(2.0)
+        return min(self.clearance, leans)
+
+    @property
     def lengths(self) -> Lengths:
         """What follows from it."""
         return _lengths(self)
 
     def _ratio(self, name: str) -> float:
         """Over the vehicle that all was tried with: the defaults, for which this is exactly 1."""
-        return float(getattr(self, name) / getattr(type(self), name))
+        return float(getattr(self, name) / getattr(_USUAL, name))
 
 
-def _follows(default: float, doc: str, of: str, unit: str = "m", power: int = 1) -> Any:
-    return dataclasses.field(
-        default=default, metadata={"doc": doc, "of": of, "unit": unit, "power": power}
-    )
+_USUAL = VehicleConfig()
+
+
+def _follows(
+    default: float, doc: str, of: str, unit: str = "m", power: int = 1, rule: str = ""
+) -> Any:
+    meta = {"doc": doc, "of": of, "unit": unit, "power": power, "rule": rule}
+    return dataclasses.field(default=default, metadata=meta)
 
 
 @dataclass(frozen=True)
 class Lengths:
     """Each as it is for the vehicle of the defaults, and in proportion to a measure of another.
 
-    Horizontal ones go with the diameter and heights with the clearance.
+    Horizontal ones go with the diameter, and heights with `VehicleConfig.least_hazard`: what is
+    lower makes no landing fail, and what is as high has to be on the map.
     """
+
+    least_hazard: float = _follows(
+        0.3,
+        "least height of one thing on level ground that makes the vehicle fail: it rises over the"
+        " clearance, or leans the vehicle too far from under one pad",
+        "least_hazard",
+        rule="min(vehicle.clearance, 0.707 x vehicle.diameter x tan vehicle.max_slope_deg)",
+    )
 
     grid_spacing: float = _follows(0.5, "lss.grid_spacing where it is 0", "diameter")
     min_separation: float = _follows(3.7, "lss.min_separation where it is below 0", "diameter")
@@ -73,36 +99,36 @@ class Lengths:
     reference_size: float = _follows(
         4.0, "about the side of the cells that leaves' elevation is compared with", "diameter"
     )
-    negligible: float = _follows(0.005, "lower tails of a feature are no feature", "clearance")
+    negligible: float = _follows(0.005, "lower tails of a feature are no feature", "least_hazard")
     rock_height: float = _follows(
-        0.15, "what stands out so high, and by three range noises, is a rock", "clearance"
+        0.15, "what stands out so high, and by three range noises, is a rock", "least_hazard"
     )
-    rock_sigma: float = _follows(0.5, "a feature of greater sigma divides no leaf", "clearance")
+    rock_sigma: float = _follows(0.5, "a feature of greater sigma divides no leaf", "least_hazard")
     rock_area: float = _follows(
-        0.04, "points raised by rock_height over this area divide a leaf", "clearance", "m^2", 2
+        0.04, "points raised by rock_height over this area divide a leaf", "least_hazard", "m^2", 2
     )
     tolerance: float = _follows(
-        0.3, "a measurement farther from its plane is an exception (Eq. 48)", "clearance"
+        0.3, "a measurement farther from its plane is an exception (Eq. 48)", "least_hazard"
     )
     uneven: float = _follows(
         2.25e-4,
         "variance that a view of 70 % of a cell's width adds to its height; one of half of it adds"
         " three times as much: ground is no plane",
-        "clearance",
+        "least_hazard",
         "m^2",
         2,
     )
     slack: float = _follows(
         0.01,
         "variance granted before a view contradicts its leaf altogether",
-        "clearance",
+        "least_hazard",
         "m^2",
         2,
     )
-    clip: float = _follows(1.0, "residuals count at most this much", "clearance")
-    feature_height: float = _follows(0.1, "lower features are noise", "clearance")
+    clip: float = _follows(1.0, "residuals count at most this much", "least_hazard")
+    feature_height: float = _follows(0.1, "lower features are noise", "least_hazard")
     feature_volume: float = _follows(
-        0.002, "features of less volume k^2 are noise", "clearance", "m^3", 3
+        0.002, "features of less volume k^2 are noise", "least_hazard", "m^3", 3
     )
 
 
