@@ -51,17 +51,17 @@ def test_every_quantity_is_a_figure_and_a_column(study, tmp_path):
         (row,) = csv.DictReader(file)
     assert float(row["error"]) == figures["error"]
     missing = {q.name for q in FLY.quantities} - figures.keys()
-    # Only with the conditions `reference` and `judge: physics`.
-    assert missing == {"propellant_ratio", "physics_fails", "safe_but_fails"}
+    # Only with the condition `judge: physics`.
+    assert missing == {"physics_fails", "safe_but_fails"}
 
 
 def test_conditions_and_parameters_reach_the_flight(study):
     case = study.case(0)
-    more = {**case.conditions, "fault": "pose_gap@40+1", "survey": 3.0, "reference": True}
-    settings, reference = settings_of(
+    more = {**case.conditions, "fault": "pose_gap@40+1", "survey": 3.0}
+    settings = settings_of(
         Case(0, "fly", "package", 1, conditions=more, parameters=case.parameters)
     )
-    assert reference and settings.plan.survey == 3.0 and settings.rock_abundance == 0.1
+    assert settings.plan.survey == 3.0 and settings.rock_abundance == 0.1
     assert settings.faults[0].kind == "pose_gap" and settings.config["lss.margin"] == 0.7
 
 

@@ -12,17 +12,14 @@ from quadtree_lss.lab.flight import fly as lockstep
 from quadtree_lss.lab.flight.settings import AVOIDANCE, FlightSettings, flight_settings
 
 CONDITIONS = "terrain rocks range_noise outliers dropouts half".split()
-CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault reference judge".split()
+CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault judge".split()
 """As of ``flight.settings``; ``survey`` is the first pass of the lidar, s."""
 
 
-def settings_of(case: Case) -> tuple[FlightSettings, bool]:
-    """What is flown, and whether it is compared with the least propellant.
-
-    The scenario is the avoidance; ``fault`` is one as of ``--fault``.
-    """
+def settings_of(case: Case) -> FlightSettings:
+    """What is flown: the scenario is the avoidance; ``fault`` is one as of ``--fault``."""
     given: dict[str, Any] = dict(case.conditions)
-    reference, fault = bool(given.pop("reference", False)), given.pop("fault", None)
+    fault = given.pop("fault", None)
     given |= {"avoidance": case.scenario, "config": dict(case.parameters)}
     given["faults"] = (str(fault),) if fault else ()
     given["terrain"] = given.get("terrain") or ""
@@ -30,13 +27,12 @@ def settings_of(case: Case) -> tuple[FlightSettings, bool]:
         given["rock_abundance"] = given.pop("rocks")
     if "survey" in given:
         given["plan"] = {"survey": given.pop("survey")}
-    return flight_settings(given), reference
+    return flight_settings(given)
 
 
 def fly(case: Case) -> Flown:
     began = time.process_time()
-    settings, reference = settings_of(case)
-    found = lockstep.flown(case.seed, settings, reference=reference).figures
+    found = lockstep.flown(case.seed, settings_of(case)).figures
     down = found["outcome"] == "touchdown"
     figures = {
         **{k: int(v) if isinstance(v, bool) else v for k, v in found.items() if k != "seed"},
@@ -56,8 +52,7 @@ def fly(case: Case) -> Flown:
 def keep(case: Case, folder: Path) -> None:
     from quadtree_lss.lab.flight.flight_page import write_flight
 
-    settings, reference = settings_of(case)
-    write_flight(folder, lockstep.flown(case.seed, settings, reference=reference, record=True))
+    write_flight(folder, lockstep.flown(case.seed, settings_of(case), record=True))
 
 
 FLY = Kind(
@@ -77,7 +72,6 @@ FLY = Kind(
         Quantity("error", "Touchdown from the aim", "m", 3),
         Quantity("from_planned", "Touchdown from the planned point", "m", 1),
         Quantity("propellant", "Propellant", "kg", 1),
-        Quantity("propellant_ratio", "Propellant over the least there could be", "", 3),
         Quantity("diverts", "Diverts after the first target", "", 1),
         Quantity("last_divert_height", "Height of the last divert", "m", 1, "smallest"),
         Quantity("last_divert_time", "Time of the last divert", "s", 1),
