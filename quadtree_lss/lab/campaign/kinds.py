@@ -97,8 +97,8 @@ class Kind:
         page: The page in that folder.
         scenarios, conditions: Names that a study may use.
         quantities: Of the table.
-        explained: Figures that the sensitivity plots explain.
-        by: Figures that may explain them, beside what the study varies.
+        first: Figure that the page's points show first; empty for the first mean.
+        by: Figures that may explain it, beside what the study varies.
     """
 
     fly: Callable[[Case], Flown]
@@ -107,15 +107,8 @@ class Kind:
     scenarios: Collection[str]
     conditions: Collection[str]
     quantities: tuple[Quantity, ...]
-    explained: tuple[str, ...] = ()
+    first: str = ""
     by: tuple[str, ...] = ()
-
-    def quantity(self, name: str) -> Quantity:
-        for quantity in self.quantities:
-            if quantity.name == name:
-                return quantity
-        msg = f"no quantity {name!r}; there are {', '.join(q.name for q in self.quantities)}"
-        raise CampaignError(msg)
 
 
 def kind_of(name: str) -> Kind:

@@ -77,6 +77,6 @@ FLY = Kind(
         Quantity("last_divert_time", "Time of the last divert", "s", 1),
         Quantity("time", "Time of flight", "s", 1),
     ),
-    explained=("propellant",),
+    first="propellant",
     by=("from_planned", "diverts"),
 )

@@ -180,6 +180,6 @@ MAP = Kind(
         Quantity("unseen_box", "Scanned box out of the score", "%", 2),
         Quantity("leaves", "Leaves with an estimate", "", 0),
     ),
-    explained=("safe_found", "hazardous_found"),
+    first="safe_found",
     by=("truly_safe", "true_slope_deg", "noise_ratio", "mean_error"),
 )
