@@ -18,7 +18,7 @@ EXAMPLES = """examples:
   quadtree-lss export results/latest --format ply --format gltf --out meshes
 
 formats:
-  geotiff      cloud-optimised GeoTIFF of every layer, with a style of QGIS (.qml)
+  geotiff      cloud-optimised GeoTIFF of every layer
   ply, gltf    the ground as a mesh in relief, green where landing is allowed
   geojson      sites and landing zones
   map_server   hazards and landing as pgm + yaml for nav2
