@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from quadtree_lss.desk.commands.console import show
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
@@ -268,7 +267,7 @@ def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
         out = {"out": str(result.out)} if hasattr(result, "out") else {}
         print_json({**out, **result.as_dict()})
         return
-    show(result.table())
+    print(result.table())
     for line in lines:
         print(line)
 

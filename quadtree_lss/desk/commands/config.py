@@ -7,7 +7,7 @@ import argparse
 from typing import Any
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar, show, warn
+from quadtree_lss.desk.commands.console import ProgressBar, warn
 from quadtree_lss.desk.commands.explained import (
     check_files,
     explain,
@@ -96,7 +96,7 @@ def _run(options: argparse.Namespace) -> int:
         texts = [explain_text(row) for row in rows]
         if any(row.name.startswith("vehicle.") for row in rows):
             texts.append(lengths_text(common.chosen_config(options).vehicle))
-        show("\n\n".join(texts))
+        print("\n\n".join(texts))
     return common.DONE
 
 
@@ -117,7 +117,7 @@ def _check(options: argparse.Namespace) -> int:
         common.print_json(found)
     else:
         for name, errors in found.items():
-            show("\n".join(f"{name}: {line}" for line in errors or ["good"]))
+            print("\n".join(f"{name}: {line}" for line in errors or ["good"]))
             if not errors:
                 config = load_config([name])
                 finest = 1 << config.domain.max_level

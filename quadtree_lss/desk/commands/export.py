@@ -7,22 +7,19 @@ import argparse
 from pathlib import Path
 
 from quadtree_lss.desk.commands.common import DONE, add_command, named, place, print_json
-from quadtree_lss.desk.commands.console import show
 
-FORMATS = ("geotiff", "ply", "gltf", "geojson", "map_server")
-TEXT = "Write results for other programs: GeoTIFF, meshes, GeoJSON, map_server."
+FORMATS = ("geotiff", "ply", "gltf")
+TEXT = "Write results for other programs: GeoTIFF and meshes."
 EXAMPLES = """examples:
   quadtree-lss export results/latest                             (all formats, into DIR/exchange)
   quadtree-lss export results/latest --format geotiff --crs EPSG:32611
-  quadtree-lss export results/latest --format geojson --origin=38.46,-116.37
+  quadtree-lss export results/latest --format geotiff --origin=38.46,-116.37
   quadtree-lss export results/latest --format ply --format gltf --out meshes
 
 formats:
   geotiff      cloud-optimised GeoTIFF of every layer
   ply, gltf    the ground as a mesh in relief, green where landing is allowed
-  geojson      sites and landing zones
-  map_server   hazards and landing as pgm + yaml for nav2
-Without --crs or --origin the map frame has no place on the Earth, and there is no GeoJSON.
+Without --crs or --origin the map frame has no place on the Earth.
 """
 
 
@@ -55,5 +52,5 @@ def _run(options: argparse.Namespace) -> int:
         print_json({"files": [str(path) for path in written]})
     else:
         names = ", ".join(path.name for path in written)
-        show(f"{names}\n{len(written)} files in {written[0].parent}")
+        print(f"{names}\n{len(written)} files in {written[0].parent}")
     return DONE

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar, show
+from quadtree_lss.desk.commands.console import ProgressBar
 
 TEXT = "Show what a bag contains and whether it is ready to replay."
 EXAMPLES = """examples:
@@ -68,7 +68,7 @@ def _doctor(options: argparse.Namespace) -> int:
     if options.json:
         common.print_json({"findings": [finding._asdict() for finding in wrong]})
     for finding in wrong * (not options.json):
-        show(f"wrong: {finding.text}\nmend:  {finding.mend or 'none known'}")
+        print(f"wrong: {finding.text}\nmend:  {finding.mend or 'none known'}")
     if not wrong and not options.json:
-        show(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
+        print(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
     return common.ERROR if wrong else common.DONE

@@ -8,7 +8,6 @@ import webbrowser
 from pathlib import Path
 
 from quadtree_lss.desk.commands.common import DONE, add_command, named, print_json
-from quadtree_lss.desk.commands.console import show
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 PAGES = ("campaign.html", "flight.html", "lander/flight.html", "report.html")
@@ -56,5 +55,5 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"page": str(page), "opened": bool(opened)})
     else:
-        show(str(page) if opened or options.no_open else f"open {page}")
+        print(str(page) if opened or options.no_open else f"open {page}")
     return DONE
