@@ -35,7 +35,7 @@ def study(tmp_path):
 def test_a_case_flies_as_the_function_does(study):
     case = study.case(1)
     assert (case.scenario, case.index) == ("perfect", 1)
-    figures = FLY.fly(case).figures
+    figures = FLY.fly(case)
     given = {"avoidance": "perfect", "slant_range": 260.0, "speed": 26.0, "rock_abundance": 0.1}
     alone = flown(case.seed, flight_settings(given)).figures
     for name in ("x", "y", "propellant", "safe", "time"):
@@ -44,7 +44,7 @@ def test_a_case_flies_as_the_function_does(study):
 
 
 def test_every_quantity_is_a_figure_and_a_column(study, tmp_path):
-    figures = FLY.fly(study.case(0)).figures
+    figures = FLY.fly(study.case(0))
     record = Record(0, 1, "none", {}, figures)
     _write_flights(tmp_path / "flights.csv", [record])
     with (tmp_path / "flights.csv").open(newline="") as file:

@@ -33,7 +33,7 @@ def result(tmp_path):
 
 
 def test_the_answer_comes_first_and_every_flight_is_in_it(result):
-    text = page(result, ())
+    text = page(result)
     found = Page(text)
     first, second = re.findall(r'<p class="verdict (\w*)">(.*?)</p>', text)
     assert first[0] == "none" and second[0] == "good"
@@ -54,7 +54,7 @@ def test_flights_of_several_cases_are_summed_first(result):
         k: replace(r, scenario="package", labels={"case": "ab"[k % 2]})
         for k, r in result.records.items()
     }
-    text = page(CampaignResult(result.out, read_study(study), records), ())
+    text = page(CampaignResult(result.out, read_study(study), records))
     found = re.findall(r'<p class="verdict (\w*)">(.*?)</p>', text)
     assert [level for level, _ in found] == ["none", "none", "good"]
     assert found[0][1].startswith("all of package: Safe touchdowns 39 of 40, 95 %: ")
@@ -63,7 +63,7 @@ def test_flights_of_several_cases_are_summed_first(result):
 
 def test_only_what_is_kept_is_linked(result):
     result.out.mkdir()
-    (result.out / "campaign.html").write_text(page(result, ()), encoding="utf-8")
+    (result.out / "campaign.html").write_text(page(result), encoding="utf-8")
 
     def kept():
         return json.loads(Page((result.out / "campaign.html").read_text()).scripts["kept"])
@@ -74,7 +74,7 @@ def test_only_what_is_kept_is_linked(result):
     (result.out / "kept" / "000003" / "flight.html").write_text("")
     note_kept(result.out, "flight.html")
     assert kept() == ["000003"]
-    assert json.loads(Page(page(result, ())).scripts["kept"]) == kept()
+    assert json.loads(Page(page(result)).scripts["kept"]) == kept()
 
 
 @in_a_browser
@@ -82,7 +82,7 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
     (result.out / "kept" / "000003").mkdir(parents=True)
     (result.out / "kept" / "000003" / "flight.html").write_text("")
     told = in_browser(
-        page(result, ()),
+        page(result),
         tmp_path,
         """
         const axis = (name, value) => { const s = byId(`axis-${name}`); s.value = value;
@@ -113,10 +113,10 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
 @in_a_browser
 @pytest.mark.slow
 def test_it_can_be_used_by_all(result, tmp_path):
-    assert accessible(page(result, ()), tmp_path)
+    assert accessible(page(result), tmp_path)
 
 
 @in_a_browser
 @pytest.mark.slow
 def test_it_prints_on_two_sheets(result, tmp_path):
-    assert 1 <= sheets(page(result, ()), tmp_path) <= 2
+    assert 1 <= sheets(page(result), tmp_path) <= 2

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import subprocess
 import sys
 
 import numpy as np
@@ -128,39 +126,3 @@ def test_bars_speak_in_words(monkeypatch, unit, speed):
 def test_help_explains_the_flights(capsys, flight):
     out = run(capsys, "simulate", "--help")[1].partition("flights:")[2]
     assert flight in out and "elevation (ny, nx)" in out
-
-
-def completions(line):
-    """What a shell offers after a line."""
-    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line}
-    asked |= {"COMP_POINT": str(len(line)), "_ARGCOMPLETE_STDOUT_FILENAME": os.devnull}
-    program = "from quadtree_lss.cli import main; main()"
-    command = [sys.executable, "-c", f"import sys; sys.argv = ['quadtree-lss']; {program}"]
-    del asked["_ARGCOMPLETE_STDOUT_FILENAME"]
-    shell = 'exec 8>&1 9>/dev/null; exec "$@"'
-    done = subprocess.run(
-        ["bash", "-c", shell, "-", *command],
-        env={**os.environ, **asked},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    return {word.strip() for word in done.stdout.splitlines()}
-
-
-@pytest.mark.parametrize(
-    ("line", "word"),
-    [
-        ("quadtree-lss rep", "replay"),
-        ("quadtree-lss replay bag --no-r", "--no-report"),
-        ("quadtree-lss replay bag --config mor", "morpheus"),
-        ("quadtree-lss replay bag --set lss.marg", "lss.margin="),
-        ("quadtree-lss replay bag --set lss.assessment=", "lss.assessment=touchdown"),
-        ("quadtree-lss config explain lss.marg", "lss.margin"),
-        ("quadtree-lss config check par", "parabola"),
-        ("quadtree-lss simulate des", "descent"),
-    ],
-)
-def test_the_shell_completes(line, word):
-    assert word in completions(line)

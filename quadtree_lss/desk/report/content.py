@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.tables import read_table
+from quadtree_lss.desk.exchange.saved import read_table
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config, config_from_values, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +25,8 @@ from quadtree_lss.lab.campaign.summary import (
 from quadtree_lss.lab.evaluation.figures import RUNS
 
 
-def page(result: CampaignResult, times: Sequence[Mapping[str, str]]) -> str:
-    """The page as text; ``times`` are the rows of ``times.csv``."""
+def page(result: CampaignResult) -> str:
+    """The page as text."""
     kind, study = result.study.what, result.study
     note = f"{len(result.records)} of {study.count} flights"
     if result.failed:
@@ -52,7 +52,6 @@ def page(result: CampaignResult, times: Sequence[Mapping[str, str]]) -> str:
         worst=[(q.title, _worst(q, pairs)) for q, pairs in result.worst() if pairs],
         reliability=_reliability(kind, flights),
         failed=result.failed,
-        times=_times(times),
         data={
             "indices": [record.index for record in flights],
             "seeds": [str(record.seed) for record in flights],
@@ -141,12 +140,3 @@ def _reliability(kind: Kind, flights: Sequence[Record]) -> list[tuple[str, ...]]
 def _worst(quantity: Quantity, pairs: Sequence[tuple[int, float]]) -> list[tuple[str, int]]:
     digits = quantity.digits if quantity.of is None else 0
     return [(f"{value:.{digits}f}", index) for index, value in pairs]
-
-
-def _times(rows: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
-    """Name, median and largest of what flights took."""
-    shown = []
-    for name in (name for name in (rows[0] if rows else ()) if name not in ("index", "process")):
-        values = np.array([float(row[name]) for row in rows if row.get(name)])
-        shown.append((name, f"{np.median(values):.3g}", f"{values.max():.3g}"))
-    return shown

@@ -16,7 +16,7 @@ from scipy.stats import binomtest
 
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv
 from quadtree_lss.lab.campaign.kinds import Quantity
-from quadtree_lss.lab.campaign.store import Record, Store
+from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.study import Study
 from quadtree_lss.lab.evaluation.results import aligned
 
@@ -207,14 +207,14 @@ class CampaignResult:
         return content
 
 
-def write_summary(result: CampaignResult, store: Store) -> None:
+def write_summary(result: CampaignResult) -> None:
     """``campaign.json``, ``flights.csv`` and ``campaign.html``."""
     from quadtree_lss.lab.campaign.campaign_page import page
 
     text = json.dumps(result.as_dict(), indent=1, allow_nan=False)
     write_bytes(result.out / "campaign.json", (text + "\n").encode())
     _write_flights(result.out / "flights.csv", result.records.values())
-    write_bytes(result.out / "campaign.html", page(result, store.times()).encode())
+    write_bytes(result.out / "campaign.html", page(result).encode())
 
 
 def _write_flights(path: Path, records: Iterable[Record]) -> None:

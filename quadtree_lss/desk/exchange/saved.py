@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A map as the arrays of ``cells.npz``, and back."""
+"""Files of a results folder: a map as the arrays of ``cells.npz``, and back; tables read back."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
+Table = dict[str, NDArray[Any]]
+"""Columns of a CSV file by name: whole numbers, numbers, or else texts."""
 SAME = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
 SAME += ("exception_fraction", "feature", "low", "high")
 """Arrays of ``cells.npz`` that are the columns of a map of that name."""
@@ -83,3 +86,24 @@ def unreadable(path: str | Path, error: object) -> ResultsError:
     if isinstance(error, OSError) and error.strerror:
         error = error.strerror
     return ResultsError(f"{path}: cannot be read: {error}")
+
+
+def read_table(path: Path) -> Table:
+    """The columns of a file. Raises `ResultsError`: it is no table."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            header, *rows = list(csv.reader(file)) or [[]]
+    except (OSError, ValueError, csv.Error) as error:
+        raise unreadable(path, error) from None
+    if any(len(row) != len(header) for row in rows):
+        raise unreadable(path, "its rows differ in length")
+    return {name: _column([row[k] for row in rows]) for k, name in enumerate(header)}
+
+
+def _column(texts: list[str]) -> NDArray[Any]:
+    for kind in (np.int64, np.float64):
+        try:
+            return np.array([int(t) if kind is np.int64 else float(t) for t in texts], dtype=kind)
+        except (ValueError, OverflowError):
+            continue
+    return np.array(texts)
