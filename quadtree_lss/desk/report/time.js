@@ -53,7 +53,7 @@ function allowedGround(is) { // of each grid point: allowed 0, excluded 1, else 
   return `Landing is allowed on ${few(100 * found[0] / (seen || 1))} % of the ` +
     `${few(seen * each)} m² seen: ${few(found[0] * each)} m².`;
 }
-function tableOf(found, target) { // [id, x, y, z, score, probability] of each; null: the run's own
+function tableOf(found, target, chosen = false) { // [id, x, y, z, score, probability] of each; null: the run's own
   const table = byId("sites");
   if (!table) return;
   const body = table.tBodies[0];
@@ -65,7 +65,8 @@ function tableOf(found, target) { // [id, x, y, z, score, probability] of each; 
     if (grid.probability) cells.push(share === null ? "–" : shareText(100 * share));
     cells.push(score === null ? "–" : score.toFixed(3));
     while (cells.length < wide - 1) cells.push("");
-    return `<tr${id === target ? ' class="chosen"' : ""}><th>${row + 1}</th>` +
+    const site = chosen ? ` data-site="${row}" tabindex="0"` : "";
+    return `<tr${id === target ? ' class="chosen"' : ""}${site}><th>${row + 1}</th>` +
       cells.map(c => `<td>${c}</td>`).join("") + "</tr>";
   }).join("");
 }
@@ -77,6 +78,7 @@ function tableOfTheTime() { // what is kept of the shown answer; at the end, all
     headlineOf(""); tableOf(null); rows(); tellSite(view.site);
     return;
   }
+  if (own.tried) tried(null);
   own.past = true;
   const [target] = h.targets[k], place = h.sites[k].findIndex(([id]) => id === target) + 1;
   const best = h.sites[k][0];
