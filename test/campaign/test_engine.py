@@ -24,6 +24,7 @@ from quadtree_lss.desk.commands.common import INTERRUPTED
 from quadtree_lss.lab.campaign import engine
 from quadtree_lss.lab.campaign.engine import Where, _client, campaign, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
+from quadtree_lss.lab.campaign.paired import compare_campaigns
 from quadtree_lss.lab.campaign.study import read_study
 
 LocalCluster = pytest.importorskip("distributed").LocalCluster
@@ -265,6 +266,25 @@ def test_more_flights_are_added_and_stay(first, tmp_path):
     result = campaign(more, tmp_path / "c", Where(workers=2))
     assert sorted(result.records) == [*range(12)]
     assert files(first[0].out).items() <= files(tmp_path / "c").items()
+
+
+@pytest.mark.slow
+def test_two_campaigns_are_compared_in_pairs(first, study, tmp_path):
+    path = written(tmp_path, STUDY.replace("  duration", "  outliers: 0.05\n  duration"))
+    other = campaign(read_study(path), tmp_path / "out", Where(workers=2))
+    found = compare_campaigns(first[0].out, other.out)
+    errors = [
+        other.records[k].figures["mean_absolute"] - first[0].records[k].figures["mean_absolute"]
+        for k in range(COUNT)
+    ]
+    row = next(d for d in found.differences if d.quantity.name == "mean_absolute")
+    assert row.mean == pytest.approx(sum(errors) / COUNT)
+    assert row.low <= row.mean <= row.high
+    assert (row.better, row.worse) == (sum(e < 0 for e in errors), sum(e > 0 for e in errors))
+    assert errors[row.largest_flight] == row.largest == max(errors)
+    assert "8 pairs" in found.table()
+    with pytest.raises(CampaignError, match="no folder of a campaign"):
+        compare_campaigns(first[0].out, tmp_path)
 
 
 def test_one_folder_has_one_campaign_at_a_time(first, study):

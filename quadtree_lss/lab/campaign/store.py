@@ -57,6 +57,11 @@ def _hash_of(path: str) -> str:
         raise CampaignError(msg) from error
 
 
+def record_name(index: int, key: str) -> str:
+    """Name of a flight's file."""
+    return f"{index:06d}-{key}.json"
+
+
 class Store:
     """Results in ``out/flights``."""
 
@@ -83,7 +88,7 @@ class Store:
 
     def path(self, case: Case) -> Path:
         """File of a flight."""
-        return self._flights / f"{case.index:06d}-{key_of(case)}.json"
+        return self._flights / record_name(case.index, key_of(case))
 
     def read(self, case: Case) -> Record | None:
         """The record of a flight, None if it has not been flown.
@@ -120,7 +125,7 @@ def read_record(path: Path) -> Record:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         told = content.pop("checksum")
         record = Record(**content)
-        name = f"{record.index:06d}-{record.key}.json"
+        name = record_name(record.index, record.key)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         why = "is no record of a flight"
     else:

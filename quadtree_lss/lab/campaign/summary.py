@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv
-from quadtree_lss.lab.campaign.kinds import Quantity
-from quadtree_lss.lab.campaign.store import Record
+from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
+from quadtree_lss.lab.campaign.store import Record, read_record, record_name
 from quadtree_lss.lab.campaign.study import Study
 from quadtree_lss.lab.evaluation.results import aligned
 
@@ -38,10 +38,6 @@ class Line:
     worst_flight: int | None
     count: int
     events: int | None = None
-
-    def numbers(self) -> dict[str, Any]:
-        """All but the quantity itself."""
-        return {name: value for name, value in asdict(self).items() if name != "quantity"}
 
     def cells(self) -> tuple[str, str, str, str, str]:
         q = self.quantity
@@ -188,7 +184,7 @@ class CampaignResult:
 
     def as_dict(self) -> dict[str, Any]:
         parts = [
-            {"name": name, "quantities": {row.quantity.name: row.numbers() for row in rows}}
+            {"name": name, "quantities": {row.quantity.name: numbers(row) for row in rows}}
             for name, rows in self.lines
         ]
         worst = {q.name: [list(pair) for pair in pairs] for q, pairs in self.worst()}
@@ -207,14 +203,31 @@ class CampaignResult:
         return content
 
 
+def numbers(row: Any) -> dict[str, Any]:
+    """Fields of a row of a table but for its quantity."""
+    return {name: value for name, value in asdict(row).items() if name != "quantity"}
+
+
 def write_summary(result: CampaignResult) -> None:
     """``campaign.json``, ``flights.csv`` and ``campaign.html``."""
     from quadtree_lss.lab.campaign.campaign_page import page
 
-    text = json.dumps(result.as_dict(), indent=1, allow_nan=False)
+    files = [record_name(record.index, record.key) for record in result.records.values()]
+    text = json.dumps({**result.as_dict(), "files": files}, indent=1, allow_nan=False)
     write_bytes(result.out / "campaign.json", (text + "\n").encode())
     _write_flights(result.out / "flights.csv", result.records.values())
     write_bytes(result.out / "campaign.html", page(result).encode())
+
+
+def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
+    """Kind, and flights that did not fail, of a campaign's folder."""
+    try:
+        content = json.loads((out / "campaign.json").read_text("utf-8"))
+        kind, names = str(content["kind"]), list(content["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise CampaignError(f"{out} is no folder of a campaign") from None
+    records = [read_record(out / "flights" / str(name)) for name in names]
+    return kind, {r.index: r for r in records if not r.error}
 
 
 def _write_flights(path: Path, records: Iterable[Record]) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss campaign``: a study of many flights."""
+"""``quadtree-lss campaign``: a study of many flights, and two campaigns compared."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ EXAMPLES = """examples:
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep 17  (bag, page, …)
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep worst
   quadtree-lss campaign studies/morpheus.yaml --out many --scheduler-address tcp://host:8786
+  quadtree-lss campaign compare campaigns/before campaigns/after
 
 Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept and summed up. A
 second one stops at once.
@@ -25,9 +26,9 @@ second one stops at once.
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "campaign", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("study", type=common.named, metavar="STUDY.yaml", help="which flights there are")
+    add("what", nargs="+", metavar="STUDY.yaml", help="a study; or: compare DIR DIR")
     text = "folder of the campaign; resumed if it is there"
-    add("--out", required=True, type=common.named, metavar="DIR", help=text)
+    add("--out", type=common.named, metavar="DIR", help=text)
     where = parser.add_mutually_exclusive_group()
     text = "processes on this computer (default: one for each core)"
     where.add_argument("--workers", type=common.whole(1), metavar="N", help=text)
@@ -39,10 +40,14 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    if options.what[0] == "compare":
+        return _compare(options)
+    if len(options.what) != 1 or options.out is None:
+        options.parser.error("one STUDY.yaml and --out are required")
     from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep
     from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
-    study = read_study(options.study)
+    study = read_study(options.what[0])
     if options.keep is not None:
         worst = options.keep == "worst"
         for index in flagged(options.out) if worst else parse_seeds(options.keep):
@@ -70,4 +75,13 @@ def _run(options: argparse.Namespace) -> int:
     if result.failed:
         warn(f"{len(result.failed)} of {len(result.records)} flights failed")
         return common.IN_PART
+    return common.DONE
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from quadtree_lss.lab.campaign.paired import compare_campaigns
+
+    if len(options.what) != 3:
+        options.parser.error("compare needs two folders of campaigns")
+    common.tell(options, compare_campaigns(*options.what[1:]))
     return common.DONE
