@@ -9,6 +9,7 @@ from dataclasses import replace as changed
 
 import numpy as np
 import pytest
+import yaml
 from installed import error_without
 from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
@@ -18,6 +19,7 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.results import Grid, load_results
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
+from quadtree_lss.onboard.messages.maps import encode_hazards
 
 #: Of a map about its origin.
 MADE_FOR = "+proj=tmerc +lat_0=38 +lon_0=-116 +datum=WGS84 +units=m"
@@ -121,6 +123,32 @@ def test_a_mesh_far_from_the_origin_is_moved_and_says_by_how_much(written, tmp_p
     np.testing.assert_allclose(steps, grid.spacing, atol=1e-3)
 
 
+def test_geojson_has_a_place_on_the_earth(written, tmp_path):
+    with pytest.raises(ExchangeError, match="longitude and latitude"):
+        export_results(written.out, tmp_path, ["geojson"])
+    assert not list(tmp_path.iterdir())
+    pytest.importorskip("rasterio")
+    sites = load_results(written.out).sites
+    (path,) = export_results(written.out, tmp_path, ["geojson"], origin=(38.0, -116.0))
+    world = json.loads(path.read_text())
+    assert set(world) == {"type", "features"}
+    points = [f for f in world["features"] if f["properties"]["kind"] == "site"]
+    assert len(points) == len(sites["x"]) > 0
+    for k, feature in enumerate(points):
+        known = feature["properties"]
+        assert known["rank"] == k + 1 and known["id"] == sites["id"][k]
+        longitude, latitude, z = feature["geometry"]["coordinates"]
+        metre = np.radians(6_371_000.0)  # of a degree, on a sphere: to half a per cent
+        np.testing.assert_allclose((latitude - 38.0) * metre, sites["y"][k], atol=0.006 * 16)
+        east = (longitude + 116.0) * metre * np.cos(np.radians(38.0))
+        np.testing.assert_allclose(east, sites["x"][k], atol=0.006 * 16)
+        assert z == sites["z"][k]
+    for feature in world["features"]:
+        if feature["properties"]["kind"] == "zone":
+            (ring,) = feature["geometry"]["coordinates"]
+            assert ring[0] == ring[-1] and len(ring) == 49
+
+
 @pytest.mark.parametrize(
     ("crs", "word"),
     [
@@ -157,16 +185,38 @@ def test_areas_of_systems(crs, x, y, good):
         check_place(np.array([x, x + 64.0]), np.array([y, y + 64.0]), reference(crs))
 
 
+def test_map_server_reads_back_the_occupancy_grids(written, tmp_path):
+    """As nav2's map_server does in its mode trinary."""
+    export_results(written.out, tmp_path, ["map_server"])
+    found = written.assessment
+    landing = np.where(found.safe, 0, np.where(found.hazard >= 128, -1, 100))
+    for name, expected in (("hazards", encode_hazards(found)), ("landing", landing)):
+        told = yaml.safe_load((tmp_path / f"{name}.yaml").read_text())
+        content = (tmp_path / told["image"]).read_bytes()
+        header, size, most, pixels = content.split(b"\n", 3)
+        width, height = map(int, size.split())
+        assert header == b"P5" and most == b"255"
+        shade = np.frombuffer(pixels, np.uint8).reshape(height, width)[::-1] / 255.0
+        occupied = 1.0 - shade
+        values = np.full(shape := (height, width), -1)
+        values[occupied > told["occupied_thresh"]] = 100
+        values[occupied < told["free_thresh"]] = 0
+        assert shape == expected.shape
+        np.testing.assert_array_equal(values, expected)
+        np.testing.assert_allclose(told["origin"][0] + 0.5 * told["resolution"], found.x[0])
+
+
 def test_the_command_writes_all_of_it(written, tmp_path, capsys):
     for name in ("rasterio", "trimesh"):
         pytest.importorskip(name)
     code, out, _ = run(capsys, "export", written.out, "--out", tmp_path / "all")
     assert code == 0 and "elevation.tif" in out and "files in" in out
     written_now = {path.name for path in (tmp_path / "all").iterdir()}
-    assert {"safe.tif", "ground.ply", "ground.glb"} <= written_now
-    place = ["--format", "ply", "--origin=38,-116"]
+    assert {"safe.tif", "ground.ply", "ground.glb", "landing.yaml"} <= written_now
+    assert "sites.geojson" not in written_now
+    place = ["--format", "geojson", "--origin=38,-116"]
     code, out, _ = run(capsys, "export", written.out, *place, "--json", "-q")
-    assert json.loads(out)["files"] == [str(written.out / "exchange" / "ground.ply")]
+    assert json.loads(out)["files"] == [str(written.out / "exchange" / "sites.geojson")]
     code, _, err = run(capsys, "export", written.out, "--format", "geotif")
     assert code == 2 and "did you mean 'geotiff'?" in err
     code, _, err = run(capsys, "export", written.out, "--crs", "EPSG:nonsense")
@@ -183,7 +233,7 @@ def test_both_a_system_and_an_origin_is_too_much(written, tmp_path):
 def test_a_folder_that_cannot_be_written_is_named(written, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ExchangeError, match="cannot be written"):
-        export_results(written.out, tmp_path / "file", ["ply"])
+        export_results(written.out, tmp_path / "file", ["map_server"])
 
 
 @pytest.mark.parametrize(("module", "form"), [("rasterio", "geotiff"), ("trimesh", "ply")])
@@ -208,5 +258,6 @@ def test_an_assessment_without_a_safe_place_is_exported_too(written, tmp_path):
     write_results(tmp_path / "none", result, config_from_values(GROUND), report=False)
     rasterio, _ = (pytest.importorskip(name) for name in ("rasterio", "trimesh"))
     export_results(tmp_path / "none", tmp_path / "out", origin=(38.0, -116.0))
+    assert json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"] == []
     with rasterio.open(tmp_path / "out" / "score.tif") as file:
         assert np.isnan(file.read(1)).all()

@@ -8,18 +8,20 @@ from pathlib import Path
 
 from quadtree_lss.desk.commands.common import DONE, add_command, named, place, print_json
 
-FORMATS = ("geotiff", "ply", "gltf")
-TEXT = "Write results for other programs: GeoTIFF and meshes."
+FORMATS = ("geotiff", "ply", "gltf", "geojson", "map_server")
+TEXT = "Write results for other programs: GeoTIFF, meshes, GeoJSON, map_server."
 EXAMPLES = """examples:
   quadtree-lss export results/latest                             (all formats, into DIR/exchange)
   quadtree-lss export results/latest --format geotiff --crs EPSG:32611
-  quadtree-lss export results/latest --format geotiff --origin=38.46,-116.37
+  quadtree-lss export results/latest --format geojson --origin=38.46,-116.37
   quadtree-lss export results/latest --format ply --format gltf --out meshes
 
 formats:
   geotiff      cloud-optimised GeoTIFF of every layer
   ply, gltf    the ground as a mesh in relief, green where landing is allowed
-Without --crs or --origin the map frame has no place on the Earth.
+  geojson      sites and landing zones
+  map_server   hazards and landing as pgm + yaml for nav2
+Without --crs or --origin the map frame has no place on the Earth, and there is no GeoJSON.
 """
 
 

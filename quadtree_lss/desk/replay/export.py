@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A results folder for other programs: layers and meshes."""
+"""A results folder for other programs: layers, meshes, sites, occupancy grids."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.exchange.geojson import sites_geojson
 from quadtree_lss.desk.exchange.geotiff import check_place, write_geotiff
+from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
+from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.elevation.reference import reference
@@ -55,7 +60,7 @@ def export_results(
     Args:
         results: Results or their folder.
         out: Folder for the files, made if missing; by default ``exchange`` in the results.
-        formats: Names of `FORMATS`; none takes all.
+        formats: Names of `FORMATS`; none takes all, GeoJSON only with a place on the Earth.
         crs: Coordinate reference system of the map frame, as ``EPSG:32611``; by default that of the
             elevation model, if the results are of one that tells.
         origin: Instead, latitude and longitude of the map frame's origin, deg (x east, y north).
@@ -73,7 +78,7 @@ def export_results(
     folder = found.folder / "exchange" if out is None else Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        wanted = list(formats) or FORMATS
+        wanted = list(formats) or [name for name in FORMATS if system or name != "geojson"]
         return [path for name in wanted for path in FORMATS[name](found, folder, system)]
     except OSError as error:
         msg = f"{error.filename or folder}: cannot be written: {error.strerror or error}"
@@ -144,9 +149,34 @@ def _colours(results: Results) -> Bytes:
     return np.clip(base * (0.5 + shade[..., None]), 0.0, 255.0).astype(np.uint8)
 
 
+def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
+    lss, path = results.config.lss, folder / "sites.geojson"
+    if not crs:
+        msg = "GeoJSON is in longitude and latitude: --crs or --origin says where the map lies"
+        raise ExchangeError(msg)
+    content = plain(sites_geojson(results.sites, 0.5 * lss.vehicle.diameter + lss.margin, crs))
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return [path]
+
+
+def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
+    grid = results.grid
+    hazard, safe = np.asarray(grid["hazard"]), np.asarray(grid["safe"])
+    maps = {
+        "hazards": np.where((hazard & IDENTIFIED) > 0, 100, np.where(grid.seen, 0, -1)),
+        "landing": np.where(safe, 0, np.where(grid.seen, 100, -1)),
+    }
+    written: list[Path] = []
+    for name, values in maps.items():
+        written += write_map(folder / name, values.astype(np.int8), grid.x, grid.y)
+    return written
+
+
 FORMATS: dict[str, Callable[[Results, Path, str], Any]] = {
     "geotiff": _geotiff,
     "ply": _mesh("ply"),
     "gltf": _mesh("glb"),
+    "geojson": _geojson,
+    "map_server": _map_server,
 }
 """By name, what writes the files."""

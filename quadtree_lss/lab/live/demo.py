@@ -203,7 +203,7 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     print(f"   {headline(flown)}")
     if flown.figures["others"]:
         raise DemoError(f"others published {'; '.join(flown.figures['others'])} while it flew")
-    print("7. The same for GIS and 3D programs", flush=True)
+    print("7. The same for GIS, 3D programs and navigation", flush=True)
     exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
     print(f"\nOpen {offline / 'report.html'}: the answer, the map, the ground in 3D")
     print(f"Open {out / 'lander' / 'flight.html'}: the landing")
