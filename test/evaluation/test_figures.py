@@ -48,6 +48,6 @@ def test_scans_of_the_truth_must_match_one_another(tmp_path):
 
 
 def test_scans_are_counted_in_whole_numbers():
-    axes = processing_time(np.array([1.0, 2.0, 1.5])).axes[0]
+    axes = processing_time({"run": np.array([1.0, 2.0, 1.5])}).axes[0]
     ticks = axes.get_xticks()
     np.testing.assert_array_equal(ticks, np.round(ticks))

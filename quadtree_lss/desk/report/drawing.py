@@ -86,7 +86,7 @@ def map_axes(axes: Any, title: str, box: Box) -> None:
 
 
 def mark_sites(
-    axes: Any, places: ArrayLike, radius: float = 0.0, colour: str = SITE_COLOUR
+    axes: Any, places: ArrayLike, radius: float = 0.0, colour: str = SITE_COLOUR, name: str = ""
 ) -> list[Any]:
     """Ranked places (K, 2 or 3) with their ranks, and circles of a radius in m around them."""
     drawn = []
@@ -94,6 +94,8 @@ def mark_sites(
         if radius > 0.0:
             axes.add_patch(Circle((x, y), radius, fill=False, color="white", linewidth=2.6))
             ring = Circle((x, y), radius, fill=False, color=colour, linewidth=1.2)
+            if name and rank == 1:
+                ring.set_label(name)
             axes.add_patch(ring)
         box = {"boxstyle": "circle,pad=0.2", "facecolor": colour, "edgecolor": "white"}
         text = {"color": "white", "size": 8, "ha": "center", "va": "center", "bbox": box}

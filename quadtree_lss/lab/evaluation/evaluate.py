@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of results against the truth: Tables 2 and 3 and the figures."""
+"""Scores of results against the truth: Tables 2 and 3 and the figures, of one run or several."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.files import plain, write_json
+from quadtree_lss.desk.replay.files import new_folder, plain, write_json
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.provenance import check_truth, recorded_bag, results_config
@@ -19,6 +19,7 @@ from quadtree_lss.lab.evaluation.results import (
     EvaluationError,
     Results,
     Truth,
+    aligned,
     load_results,
     load_truth,
 )
@@ -26,6 +27,8 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 TOP = 5
 """Sites that are judged."""
+_COLUMNS = ("hazardous", "safe", "unsafe sites", "elevation RMS", "largest", "leaves")
+_COLUMNS += ("map time", "prefit below", "prefit above")
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,64 @@ def evaluate(
     return result
 
 
+@dataclass(frozen=True)
+class ComparisonResult:
+    """Scores by the name of the run, and what was drawn of all together."""
+
+    runs: dict[str, EvaluationResult]
+    out: Path
+    figures: tuple[Path, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
+
+    def table(self) -> str:
+        """A row per run; elevation RMS with the mean removed, Table 2 of one degree of freedom."""
+        rows = [("run", *_COLUMNS), *((name, *_cells(r)) for name, r in self.runs.items())]
+        lines = aligned(rows)
+        for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
+            names = [name for name, r in self.runs.items() if note in r.notes]
+            lines.append(f"{', '.join(names)}: {note}")
+        return "\n".join(lines)
+
+
+def compare(
+    results_dirs: Sequence[str | Path],
+    truth_path: str | Path,
+    out: str | Path | None = None,
+    *,
+    figures: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> ComparisonResult:
+    """Score several results of ``replay`` over the same ground.
+
+    Each is evaluated as by `evaluate`, into ``out/<name>``; what shows them together goes into
+    ``out`` (default: a new folder ``results/<time>``). Runs bear the names of their directories.
+    Raises `EvaluationError` as `evaluate` does, and for two directories of one name.
+    """
+    folders = [Path(directory) for directory in results_dirs]
+    names = [folder.resolve().name for folder in folders]
+    if len(set(names)) < len(names):
+        msg = f"runs are told apart by their directories' names, but these are {', '.join(names)}"
+        raise EvaluationError(msg)
+    together = Path(out) if out is not None else new_folder(Path("results"))
+    runs = {
+        name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
+        for name, folder in zip(names, folders, strict=True)
+    }
+    drawn: tuple[Path, ...] = ()
+    if figures:
+        from quadtree_lss.lab.evaluation.figures import draw_together
+
+        truth = load_truth(truth_path)
+        results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
+        heights = metrics.elevation_field(results[names[-1]].map, results[names[-1]].grid, truth)
+        drawn = draw_together(together, truth, heights, results)
+    result = ComparisonResult(runs, together, drawn)
+    write_json(together / "evaluation.json", result.as_dict()["runs"])
+    return result
+
+
 def score(results: Results, truth: Truth) -> EvaluationResult:
     """The scores alone; nothing is written, and there is no Table 2.
 
@@ -224,6 +285,20 @@ def _show(value: float, digits: str, unit: str = "") -> str:
 
 def _percent(fraction: float) -> str:
     return _show(100.0 * fraction, ".2f", " %")
+
+
+def _cells(r: EvaluationResult) -> tuple[str, ...]:
+    outside = r.consistency.counts.one_degree if r.consistency is not None else (math.nan,) * 2
+    return (
+        _percent(r.detection.hazardous_found),
+        _percent(r.detection.safe_found),
+        f"{r.unsafe_in_top_five} of {len(r.site_verdicts)}",
+        _show(r.elevation.rms_mean_removed, ".3f", " m"),
+        _show(r.elevation.maximum, ".2f", " m"),
+        str(r.leaves_estimated),
+        _show(r.map_s_total, ".2f", " s"),
+        *map(_percent, outside),
+    )
 
 
 def _scores(

@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.drawing import Box
-from quadtree_lss.desk.report.palette import even_limits
+from quadtree_lss.desk.report.palette import SITE_COLOUR, even_limits
 from quadtree_lss.lab.evaluation.metrics import ErrorField, Reliability, SafetyField, reliability_of
 from quadtree_lss.lab.evaluation.results import Results, Truth
 from quadtree_lss.onboard.arrays import Array
@@ -54,14 +54,14 @@ def draw_all(
     A map of one level only stands for the paper's fixed-resolution map (Figs. 10, 13 instead of 9,
     12), one of several flights for FF13 + FF14 (Fig. 24 instead of 23).
     """
-    sites = results.positions[:TOP]
+    sites = {"sites": results.positions[:TOP]}
     fixed, several = _fixed(results.map), truth.flights_of(results.timing["stamp_ns"]) > 1
     cells = "fig10_fixed_resolution_and_scans" if fixed else "fig09_quadtree_and_scans"
     error = "fig13_fixed_resolution_error" if fixed else "fig12_quadtree_error"
     score = "fig24_site_score_of_several_flights" if several else "fig23_site_score"
     figures = {
         cells: _cells_and_scans(results, truth),
-        "fig11_processing_time": processing_time(results.timing["map_ms"]),
+        "fig11_processing_time": processing_time({"map": results.timing["map_ms"]}),
         error: _elevation_error(heights, truth, centred=False),
         "fig18_quadtree_over_truth": _quadtree_over_truth(results.map, truth),
         "fig19_elevation_estimate": _elevation_estimate(heights, truth),
@@ -76,6 +76,19 @@ def draw_all(
     return _save(folder, figures)
 
 
+def draw_together(
+    folder: Path, truth: Truth, heights: ErrorField, runs: Mapping[str, Results]
+) -> tuple[Path, ...]:
+    """Figures 11 and 25 with several runs in one picture; ``heights`` are the last run's."""
+    sites = {name: run.positions[:TOP] for name, run in runs.items()}
+    times = {name: run.timing["map_ms"] for name, run in runs.items()}
+    figures = {
+        "fig11_processing_time": processing_time(times),
+        "fig25_selected_sites": _selected_sites(heights, truth, sites),
+    }
+    return _save(folder, figures)
+
+
 def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     """(ny, nx) of the field: which of `VERDICTS` each grid point is."""
     called, safe = safety.called_safe & safety.seen, safety.truly_safe
@@ -84,12 +97,14 @@ def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype
     )
 
 
-def processing_time(map_ms: Array) -> Figure:
-    """Time per scan, ms (Fig. 11)."""
+def processing_time(runs: Mapping[str, Array]) -> Figure:
+    """Time per scan (ms) of one or several runs (Fig. 11)."""
     figure = Figure(figsize=(7.6, 3.8), layout="constrained")
     axes = figure.add_subplot()
-    label, scans = f"map: {1e-3 * map_ms.sum():.2f} s in all", np.arange(1, map_ms.size + 1)
-    axes.plot(scans, map_ms, ".-", lw=0.6, ms=3, color=RUNS[0], label=label)
+    for colour, (name, map_ms) in zip(RUNS * len(runs), runs.items(), strict=False):
+        label = f"{name}: {1e-3 * map_ms.sum():.2f} s in all"
+        scans = np.arange(1, map_ms.size + 1)
+        axes.plot(scans, map_ms, ".-", lw=0.6, ms=3, color=colour, label=label)
     axes.set(xlabel="scan [-]", ylabel="map update [ms]")
     axes.set_title("Processing time per scan", fontsize="medium")
     axes.set_ylim(bottom=0.0)
@@ -231,7 +246,7 @@ def _true_safety(truth: Truth) -> Figure:
     return figure
 
 
-def _classification(safety: SafetyField, truth: Truth, sites: Array) -> Figure:
+def _classification(safety: SafetyField, truth: Truth, sites: Mapping[str, Array]) -> Figure:
     """Verdict against truth, point by point, with the best sites (Fig. 22)."""
     figure, axes = _map("Classification of terrain and the best sites", _around(truth))
     kind = verdict_classes(safety)
@@ -247,7 +262,7 @@ def _classification(safety: SafetyField, truth: Truth, sites: Array) -> Figure:
     return figure
 
 
-def _score(results: Results, truth: Truth, sites: Array) -> Figure:
+def _score(results: Results, truth: Truth, sites: Mapping[str, Array]) -> Figure:
     """Score of the terrain where landing is allowed, lower is better (Figs. 23, 24)."""
     grid, box = results.grid, _around(truth)
     figure, axes = _map("Site score, lower is better; white: excluded", box)
@@ -262,15 +277,17 @@ def _score(results: Results, truth: Truth, sites: Array) -> Figure:
     return figure
 
 
-def _selected_sites(heights: ErrorField, truth: Truth, sites: Array) -> Figure:
-    """Sites over the mapped elevation (Fig. 25).
+def _selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, Array]) -> Figure:
+    """Sites of one or several runs over the mapped elevation (Fig. 25).
 
     The paper shows binned measurements below them; results hold no points, so the map does here.
     """
     figure, axes = _map("Selected landing sites over the mapped terrain", _around(truth))
     estimate = np.where(heights.seen, heights.estimate, np.nan)
     _relief(figure, axes, heights.x, heights.y, estimate, estimate, "estimated elevation [m]")
-    _box_and_sites(axes, truth, sites)
+    _box_and_sites(axes, truth, runs)
+    if len(runs) > 1:
+        figure.legend(loc="outside lower center", ncols=min(len(runs), 3), fontsize="small")
     return figure
 
 
@@ -332,9 +349,12 @@ def _around(truth: Truth) -> Box:
     return xmin - reach, xmax + reach, ymin - reach, ymax + reach
 
 
-def _box_and_sites(axes: Axes, truth: Truth, sites: Array) -> None:
-    """The scanned box, and the sites with the lander's circle."""
+def _box_and_sites(axes: Axes, truth: Truth, runs: Mapping[str, Array]) -> None:
+    """The scanned box, and each run's sites with the lander's circle."""
     xmin, xmax, ymin, ymax = truth.box
     box = Rectangle((xmin, ymin), xmax - xmin, ymax - ymin, fill=False, edgecolor="black", lw=0.8)
     axes.add_patch(box)
-    drawing.mark_sites(axes, sites, 0.5 * truth.lander.diameter)
+    several = len(runs) > 1
+    for colour, (name, sites) in zip(RUNS * len(runs), runs.items(), strict=False):
+        how = (colour, name) if several else (SITE_COLOUR, "")
+        drawing.mark_sites(axes, sites, 0.5 * truth.lander.diameter, *how)
