@@ -16,8 +16,8 @@ ROS := $(shell test -n "$${ROS_DISTRO-}" && $(PYTHON) -c 'import rclpy' 2>/dev/n
 # It holds the versions that are installed.
 DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
 PACKAGE := $(VENV)/.package
-EXTRAS_wheels := [desk,wheels,exchange,autopilot,guidance,physics,campaign,docs,test]
-EXTRAS_sourced := [desk,exchange,autopilot,guidance,physics,campaign,docs,test]
+EXTRAS_wheels := [desk,wheels,exchange,autopilot,physics,campaign,docs,test]
+EXTRAS_sourced := [desk,exchange,autopilot,physics,campaign,docs,test]
 SOURCES := $(shell find quadtree_lss launch rviz foxglove security config examples scripts resource -type f \
     -not -path '*/__pycache__/*' -not -name '*.so') package.xml pyproject.toml setup.py setup.cfg
 
@@ -140,15 +140,15 @@ $(VEHICLE)/.dependencies: constraints.txt Makefile
 	@$(VEHICLE_PYTHON) toolchain.py
 	@rm -rf $(VEHICLE)
 	@$(VEHICLE_PYTHON) -m venv $(VEHICLE)
-	@sed -E '/^(cython|cvxpy|numpy|scipy|scipy-stubs|optype|numpy-typing-compat)==/d' constraints.txt > $@.part
-	@printf 'cython==3.0.8\ncvxpy==1.6.7\nnumpy==1.26.4\nscipy==1.11.4\n' >> $@.part
+	@sed -E '/^(cython|numpy|scipy|scipy-stubs|optype|numpy-typing-compat)==/d' constraints.txt > $@.part
+	@printf 'cython==3.0.8\nnumpy==1.26.4\nscipy==1.11.4\n' >> $@.part
 	@$(VEHICLE_PIP) -c $@.part setuptools wheel cython
 	@mv $@.part $@
 
 $(VEHICLE)/.package: $(VEHICLE)/.dependencies $(SOURCES)
 	@echo 'installing quadtree_lss and the versions of a vehicle into .venv-vehicle'
 	@rm -rf quadtree_lss.egg-info
-	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[desk,wheels,exchange,autopilot,guidance,physics,campaign,test]'
+	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[desk,wheels,exchange,autopilot,physics,campaign,test]'
 	@rm -rf quadtree_lss.egg-info
 	@touch $@
 

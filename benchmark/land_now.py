@@ -19,7 +19,7 @@ import numpy as np
 from common import machine, table
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.desk.replay.scans import steps
+from quadtree_lss.desk.replay.replay import steps
 from quadtree_lss.lab.campaign.mapped import in_memory
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_flights import lander_of

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import configuration, machine, table
 
-from quadtree_lss.desk.replay.scans import steps
+from quadtree_lss.desk.replay.replay import steps
 from quadtree_lss.lab.campaign.mapped import in_memory, lander_of
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field

@@ -270,7 +270,7 @@ def told(seed: int, legs: Legs) -> Iterator[Touched]:
     generator = np.random.default_rng(seed)
     rocks, slope_deg = (float(generator.choice(v)) for v in ((0.02, 0.05, 0.1), (1.5, 4.0, 6.0)))
     given = {"rocks": rocks, "slope_deg": slope_deg}
-    results, truth, _ = fly_in_memory("morpheus", seed, load_config(["morpheus"]), given)
+    results, truth = fly_in_memory("morpheus", seed, load_config(["morpheus"]), given)
     terrain, grid = Terrain(truth.x, truth.y, truth.elevation), results.grid
     risk = np.asarray(grid.layers["risk"])
     for low, high in zip(EDGES, EDGES[1:], strict=False):

@@ -40,12 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = without_ros_arguments(sys.argv[1:] if argv is None else argv)
     options = argparse.Namespace()
     try:
-        parser = _parser()
-        if "_ARGCOMPLETE" in os.environ:  # eval "$(register-python-argcomplete quadtree-lss)"
-            import argcomplete
-
-            argcomplete.autocomplete(parser)
-        options = parser.parse_args(arguments)
+        options = _parser().parse_args(arguments)
         run: Callable[[argparse.Namespace], int] = options.run
         with quiet(getattr(options, "quiet", False), getattr(options, "json", False)):
             code = run(options)

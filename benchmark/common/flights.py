@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.desk.replay.scans import scans
+from quadtree_lss.desk.replay.replay import scans
 from quadtree_lss.lab.evaluation.results import Truth, load_truth
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.settings import Config

@@ -17,7 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 from common.claims import within
 from common.flights import configuration
 from common.tables import table
-from quadtree_lss.desk.replay.scans import scans
+from quadtree_lss.desk.replay.replay import scans
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
 from quadtree_lss.onboard.config.settings import Config

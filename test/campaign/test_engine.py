@@ -103,8 +103,6 @@ def test_each_flight_is_a_file_and_told(first):
         rows = list(csv.DictReader(file))
     assert [int(row["flight"]) for row in rows] == [*range(COUNT)]
     assert float(rows[3]["safe_found"]) == result.records[3].figures["safe_found"]
-    with (result.out / "times.csv").open(newline="") as file:
-        assert all(50.0 < float(row["memory_mb"]) < 2000.0 for row in csv.DictReader(file))
     content = json.loads((result.out / "campaign.json").read_text())
     assert [part["name"] for part in content["summary"]] == [
         "lss.margin 0.0: 4",
@@ -119,7 +117,7 @@ def test_each_flight_is_a_file_and_told(first):
     assert re.search("<td>0 of [1-4]</td>", page)  # of the flights that found a site
     worst, means = page.split("Worst flights")[1].split("<h2>", 1)
     assert "Unsafe grid points" in means and "Unsafe grid points" not in worst
-    assert "--keep 17" in page and "data:image/png" in page and "Safe terrain found" in page
+    assert "--keep 17" in page and "Safe terrain found" in page
 
 
 def test_workers_keep_no_record_of_their_own_stack():
@@ -170,10 +168,8 @@ def test_the_campaign_killed_and_resumed(first, study, tmp_path):
 def test_a_worker_killed_loses_nothing(first, study, tmp_path):
     process = start(study, tmp_path, "--workers", 2)
     wait_until(lambda: flown(tmp_path) >= 1)
-    with (tmp_path / "times.csv").open(newline="") as file:
-        worker = int(next(csv.DictReader(file))["process"])
-    assert worker in [child.pid for child in psutil.Process(process.pid).children(True)]
-    os.kill(worker, signal.SIGKILL)
+    children = psutil.Process(process.pid).children(recursive=True)
+    max(children, key=lambda child: child.cpu_times().user).kill()  # one that flies
     _, told = process.communicate(timeout=120)
     assert process.returncode == 0, told
     assert files(tmp_path) == files(first[0].out)
@@ -255,18 +251,19 @@ def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
     assert sorted(result.failed) == [2, 3] and "duration" in result.failed[2]
     assert "flight 2 failed" in result.table()
     assert "flight 2" not in result.table().replace("flight 2 failed", "")
+    written_at = {path: path.stat().st_mtime_ns for path in out.glob("flights/*.json")}
     again = start(path, out, "--workers", 1)
     assert again.wait(60) == 3  # nothing was flown: failures stay
-    assert len((out / "times.csv").read_text().splitlines()) == 3
+    assert {path: path.stat().st_mtime_ns for path in out.glob("flights/*.json")} == written_at
 
 
 @pytest.mark.slow
-def test_more_flights_are_added_and_stay(first, study, tmp_path):
+def test_more_flights_are_added_and_stay(first, tmp_path):
     shutil.copytree(first[0].out, tmp_path / "c")
-    result = campaign(read_study(study), tmp_path / "c", Where(workers=2), add=3)
-    assert sorted(result.records) == [*range(12)]  # whole turns
+    more = read_study(written(tmp_path, STUDY.replace("flights: 4", "flights: 6")))
+    result = campaign(more, tmp_path / "c", Where(workers=2))
+    assert sorted(result.records) == [*range(12)]
     assert files(first[0].out).items() <= files(tmp_path / "c").items()
-    assert len(campaign(read_study(study), tmp_path / "c").records) == 12
 
 
 @pytest.mark.slow

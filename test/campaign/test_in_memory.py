@@ -44,7 +44,7 @@ def test_the_same_bits_as_through_a_bag(scenario, tmp_path):
     options = CASES[scenario]
     simulate(scenario, tmp_path / "bag", seed=30001, lander=lander_of(config), **options)
     replay(tmp_path / "bag", tmp_path / "results", config, report=False)
-    results, truth, _ = fly_in_memory(scenario, 30001, config, options)
+    results, truth = fly_in_memory(scenario, 30001, config, options)
     by_bag = load_results(tmp_path / "results"), load_truth(tmp_path / "truth.npz")
     for name in ("map", "grid", "positions"):
         _same(getattr(results, name), getattr(by_bag[0], name), name)

@@ -35,7 +35,7 @@ def study(tmp_path):
 def test_a_case_flies_as_the_function_does(study):
     case = study.case(1)
     assert (case.scenario, case.index) == ("perfect", 1)
-    figures = FLY.fly(case).figures
+    figures = FLY.fly(case)
     given = {"avoidance": "perfect", "slant_range": 260.0, "speed": 26.0, "rock_abundance": 0.1}
     alone = flown(case.seed, flight_settings(given)).figures
     for name in ("x", "y", "propellant", "safe", "time"):
@@ -44,24 +44,24 @@ def test_a_case_flies_as_the_function_does(study):
 
 
 def test_every_quantity_is_a_figure_and_a_column(study, tmp_path):
-    figures = FLY.fly(study.case(0)).figures
+    figures = FLY.fly(study.case(0))
     record = Record(0, 1, "none", {}, figures)
     _write_flights(tmp_path / "flights.csv", [record])
     with (tmp_path / "flights.csv").open(newline="") as file:
         (row,) = csv.DictReader(file)
     assert float(row["error"]) == figures["error"]
     missing = {q.name for q in FLY.quantities} - figures.keys()
-    # Only with the conditions `reference` and `judge: physics`.
-    assert missing == {"propellant_ratio", "physics_fails", "safe_but_fails"}
+    # Only with the condition `judge: physics`.
+    assert missing == {"physics_fails", "safe_but_fails"}
 
 
 def test_conditions_and_parameters_reach_the_flight(study):
     case = study.case(0)
-    more = {**case.conditions, "fault": "pose_gap@40+1", "survey": 3.0, "reference": True}
-    settings, reference = settings_of(
+    more = {**case.conditions, "fault": "pose_gap@40+1", "survey": 3.0}
+    settings = settings_of(
         Case(0, "fly", "package", 1, conditions=more, parameters=case.parameters)
     )
-    assert reference and settings.plan.survey == 3.0 and settings.rock_abundance == 0.1
+    assert settings.plan.survey == 3.0 and settings.rock_abundance == 0.1
     assert settings.faults[0].kind == "pose_gap" and settings.config["lss.margin"] == 0.7
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from report.pages import Page, accessible, in_a_browser, in_browser, sheets
 
-from quadtree_lss.lab.campaign.campaign_page import note_kept, page_files
+from quadtree_lss.lab.campaign.campaign_page import note_kept, page
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.study import read_study
 from quadtree_lss.lab.campaign.summary import CampaignResult
@@ -33,7 +33,7 @@ def result(tmp_path):
 
 
 def test_the_answer_comes_first_and_every_flight_is_in_it(result):
-    text = page_files(result, ())["campaign.html"].decode()
+    text = page(result)
     found = Page(text)
     first, second = re.findall(r'<p class="verdict (\w*)">(.*?)</p>', text)
     assert first[0] == "none" and second[0] == "good"
@@ -54,8 +54,8 @@ def test_flights_of_several_cases_are_summed_first(result):
         k: replace(r, scenario="package", labels={"case": "ab"[k % 2]})
         for k, r in result.records.items()
     }
-    text = page_files(CampaignResult(result.out, read_study(study), records), ())
-    found = re.findall(r'<p class="verdict (\w*)">(.*?)</p>', text["campaign.html"].decode())
+    text = page(CampaignResult(result.out, read_study(study), records))
+    found = re.findall(r'<p class="verdict (\w*)">(.*?)</p>', text)
     assert [level for level, _ in found] == ["none", "none", "good"]
     assert found[0][1].startswith("all of package: Safe touchdowns 39 of 40, 95 %: ")
     assert "20 of 20" in found[2][1]
@@ -63,7 +63,7 @@ def test_flights_of_several_cases_are_summed_first(result):
 
 def test_only_what_is_kept_is_linked(result):
     result.out.mkdir()
-    (result.out / "campaign.html").write_bytes(page_files(result, ())["campaign.html"])
+    (result.out / "campaign.html").write_text(page(result), encoding="utf-8")
 
     def kept():
         return json.loads(Page((result.out / "campaign.html").read_text()).scripts["kept"])
@@ -74,9 +74,7 @@ def test_only_what_is_kept_is_linked(result):
     (result.out / "kept" / "000003" / "flight.html").write_text("")
     note_kept(result.out, "flight.html")
     assert kept() == ["000003"]
-    assert (
-        json.loads(Page(page_files(result, ())["campaign.html"].decode()).scripts["kept"]) == kept()
-    )
+    assert json.loads(Page(page(result)).scripts["kept"]) == kept()
 
 
 @in_a_browser
@@ -84,7 +82,7 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
     (result.out / "kept" / "000003").mkdir(parents=True)
     (result.out / "kept" / "000003" / "flight.html").write_text("")
     told = in_browser(
-        page_files(result, ())["campaign.html"].decode(),
+        page(result),
         tmp_path,
         """
         const axis = (name, value) => { const s = byId(`axis-${name}`); s.value = value;
@@ -115,10 +113,10 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
 @in_a_browser
 @pytest.mark.slow
 def test_it_can_be_used_by_all(result, tmp_path):
-    assert accessible(page_files(result, ())["campaign.html"].decode(), tmp_path)
+    assert accessible(page(result), tmp_path)
 
 
 @in_a_browser
 @pytest.mark.slow
 def test_it_prints_on_two_sheets(result, tmp_path):
-    assert 1 <= sheets(page_files(result, ())["campaign.html"].decode(), tmp_path) <= 2
+    assert 1 <= sheets(page(result), tmp_path) <= 2

@@ -22,8 +22,8 @@ def test_small_flights_find_hazards():
     path = next(path for path in STUDIES if path.stem == "small")
     flown = fly(read_study(path).case(0))
     assert not isinstance(flown, str), flown
-    assert flown.figures["hazardous_found"] > 98.0 and flown.figures["safe_found"] > 50.0
-    assert flown.figures["unsafe_in_top_five"] == 0
+    assert flown["hazardous_found"] > 98.0 and flown["safe_found"] > 50.0
+    assert flown["unsafe_in_top_five"] == 0
 
 
 @pytest.mark.slow

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The least height that makes a vehicle fail: by the simulator's contact, for lengths, on a map."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -3,7 +3,6 @@
 
 import json
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -51,7 +50,7 @@ def test_a_replay_prints_its_sites_and_is_quiet_otherwise(bag, tmp_path, capsys)
 
 def test_a_replay_imports_nothing_that_it_does_not_use(bag, tmp_path):
     """A short bag takes no longer to map than these take to import."""
-    slow = ["tqdm", "scipy", "matplotlib", "cvxpy", "jsonschema", "rosbags.rosbag2", "rclpy"]
+    slow = ["tqdm", "scipy", "matplotlib", "jsonschema", "rosbags.rosbag2", "rclpy"]
     arguments = ["replay", str(bag), "--out", str(tmp_path), *FAST]
     code = f"import sys; from quadtree_lss.cli import main; main({arguments})\n"
     code += f"print('there:', [name for name in {slow} if name in sys.modules])"
@@ -161,10 +160,6 @@ def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     assert code == 0 and "Elevation error" in shown
     one = json.loads(run(capsys, "evaluate", out, "--truth", truth, "--json", "-q")[1])
     assert one["out"] == str(out / "evaluation") and one["elevation"]["rms"] > 0.0
-    shutil.copytree(out, tmp_path / "other")
-    several = run(capsys, "evaluate", out, tmp_path / "other", "--truth", truth, "--json")
-    runs = json.loads(several[1])["runs"]
-    assert runs["results"]["elevation"] == runs["other"]["elevation"] == one["elevation"]
 
 
 def test_publishing_without_ros_says_so(bag, capsys, monkeypatch):

@@ -1,25 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line says: what was likely meant, all errors at once, narrow terminals."""
+"""What the command line says: what was likely meant, all errors at once."""
 
-import contextlib
-import fcntl
 import io
 import json
-import os
-import pty
-import struct
-import subprocess
 import sys
-import termios
 
 import numpy as np
 import pytest
-from installed import PREFIX
 from replay.recordings import write_ros2
 from replay.test_cli import FAST, run
 
 from quadtree_lss.desk.commands import console
-from quadtree_lss.desk.commands.text import fold, table
 
 
 @pytest.fixture(scope="module")
@@ -107,45 +98,9 @@ def test_quiet_json_is_json_alone(bag, tmp_path, capsys):
     assert code == 0 and err == "" and json.loads(out)["scans"] == 6
 
 
-def test_tables_fit_forty_columns(bag, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(console, "width", lambda: 40)
-    out = run(capsys, "replay", bag, "--out", tmp_path, *FAST)[1]
-    lines = [line for line in out.splitlines() if str(tmp_path) not in line]
-    assert max(map(len, lines)) <= 40 and "rank 1, x " in out and "hazard" in out
-    words = " ".join(run(capsys, "info", bag)[1].split())
-    for line in run(capsys, "info", bag)[1].splitlines():
-        assert len(line) <= 40 or " " not in line.strip()
-    monkeypatch.setattr(console, "width", lambda: 400)
-    assert words == " ".join(run(capsys, "info", bag)[1].split())
-    assert "rank" in run(capsys, "replay", bag, "--out", tmp_path, *FAST)[1]
-
-
-def test_the_width_is_that_of_the_terminal(bag):
-    """A pseudo-terminal of 40 columns."""
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 40, 0, 0))
-    command = [str(PREFIX / "lib" / "quadtree_lss" / "quadtree-lss"), "info", str(bag)]
-    plain = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
-    with subprocess.Popen(command, stdout=theirs, stderr=subprocess.DEVNULL, env=plain) as process:
-        os.close(theirs)
-        shown = b""
-        with contextlib.suppress(OSError):  # the terminal's end
-            while part := os.read(ours, 4096):
-                shown += part
-    os.close(ours)
-    lines = shown.decode().replace("\r", "").splitlines()
-    assert process.returncode == 0 and lines[-1] == "ready to replay"
-    assert all(len(line) <= 40 or " " not in line.strip() for line in lines)
-
-
-def test_a_table_is_aligned_where_there_is_room():
-    rows = [["1", "-2.50"], ["12", "3.00"]]
-    assert table(["n", "x"], rows, 80) == " n      x\n 1  -2.50\n12   3.00"
-    assert table(["n", "x"], rows, 8) == "n 1, x -2.50\nn 12, x 3.00"
-    assert fold("label  value of it", 12) == "label\n    value of\n    it".replace(
-        "\n    it", " it"
-    )
-    assert fold("short", 12) == "short"
+def test_a_table_is_aligned():
+    rows = [["n", "x"], ["1", "-2.50"], ["12", "3.00"]]
+    assert console.table(rows) == [" n      x", " 1  -2.50", "12   3.00"]
 
 
 def test_the_last_line_names_the_page(bag, tmp_path, capsys):
@@ -169,39 +124,3 @@ def test_bars_speak_in_words(monkeypatch, unit, speed):
 def test_help_explains_the_flights(capsys, flight):
     out = run(capsys, "simulate", "--help")[1].partition("flights:")[2]
     assert flight in out and "elevation (ny, nx)" in out
-
-
-def completions(line):
-    """What a shell offers after a line."""
-    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line}
-    asked |= {"COMP_POINT": str(len(line)), "_ARGCOMPLETE_STDOUT_FILENAME": os.devnull}
-    program = "from quadtree_lss.cli import main; main()"
-    command = [sys.executable, "-c", f"import sys; sys.argv = ['quadtree-lss']; {program}"]
-    del asked["_ARGCOMPLETE_STDOUT_FILENAME"]
-    shell = 'exec 8>&1 9>/dev/null; exec "$@"'
-    done = subprocess.run(
-        ["bash", "-c", shell, "-", *command],
-        env={**os.environ, **asked},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    return {word.strip() for word in done.stdout.splitlines()}
-
-
-@pytest.mark.parametrize(
-    ("line", "word"),
-    [
-        ("quadtree-lss rep", "replay"),
-        ("quadtree-lss replay bag --no-r", "--no-report"),
-        ("quadtree-lss replay bag --config mor", "morpheus"),
-        ("quadtree-lss replay bag --set lss.marg", "lss.margin="),
-        ("quadtree-lss replay bag --set lss.assessment=", "lss.assessment=touchdown"),
-        ("quadtree-lss config explain lss.marg", "lss.margin"),
-        ("quadtree-lss config check par", "parabola"),
-        ("quadtree-lss simulate des", "descent"),
-    ],
-)
-def test_the_shell_completes(line, word):
-    assert word in completions(line)

@@ -10,8 +10,7 @@ from replay.test_cli import FAST, run
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.scans import scans
+from quadtree_lss.desk.replay.replay import replay, scans
 
 PAIRS = (word.split("=") for word in FAST if "=" in word)
 KEYS = {key: float(value) if "." in value else int(value) for key, value in PAIRS}

@@ -3,7 +3,6 @@
 
 import contextlib
 import json
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace as changed
 
 import numpy as np
@@ -12,18 +11,14 @@ import yaml
 from installed import error_without
 from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
-from report.pages import in_a_browser, in_browser
 
 from quadtree_lss.desk.replay.export import FORMATS, LAYERS, export_results
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.results import Grid, load_results
-from quadtree_lss.desk.report.content import read
-from quadtree_lss.desk.report.report import page
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.messages.maps import encode_hazards
 
-ENDS = ("tif", "qml")
 #: Of a map about its origin.
 MADE_FOR = "+proj=tmerc +lat_0=38 +lon_0=-116 +datum=WGS84 +units=m"
 
@@ -41,7 +36,7 @@ def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
     paths = export_results(written.out, tmp_path, ["geotiff"], crs=MADE_FOR)
     grid = load_results(written.out).grid
     names = {*grid.layers, "map_height", "map_deviation"}
-    assert {path.name for path in paths} == {f"{name}.{end}" for name in names for end in ENDS}
+    assert {path.name for path in paths} == {f"{name}.tif" for name in names}
     assert {"shadow", "reach"} < {*grid.layers}
     for name, values in grid.layers.items():
         with rasterio.open(tmp_path / f"{name}.tif") as file:
@@ -66,92 +61,6 @@ def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
             middle = corner + (place + 0.5) * side
             (pixel,) = file.sample([middle])
             np.testing.assert_allclose(pixel[0], written.cells.at(*middle).height, rtol=1e-6)
-
-
-@pytest.fixture(scope="module")
-def styles(written, tmp_path_factory):
-    """Of each layer the renderer's type, and value, label and colour of its entries."""
-    pytest.importorskip("rasterio")
-    folder = tmp_path_factory.mktemp("styles")
-    found = {}
-    for path in export_results(written.out, folder, ["geotiff"]):
-        if path.suffix == ".qml":
-            text = path.read_text()
-            assert text.startswith("<!DOCTYPE qgis ")
-            renderer = ElementTree.fromstring(text).find("pipe/rasterrenderer")
-            rows = [dict(e.attrib) for e in renderer.iter() if "color" in e.attrib]
-            found[path.stem] = renderer.get("type"), rows
-            assert renderer.get("band") == "1" and all(row["alpha"] == "255" for row in rows)
-            if found[path.stem][0] == "singlebandpseudocolor":
-                shader = renderer.find("rastershader/colorrampshader")
-                values = [float(row["value"]) for row in rows]
-                ends = [float(shader.get(name)) for name in ("minimumValue", "maximumValue")]
-                assert [values[0], values[-1]] == ends and values == sorted(values)
-    return found
-
-
-def test_styles_of_qgis_go_with_the_files(written, styles, tmp_path):
-    rasterio = pytest.importorskip("rasterio")
-    export_results(written.out, tmp_path, ["geotiff"])
-    for name, (kind, rows) in styles.items():
-        with rasterio.open(tmp_path / f"{name}.tif") as file:
-            values = file.read(1, masked=True).compressed()
-            if kind == "paletted":
-                assert {int(row["value"]) for row in rows} == set(values.tolist())
-                for row in rows:
-                    colour = tuple(bytes.fromhex(row["color"][1:]))
-                    assert file.colormap(1)[int(row["value"])][:3] == colour
-            else:
-                low, high = (float(rows[k]["value"]) for k in (0, -1))
-                assert low < high and np.median(np.abs(values)) > 0.0
-                inside = (values >= low) & (values <= high)
-                assert inside[np.isfinite(values)].mean() > 0.9, name
-    assert [row["label"] for row in styles["probability"][1]][:: len(range(0, 256, 5)) - 1] == [
-        "0 %",
-        "100 %",
-    ]
-    assert styles["elevation"][1][0]["label"].endswith(" m")
-
-
-@in_a_browser
-def test_styles_of_qgis_have_names_and_colours_of_the_page(written, styles, tmp_path):
-    wanted = {name: [float(row["value"]) for row in rows] for name, (_, rows) in styles.items()}
-    found = in_browser(
-        page(read(written.out)),
-        tmp_path,
-        f"""
-        const wanted = {json.dumps(wanted)}, hex = c => "#" + [...c].map(v =>
-          v.toString(16).padStart(2, "0")).join("");
-        const kinds = {{ safe: "allowed", slope_deg: "slope", map_height: "elevation" }};
-        for (const [name, values] of Object.entries(wanted)) {{
-          const layer = LAYERS[kinds[name] || name], times = name === "probability" ? 100 : 1;
-          if (name === "hazard") tellTest(name, values.map(v => [hazardNames(v),
-            (data.hazards.find(h => v & h.bit) || {{ colour: data.colours.clear }}).colour]));
-          else if (layer && layer.classes) tellTest(name, values.map(v => {{
-            const k = layer.classes[name === "safe" ? 1 - v : v]; return [k.name, k.colour]; }}));
-          else if (layer) tellTest(name, [layer.limits.map(v => v / times),
-            values.map(v => hex(colour(layer, times * v)))]);
-        }}""",
-    )
-    assert set(found) == set(styles) - {"plane_elevation", "map_deviation", "risk"}
-    for name, told in found.items():
-        kind, rows = styles[name]
-        colours = [row["color"] for row in rows]
-        if kind == "paletted":
-            assert told == [[r["label"].removesuffix(", uncertain"), r["color"]] for r in rows]
-        else:
-            limits, own = told
-            steps = np.ptp(limits) / 60.0  # the page's elevations are from other percentiles
-            np.testing.assert_allclose(limits, [wanted[name][k] for k in (0, -1)], atol=steps)
-            near = [
-                max(
-                    abs(a - b)
-                    for a, b in zip(bytes.fromhex(x[1:]), bytes.fromhex(y[1:]), strict=True)
-                )
-                for x, y in zip(own, colours, strict=True)
-            ]
-            assert max(near) <= (0 if name != "map_height" and name != "elevation" else 6), name
-    assert len({row["color"] for row in styles["hazard"][1]}) > 1
 
 
 def test_a_new_layer_of_the_grid_comes_by_itself(written, tmp_path):
@@ -345,7 +254,8 @@ def test_an_assessment_without_a_safe_place_is_exported_too(written, tmp_path):
 
     result = changed(written, assessment=none)
     write_results(tmp_path / "none", result, config_from_values(GROUND), report=False)
-    for name in ("rasterio", "trimesh"):
-        pytest.importorskip(name)
+    rasterio, _ = (pytest.importorskip(name) for name in ("rasterio", "trimesh"))
     export_results(tmp_path / "none", tmp_path / "out", origin=(38.0, -116.0))
     assert json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"] == []
+    with rasterio.open(tmp_path / "out" / "score.tif") as file:
+        assert np.isnan(file.read(1)).all()

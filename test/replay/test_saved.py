@@ -120,12 +120,8 @@ def test_an_older_map_asks_for_another_replay(written, tmp_path):
         load_results(tmp_path).map  # noqa: B018
 
 
-def test_a_map_from_before_bounds_is_known_where_it_was_measured(written, tmp_path):
-    arrays = without(written, tmp_path, "low", "high", "known_cells")
-    found = load_results(tmp_path).map
-    assert np.isnan(found.low).all() and np.isnan(found.high).all()
-    expected = found.observed & found.measured[found.leaf_raster()]
-    np.testing.assert_array_equal(found.known, expected)
+def test_arrays_of_other_sizes_are_no_map(written, tmp_path):
+    arrays = without(written, tmp_path)
     for name in ("z", "low", "known_cells", "domain"):
         short = {**arrays, name: np.zeros(3)}
         np.savez(tmp_path / "cells.npz", **short)

@@ -2,17 +2,12 @@
 """``quadtree-lss view``: the page of whatever is in a folder."""
 
 import json
-import re
 import shutil
-import subprocess
-import sys
 import webbrowser
 
 import pytest
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.report.content import read
-from quadtree_lss.desk.report.rerun_file import MOST
 
 
 @pytest.fixture
@@ -65,23 +60,3 @@ def test_without_a_browser_it_says_what_to_open(monkeypatch, tmp_path, capsys):
     (tmp_path / "report.html").write_text("")
     assert main(["view", str(tmp_path)]) == 0
     assert capsys.readouterr().out.strip() == f"open {tmp_path / 'report.html'}"
-
-
-def test_a_recording_of_rerun_holds_what_the_history_does(result, tmp_path):
-    pytest.importorskip("rerun")
-    path = tmp_path / "map.rrd"
-    assert main(["view", str(result.out), "--rerun", str(path)]) == 0
-    command = [sys.executable, "-m", "rerun", "rrd", "stats", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    for name in ("ground", "sites", "target", "lidar", "scan"):
-        assert f"/map/{name}: " in done.stdout
-    rows = re.search(r"num_rows = (\d+)", done.stdout)
-    scans, answers = len(result.timings), len(read(result.out).history["answer_stamp_ns"])
-    assert int(rows[1]) >= 2 * scans + 3 * min(answers, MOST)
-
-
-def test_without_rerun_one_line_names_its_extra(result, monkeypatch, tmp_path, capsys):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    assert main(["view", str(result.out), "--rerun", str(tmp_path / "map.rrd")]) == 1
-    assert "quadtree_lss[rerun]" in capsys.readouterr().err

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arrays to messages and back; counting and limiting what goes out."""
 
-from __future__ import annotations
-
 import struct
 from operator import attrgetter
 

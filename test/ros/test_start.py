@@ -118,7 +118,7 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
         for name, distributions in metadata.packages_distributions().items()
         if of_extras & {distribution for distribution in distributions}
     }
-    assert {"matplotlib", "rosbags", "argcomplete"} <= names
+    assert {"matplotlib", "rosbags", "tqdm"} <= names
     run_first(ros, ONBOARD_ALONE.format(lacking=sorted(names)))
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.listen() as listener:

@@ -35,10 +35,10 @@ def test_a_study_counts_those_that_do_not_stand():
     pytest.importorskip("mujoco")
     conditions = {"judge": "physics", "slant_range": 260.0, "speed": 26.0}
     case = Case(0, "fly", "none", 3, conditions=conditions)
-    assert settings_of(case)[0].judge == "physics"
-    figures = FLY.fly(case).figures
+    assert settings_of(case).judge == "physics"
+    figures = FLY.fly(case)
     assert figures["judged"] == 1 and figures["physics_fails"] in (0, 1)
-    assert {q.name for q in FLY.quantities} - figures.keys() == {"propellant_ratio"}
+    assert {q.name for q in FLY.quantities} <= figures.keys()
 
 
 def test_without_the_engine_nothing_is_flown_and_one_line_names_it(monkeypatch, tmp_path, capsys):

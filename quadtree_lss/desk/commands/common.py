@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from quadtree_lss.desk.commands.console import show
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
@@ -153,40 +152,14 @@ def add_topics(parser: argparse.ArgumentParser, *, poses: bool = True) -> None:
         add("--poses", type=named, metavar="FILE", help=POSES)
 
 
-def completed(action: argparse.Action, values: Callable[..., Iterable[str]]) -> None:
-    """Lets the shell complete an argument with what ``values(prefix, …)`` gives."""
-    action.completer = values  # type: ignore[attr-defined]
-
-
-def config_names(prefix: str, **_: Any) -> list[str]:
-    """Shipped configurations and files."""
-    from argcomplete.completers import FilesCompleter
-
-    from quadtree_lss.desk.replay.configuration import shipped_names
-
-    return [*shipped_names(), *FilesCompleter(("yaml", "yml"))(prefix)]
-
-
-def parameter_settings(prefix: str, **_: Any) -> list[str]:
-    """``lss.margin=``; after the ``=`` the choices there are."""
-    from quadtree_lss.onboard.config.settings import parameters
-
-    key, equals, _value = prefix.partition("=")
-    if not equals:
-        return [f"{row.name}=" for row in parameters()]
-    rows = [row for row in parameters() if row.name == key]
-    values = [c for row in rows for c in row.choices or (row.type is bool) * ("true", "false")]
-    return [f"{key}={value}" for value in values]
-
-
 def add_config_options(parser: argparse._ActionsContainer) -> None:
     add = parser.add_argument
     several: dict[str, Any] = {"action": "append", "default": []}
     text = "ROS parameter file or shipped configuration (default, morpheus, parabola, …);"
     text += " several overlay each other, the later wins"
-    completed(add("--config", metavar="YAML", help=text, **several), config_names)
+    add("--config", metavar="YAML", help=text, **several)
     text = "set one parameter, for instance lss.margin=1.0; wins over every file"
-    completed(add("--set", metavar="KEY=VALUE", help=text, **several), parameter_settings)
+    add("--set", metavar="KEY=VALUE", help=text, **several)
 
 
 def overrides(options: argparse.Namespace) -> dict[str, Any]:
@@ -268,7 +241,7 @@ def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
         out = {"out": str(result.out)} if hasattr(result, "out") else {}
         print_json({**out, **result.as_dict()})
         return
-    show(result.table())
+    print(result.table())
     for line in lines:
         print(line)
 

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar, show, warn
+from quadtree_lss.desk.commands.console import ProgressBar, warn
 from quadtree_lss.desk.commands.explained import (
     check_files,
     explain,
@@ -17,7 +16,7 @@ from quadtree_lss.desk.commands.explained import (
 )
 from quadtree_lss.desk.replay.configuration import dump_config, load_config, slow
 from quadtree_lss.onboard.config.risk import doubt
-from quadtree_lss.onboard.config.settings import config_from_values, parameters, values_from_config
+from quadtree_lss.onboard.config.settings import config_from_values, values_from_config
 
 ACTIONS = ("print", "check", "explain", "suggest")
 TEXT = (
@@ -44,7 +43,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     add("action", nargs="?", choices=ACTIONS, default="print", metavar="ACTION")
     text = "files to check; keys or sections to explain; the bag to suggest for"
-    common.completed(add("names", nargs="*", metavar="NAME", help=text), names_of_action)
+    add("names", nargs="*", metavar="NAME", help=text)
     common.add_config_options(parser)
     add("--poses", type=common.named, metavar="FILE", help=common.POSES)
     add(
@@ -56,18 +55,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "suggest for a vehicle of this diameter and clearance, m"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
     add("--plain", action="store_true", help="print without the explanations")
-
-
-def names_of_action(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    """What a shell offers: keys and sections to explain, files to check, bags."""
-    from argcomplete.completers import FilesCompleter
-
-    if parsed_args.action == "explain":
-        names = [row.name for row in parameters()]
-        return [*sorted({name.partition(".")[0] for name in names}), *names]
-    if parsed_args.action == "check":
-        return common.config_names(prefix)
-    return list(FilesCompleter()(prefix))
 
 
 def vehicle(text: str) -> dict[str, float]:
@@ -96,7 +83,7 @@ def _run(options: argparse.Namespace) -> int:
         texts = [explain_text(row) for row in rows]
         if any(row.name.startswith("vehicle.") for row in rows):
             texts.append(lengths_text(common.chosen_config(options).vehicle))
-        show("\n\n".join(texts))
+        print("\n\n".join(texts))
     return common.DONE
 
 
@@ -117,7 +104,7 @@ def _check(options: argparse.Namespace) -> int:
         common.print_json(found)
     else:
         for name, errors in found.items():
-            show("\n".join(f"{name}: {line}" for line in errors or ["good"]))
+            print("\n".join(f"{name}: {line}" for line in errors or ["good"]))
             if not errors:
                 config = load_config([name])
                 finest = 1 << config.domain.max_level

@@ -8,10 +8,9 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from quadtree_lss.desk.commands.text import fold, table, width
 from quadtree_lss.onboard.errors import one_line
 
 if TYPE_CHECKING:
@@ -118,11 +117,10 @@ class Interruption:
 
 def print_result(result: ReplayResult) -> None:
     """Key figures of a replay and its ranked sites, on stdout; last, what to open."""
-    print(result_text(result, width()))
+    print(result_text(result))
 
 
-def result_text(result: ReplayResult, columns: int) -> str:
-    """Key figures of a replay and its ranked sites for a terminal so wide."""
+def result_text(result: ReplayResult) -> str:
     from quadtree_lss.desk.replay.points import points_line  # the core: slow to import
 
     summary, sites = result.summary, result.assessment.sites
@@ -151,12 +149,12 @@ def result_text(result: ReplayResult, columns: int) -> str:
             f"{summary['maps']} maps read, the last one assessed; {summary['leaves']} leaves;"
             f" {speed}\nlanding site selection {summary['lss_ms']:.1f} ms"
         )
-    lines = fold(text, columns).splitlines()
+    lines = [text]
     if not len(sites.score):
         reason = result.assessment.explanation.removeprefix("no safe site: ")
-        lines.append(fold(f"no safe site: {reason}", columns))
+        lines.append(f"no safe site: {reason}")
     else:
-        lines.append(table(_SITE_HEADER, _site_rows(sites), columns))
+        lines += table([_SITE_HEADER, *_site_rows(sites)])
     if result.out is not None:
         lines.append(f"results in {one_line(result.out)}")
         page = result.out / "report.html"
@@ -187,9 +185,10 @@ def _site_rows(sites: Sites) -> list[list[str]]:
     ]
 
 
-def show(text: str) -> None:
-    """Text on stdout, folded to the terminal; names of files stay whole."""
-    print(fold(text, width()))
+def table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of cells, right-aligned."""
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    return ["  ".join(f"{c:>{w}}" for c, w in zip(row, widths, strict=True)) for row in rows]
 
 
 def say(text: str) -> None:

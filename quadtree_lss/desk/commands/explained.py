@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters for people: what is wrong with a file, what a key means, ``docs/parameters.md``."""
+"""Parameters for people: what is wrong with a file, what a key means."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import os
-import sys
-from collections.abc import Iterable, Iterator
-from itertools import groupby
+from collections.abc import Iterable
 from types import SimpleNamespace
 
 from quadtree_lss.desk.replay.configuration import find_config, scalar_text
@@ -23,22 +21,6 @@ from quadtree_lss.onboard.config.settings import (
     unknown_parameter,
 )
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
-
-INTRODUCTION = """\
-# Parameters
-
-Written by `python -m quadtree_lss.desk.commands.explained > docs/parameters.md` from the table
-in `onboard/config/sections.py`, which also declares and documents them; the
-module `settings` beside it checks them.
-
-All nodes accept all of them, so one parameter file serves them, and `quadtree-lss replay` as
-well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
-the start. Lengths are m, and a name that ends in `_deg` is in degrees.
-
-[What follows from `vehicle`](#what-follows-from-the-vehicle) is no parameter: `quadtree-lss config
-explain vehicle` shows each value and rule. Old names (`lss.vehicle_diameter`, `lss.max_roughness`,
-`lss.max_slope_deg`, `lss.pad_radius`) are still read, with a line.
-"""
 
 
 def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
@@ -120,40 +102,6 @@ def parameter_as_dict(row: Parameter) -> dict[str, object]:
     }
 
 
-def parameter_table() -> str:
-    parts = [INTRODUCTION]
-    for section, rows in groupby(parameters(), key=lambda row: row.name.partition(".")[0]):
-        parts.append("\n".join([f"\n## {section}\n", *_table(rows)]) + "\n")
-    rows = (
-        f"| {item.name} | {rule(item.name).replace(' x ', ' · ')} | {item.default:g}"
-        f" {item.metadata['unit']} | {item.metadata['doc']} |"
-        for item in dataclasses.fields(Lengths)
-    )
-    heads = ["\n## What follows from the vehicle\n", "| Length | Rule | By default | Meaning |"]
-    return "".join(parts) + "\n".join([*heads, "| --- | --- | --- | --- |", *rows]) + "\n"
-
-
-def _table(rows: Iterator[Parameter]) -> Iterator[str]:
-    yield "| Parameter | Type | Unit | Range | Default | Live | Meaning |"
-    yield "| --- | --- | --- | --- | --- | --- | --- |"
-    for row in rows:
-        live = "yes" if row.live else ""
-        cells = (f"`{row.name}`", row.type.__name__, row.unit, _range(row), _default(row), live)
-        yield f"| {' | '.join((*cells, row.doc))} |"
-
-
-def _range(row: Parameter) -> str:
-    if row.choices:
-        return ", ".join(f"`{choice}`" for choice in row.choices)
-    return f"{row.low:g} … {row.high:g}" if row.type in (int, float) else ""
-
-
-def _default(row: Parameter) -> str:
-    if row.type is str:
-        return f"`{row.default}`" if row.default else "empty"
-    return str(row.default).lower() if row.type is bool else f"{row.default}"
-
-
 def rule(name: str) -> str:
     """How a length follows: ``0.833 x vehicle.clearance``, ``0.5 x least_hazard``."""
     item = Lengths.__dataclass_fields__[name]
@@ -163,7 +111,3 @@ def rule(name: str) -> str:
     share = item.default / getattr(VehicleConfig(), of) ** power
     given = of if of in Lengths.__dataclass_fields__ else f"vehicle.{of}"
     return f"{share:.3g} x {given}" + (f"^{power}" if power > 1 else "")
-
-
-if __name__ == "__main__":
-    sys.stdout.write(parameter_table())

@@ -7,7 +7,6 @@ import argparse
 from pathlib import Path
 
 from quadtree_lss.desk.commands.common import DONE, add_command, named, place, print_json
-from quadtree_lss.desk.commands.console import show
 
 FORMATS = ("geotiff", "ply", "gltf", "geojson", "map_server")
 TEXT = "Write results for other programs: GeoTIFF, meshes, GeoJSON, map_server."
@@ -18,7 +17,7 @@ EXAMPLES = """examples:
   quadtree-lss export results/latest --format ply --format gltf --out meshes
 
 formats:
-  geotiff      cloud-optimised GeoTIFF of every layer, with a style of QGIS (.qml)
+  geotiff      cloud-optimised GeoTIFF of every layer
   ply, gltf    the ground as a mesh in relief, green where landing is allowed
   geojson      sites and landing zones
   map_server   hazards and landing as pgm + yaml for nav2
@@ -55,5 +54,5 @@ def _run(options: argparse.Namespace) -> int:
         print_json({"files": [str(path) for path in written]})
     else:
         names = ", ".join(path.name for path in written)
-        show(f"{names}\n{len(written)} files in {written[0].parent}")
+        print(f"{names}\n{len(written)} files in {written[0].parent}")
     return DONE

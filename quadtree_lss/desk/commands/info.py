@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar, show
+from quadtree_lss.desk.commands.console import ProgressBar
 
 TEXT = "Show what a bag contains and whether it is ready to replay."
 EXAMPLES = """examples:
@@ -70,9 +70,9 @@ def _doctor(options: argparse.Namespace) -> int:
         common.print_json({"findings": [finding._asdict() for finding in (*wrong, *notes)]})
         return common.ERROR if wrong else common.DONE
     for finding in wrong:
-        show(f"wrong: {finding.text}\nmend:  {finding.mend or 'none known'}")
+        print(f"wrong: {finding.text}\nmend:  {finding.mend or 'none known'}")
     if not wrong:
-        show(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
+        print(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
     for finding in notes:
-        show(f"note:  {finding.text}")
+        print(f"note:  {finding.text}")
     return common.ERROR if wrong else common.DONE

@@ -8,7 +8,6 @@ import webbrowser
 from pathlib import Path
 
 from quadtree_lss.desk.commands.common import DONE, add_command, named, print_json
-from quadtree_lss.desk.commands.console import show
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 PAGES = ("campaign.html", "flight.html", "lander/flight.html", "report.html")
@@ -19,7 +18,6 @@ EXAMPLES = """examples:
   quadtree-lss view                       (results/latest)
   quadtree-lss view flight7
   quadtree-lss view campaigns/morpheus --no-open
-  quadtree-lss view flight7 --rerun flight7.rrd
 
 Of results without a page (replay --no-report) the page is made.
 """
@@ -31,8 +29,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "folder of a replay, flight, campaign or evaluation (default results/latest)"
     parser.add_argument("folder", type=named, metavar="DIR", nargs="?", default=default, help=text)
     parser.add_argument("--no-open", action="store_true", help="only print where the page is")
-    text = "write results as a recording of Rerun (.rrd) instead (extra 'rerun')"
-    parser.add_argument("--rerun", type=named, metavar="FILE", help=text)
 
 
 def page_in(folder: Path) -> Path:
@@ -54,25 +50,10 @@ def page_in(folder: Path) -> Path:
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.rerun is not None:
-        return _rerun(options)
     page = page_in(options.folder).resolve()
     opened = not options.no_open and webbrowser.open(page.as_uri())
     if options.json:
         print_json({"page": str(page), "opened": bool(opened)})
     else:
-        show(str(page) if opened or options.no_open else f"open {page}")
-    return DONE
-
-
-def _rerun(options: argparse.Namespace) -> int:
-    from quadtree_lss.desk.replay.results import load_results
-    from quadtree_lss.desk.report.content import read
-    from quadtree_lss.desk.report.rerun_file import write_rerun
-
-    write_rerun(read(load_results(options.folder).folder), options.rerun)
-    if options.json:
-        print_json({"recording": str(options.rerun)})
-    else:
-        show(f"rerun {options.rerun}")
+        print(str(page) if opened or options.no_open else f"open {page}")
     return DONE

@@ -15,7 +15,7 @@ CIRCLE_POINTS = 48
 
 
 def sites_geojson(sites: Mapping[str, NDArray[Any]], zone: float, crs: str) -> dict[str, Any]:
-    """A FeatureCollection.
+    """A FeatureCollection, whose properties are of the columns' own types.
 
     Args:
         sites: Columns of ``sites.csv``.
@@ -26,7 +26,7 @@ def sites_geojson(sites: Mapping[str, NDArray[Any]], zone: float, crs: str) -> d
     x, y, z = (np.asarray(sites[name], np.float64) for name in "xyz")
     angles = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS + 1)
     for k in range(len(x)):
-        known = {name: _plain(column[k]) for name, column in sites.items()}
+        known = {name: column[k] for name, column in sites.items()}
         point = _places(x[k : k + 1], y[k : k + 1], crs)[0]
         ring = _places(x[k] + zone * np.cos(angles), y[k] + zone * np.sin(angles), crs)
         ring[-1] = ring[0]
@@ -42,8 +42,3 @@ def sites_geojson(sites: Mapping[str, NDArray[Any]], zone: float, crs: str) -> d
 
 def _places(x: Any, y: Any, crs: str) -> list[list[float]]:
     return np.column_stack(to_degrees(x, y, crs)).tolist()
-
-
-def _plain(value: Any) -> Any:
-    value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value

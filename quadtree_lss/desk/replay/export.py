@@ -14,10 +14,10 @@ from quadtree_lss.desk.exchange.geojson import sites_geojson
 from quadtree_lss.desk.exchange.geotiff import check_place, write_geotiff
 from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
-from quadtree_lss.desk.exchange.qgis import write_classes, write_ramp
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
-from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED, UNCERTAIN
+from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.elevation.reference import reference
@@ -87,7 +87,7 @@ def export_results(
 
 def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     """Every layer of the landing grid, and height and deviation of the map's own cells where the
-    ground is known; beside each how QGIS shows it, as the page does."""
+    ground is known."""
     grid, domain = results.grid, results.map.domain
     layers = [(name, values, grid.x, grid.y) for name, values in grid.layers.items()]
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
@@ -97,48 +97,29 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     known = (np.where(raster.seen, values, np.nan) for values in (raster.elevation, deviation))
     names = ("map_height", "map_deviation")
     layers += [(name, v, x, y) for name, v in zip(names, known, strict=True)]
-    from quadtree_lss.desk.report import palette
-
-    classes = _classes()
-    written = []
+    tables, written = _colour_tables(), []
     for name, values, across, along in layers:
-        none = NO_DATA if name in MASKS else None
-        if name in MASKS:
-            values = np.where(grid.seen, values, NO_DATA).astype(np.uint8)
-        path, style = folder / f"{name}.tif", folder / f"{name}.qml"
         unit, words = LAYERS.get(name, ("", ""))
         how: dict[str, Any] = {"crs": crs, "name": name, "unit": unit, "description": words}
-        if found := classes.get(name):
-            how |= {"colours": {v: colour for v, (_, colour) in found.items()}, "nodata": none}
-            there = set(np.unique(values).tolist()) - {none}
-            write_classes(style, {v: found[v] for v in there})
-        else:
-            kind, limits = palette.look(name, values, results.config.lss)
-            unit = "%" if name in palette.SHARES else unit.removeprefix("1")
-            write_ramp(style, palette.colour_table(palette.MAPS[kind]), limits, unit)
-        write_geotiff(path, values, across, along, **how)
-        written += [path, style]
+        if name in MASKS:
+            values = np.where(grid.seen, values, NO_DATA).astype(np.uint8)
+            how["nodata"] = NO_DATA
+        written.append(folder / f"{name}.tif")
+        write_geotiff(written[-1], values, across, along, colours=tables.get(name), **how)
     return written
 
 
-def _classes() -> dict[str, dict[int, tuple[str, str]]]:
-    """Name and colour of whole values by layer, as those of the page."""
+def _colour_tables() -> dict[str, dict[int, str]]:
+    """Colour of whole values by layer, as those of the page."""
     from quadtree_lss.desk.report import palette
 
-    no, yes = palette.EXCLUDED_COLOUR, palette.SAFE_COLOUR
-    none = {NO_DATA: ("unseen", palette.UNSEEN_COLOUR)}
+    no, yes, none = palette.EXCLUDED_COLOUR, palette.SAFE_COLOUR, {NO_DATA: palette.UNSEEN_COLOUR}
     hazard = {}
     for bits in range(256):
-        kinds = [(name, colour) for bit, name, colour in palette.HAZARDS if bits & bit]
-        kinds = kinds or [("none", palette.CLEAR_COLOUR)]
-        names = [name for name, _ in kinds] + ["uncertain"] * (bits & UNCERTAIN > 0)
-        hazard[bits] = ", ".join(names), kinds[0][1]
-    return {
-        "safe": {0: ("excluded", no), 1: ("allowed", yes)} | none,
-        "shadow": {0: ("lit", yes), 1: ("in shadow", no)} | none,
-        "reach": {0: ("beyond reach", no), 1: ("within reach", yes)} | none,
-        "hazard": hazard,
-    }
+        kinds = (colour for bit, _, colour in palette.HAZARDS if bits & bit)
+        hazard[bits] = next(kinds, palette.CLEAR_COLOUR)
+    tables = {"safe": {0: no, 1: yes}, "shadow": {0: yes, 1: no}, "reach": {0: no, 1: yes}}
+    return {"hazard": hazard} | {name: table | none for name, table in tables.items()}
 
 
 def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:
@@ -173,7 +154,7 @@ def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
     if not crs:
         msg = "GeoJSON is in longitude and latitude: --crs or --origin says where the map lies"
         raise ExchangeError(msg)
-    content = sites_geojson(results.sites, 0.5 * lss.vehicle.diameter + lss.margin, crs)
+    content = plain(sites_geojson(results.sites, 0.5 * lss.vehicle.diameter + lss.margin, crs))
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return [path]
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace as changed
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
@@ -22,12 +23,14 @@ from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.desk.replay.run import Progress, Run
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, ReplayError, Stream
 from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.elevation.look_first import look_first
 from quadtree_lss.onboard.elevation.prior_file import read_prior
+from quadtree_lss.onboard.messages.intake import ReadyScan
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
-__all__ = ["Progress", "ReplayError", "ReplayResult", "replay"]
+__all__ = ["Progress", "ReplayError", "ReplayResult", "Step", "replay", "scans", "steps"]
 
 
 def replay(
@@ -162,6 +165,47 @@ def replay(
     if folder is not None:
         write_results(folder, result, config, report, history)
     return result
+
+
+def scans(
+    bag: str | Path | Bag,
+    config: Config,
+    *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
+    poses: str | Path | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+) -> Iterator[ReadyScan]:
+    """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them; the
+    arguments are those of `replay.replay`. Raises `BagError` or `ReplayError` as that does."""
+    stream = Stream(scan_topic, pose_topic, start, duration)
+    given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
+    with given as opened:
+        stream.resolve(opened, config)
+        intake = stream.intake(config)
+        for message in stream.messages(opened):
+            stream.take(opened, intake, message)
+            yield from intake.ready(message.received_ns)
+            intake.notices()
+
+
+class Step(NamedTuple):
+    """One scan, what became of it, and the mapper that has it now."""
+
+    scan: ReadyScan
+    report: ScanReport
+    mapper: Mapper
+
+
+def steps(bag: str | Path | Bag, config: Config, **options: Any) -> Iterator[Step]:
+    """Maps a bag scan by scan; ``step.mapper.snapshot()`` is the map so far.
+
+    Arguments, options and errors are those of `scans`.
+    """
+    mapper = Mapper(config, read_prior(config))
+    for scan in scans(bag, config, **options):
+        yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)
 
 
 def _why_nothing(run: Run) -> str:

@@ -14,8 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.cells import ResultsError, cell_map, cells_arrays, unreadable
-from quadtree_lss.desk.exchange.tables import Table, read_table
+from quadtree_lss.desk.exchange.saved import (
+    ResultsError,
+    Table,
+    cell_map,
+    cells_arrays,
+    read_table,
+    unreadable,
+)
 from quadtree_lss.desk.replay.configuration import dump_config, load_config
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.history import History

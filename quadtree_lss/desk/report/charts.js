@@ -18,10 +18,6 @@ function plot(parent, high, options, columns) {
 function resizePlots() {
   for (const { chart, size, room } of plots) if (room.clientWidth) chart.setSize(size());
 }
-function forget(chart) {
-  const k = plots.findIndex(p => p.chart === chart);
-  if (k >= 0) { plots[k].room.remove(); chart.destroy(); plots.splice(k, 1); }
-}
 const told = unit => (u, v) => (v === null || v === undefined ? "–" : short(v) + unit);
 const second_s = (u, v) => (v === null ? "" : v.toFixed(2) + " s");
 function curve(label, stroke, unit = "", more = {}) {

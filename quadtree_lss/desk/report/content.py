@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.tables import read_table
+from quadtree_lss.desk.exchange.saved import read_table
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config, config_from_values, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
@@ -66,12 +66,10 @@ class Content:
         if not fill:
             rows = np.unpackbits(rows, axis=1, count=shape[0] * shape[1])
         found: NDArray[np.uint8] = rows.reshape(-1, *shape)
-        corners = self.history.get("answer_corner")
-        if corners is not None:  # else it is a file from before
-            last = np.array([self.grid["x"][0], self.grid["y"][0]])
-            steps = np.rint((last - corners[answers]) / self.spacing).astype(int)
-            for k in np.flatnonzero(steps.any(axis=1)):
-                found[k] = carried(found[k], *steps[k].tolist(), fill)
+        last = np.array([self.grid["x"][0], self.grid["y"][0]])
+        steps = np.rint((last - self.history["answer_corner"][answers]) / self.spacing).astype(int)
+        for k in np.flatnonzero(steps.any(axis=1)):
+            found[k] = carried(found[k], *steps[k].tolist(), fill)
         return found
 
     @property

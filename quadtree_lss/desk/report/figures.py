@@ -21,8 +21,8 @@ from quadtree_lss.desk.report.palette import (
     UNMAPPED_NAME,
     UNSEEN_COLOUR,
     excluding,
-    look,
     slope_limit,
+    slope_limits,
 )
 from quadtree_lss.onboard.arrays import Array
 
@@ -39,8 +39,7 @@ def figures(content: Content) -> dict[str, Figure]:
     drawing.mark_sites(axes, content.places)
     found["slope"], axes = _map("Slope at the lander's scale", content)
     label = f"slope, deg (limit {limit:g} in white; grey: unseen)"
-    _, limits = look("slope_deg", slope, content.config.lss)
-    bar = _layer(axes, content, slope, "slope", label, limits)
+    bar = _layer(axes, content, slope, "slope", label, slope_limits(slope, content.config.lss))
     bar.ax.axhline(limit, color="white")
     if np.nanmax(slope, initial=0.0) > limit:
         axes.contour(grid["x"], grid["y"], slope, [limit], colors="white", linewidths=0.8)

@@ -91,7 +91,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         return grid[name][::stride, ::stride]
 
     limit = palette.slope_limit(content.config.lss)
-    _, slopes = palette.look("slope_deg", grid["slope_deg"], content.config.lss)
+    slopes = palette.slope_limits(grid["slope_deg"], content.config.lss)
     found: dict[str, Any] = {
         "nx": len(grid["x"][::stride]),
         "ny": len(grid["y"][::stride]),

@@ -43,8 +43,6 @@ KINDS = {
     "risk": "score",
 }
 """Kind of each layer that has not its name."""
-SHARES = ("probability", "risk")
-"""Layers from 0 to 1, which are shown as per cent."""
 
 
 def excluding(assessment: str) -> int:
@@ -78,14 +76,9 @@ def top_limit(values: Array) -> tuple[float, float]:
     return 0.0, max(colour_limits(values)[1], 1e-6)
 
 
-def look(name: str, values: Array, lss: LssConfig) -> tuple[str, tuple[float, float]]:
-    """Kind, of `MAPS`, of a layer and the range of its colours."""
-    kind = KINDS.get(name, name if name in MAPS else "probability")
-    if name in SHARES:
-        return kind, (0.0, 1.0)
-    if kind == "slope":
-        return kind, (0.0, max(top_limit(values)[1], slope_limit(lss)))
-    return kind, top_limit(values) if kind == "deviation" else colour_limits(values)
+def slope_limits(slopes: Array, lss: LssConfig) -> tuple[float, float]:
+    """Range of the colours of slopes, deg, which holds the limit."""
+    return 0.0, max(top_limit(slopes)[1], slope_limit(lss))
 
 
 def even_limits(values: Array) -> tuple[float, float]:

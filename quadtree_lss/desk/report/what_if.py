@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.exchange.cells import ResultsError, cell_map
+from quadtree_lss.desk.exchange.saved import ResultsError, cell_map
 from quadtree_lss.desk.report.content import Content
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.config.risk import doubt

@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``campaign.html``: the table, the worst flights, what explains the figures; and its pictures."""
+"""``campaign.html``: the answer, each flight as a point, the table, the worst flights."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
-from scipy.stats import spearmanr
 
 from quadtree_lss.desk.replay.files import write_bytes
-from quadtree_lss.desk.report.drawing import png
 from quadtree_lss.desk.report.pages import Columns, render, source
 from quadtree_lss.lab.campaign.kinds import Kind, Quantity
 from quadtree_lss.lab.campaign.store import Record
@@ -20,7 +17,6 @@ from quadtree_lss.lab.campaign.summary import (
     CampaignResult,
     Line,
     badness,
-    bootstrap,
     flown,
     groups,
     line_of,
@@ -28,23 +24,9 @@ from quadtree_lss.lab.campaign.summary import (
 )
 from quadtree_lss.lab.evaluation.figures import RUNS
 
-MOST_REASONS = 4
-BINS = 6
 
-
-def page_files(result: CampaignResult, times: Sequence[Mapping[str, str]]) -> dict[str, bytes]:
-    """Content by path in the campaign's folder."""
-    drawn = {"figures/distributions.png": _distributions(result)}
-    sensitivity = _sensitivity(result)
-    if sensitivity is not None:
-        drawn["figures/sensitivity.png"] = sensitivity
-    pictures = {name: png(figure, dpi=110) for name, figure in drawn.items()}
-    return {**pictures, "campaign.html": _page(result, times, pictures).encode()}
-
-
-def _page(
-    result: CampaignResult, times: Sequence[Mapping[str, str]], pictures: Mapping[str, bytes]
-) -> str:
+def page(result: CampaignResult) -> str:
+    """The page as text."""
     kind, study = result.study.what, result.study
     note = f"{len(result.records)} of {study.count} flights"
     if result.failed:
@@ -55,7 +37,7 @@ def _page(
     part_of = {record.index: k for k, (_, records) in enumerate(parts) for record in records}
     titles = {name: name.replace("_", " ") for name in (*study.varied, *kind.by)}
     titles |= {q.name: q.title for q in kind.quantities}
-    explained = (*kind.explained, *(q.name for q in kind.quantities if q.of is None))
+    first = kind.first or next((q.name for q in kind.quantities if q.of is None), "")
     return render(
         "lab/campaign/campaign.html",
         title=f"Campaign {study.name}",
@@ -69,9 +51,7 @@ def _page(
         keep=keep,
         worst=[(q.title, _worst(q, pairs)) for q, pairs in result.worst() if pairs],
         reliability=_reliability(kind, flights),
-        pictures=pictures,
         failed=result.failed,
-        times=_times(times),
         data={
             "indices": [record.index for record in flights],
             "seeds": [str(record.seed) for record in flights],
@@ -86,7 +66,7 @@ def _page(
                 kind.quantities[0].of is not None and badness(kind.quantities[0], r) > 0.0
                 for r in flights
             ],
-            "first": [next(iter((*kind.by, *titles))), explained[0]],
+            "first": [next(iter((*kind.by, *titles))), first],
             "page": kind.page,
             "command": keep,
         },
@@ -160,80 +140,3 @@ def _reliability(kind: Kind, flights: Sequence[Record]) -> list[tuple[str, ...]]
 def _worst(quantity: Quantity, pairs: Sequence[tuple[int, float]]) -> list[tuple[str, int]]:
     digits = quantity.digits if quantity.of is None else 0
     return [(f"{value:.{digits}f}", index) for index, value in pairs]
-
-
-def _times(rows: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
-    """Name, median and largest of what flights took."""
-    shown = []
-    for name in (name for name in (rows[0] if rows else ()) if name not in ("index", "process")):
-        values = np.array([float(row[name]) for row in rows if row.get(name)])
-        shown.append((name, f"{np.median(values):.3g}", f"{values.max():.3g}"))
-    return shown
-
-
-def _figure(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
-    figure = Figure(figsize=(3.4 * columns, 2.7 * rows), layout="constrained")
-    return figure, np.asarray(figure.subplots(rows, columns, squeeze=False))
-
-
-def _distributions(result: CampaignResult) -> Figure:
-    """How each explained quantity is spread, combination by combination."""
-    kind = result.study.what
-    names = kind.explained or tuple(q.name for q in kind.quantities[:2])
-    figure, panels = _figure(1, len(names))
-    parts = groups(result.study, flown(result.records.values()))
-    for axes, name in zip(panels[0], names, strict=True):
-        for k, (label, records) in enumerate(parts[: len(RUNS)]):
-            values = np.sort([number(record, name) for record in records])
-            values = values[np.isfinite(values)]
-            share = np.arange(1, values.size + 1) / max(values.size, 1)
-            axes.step(values, 100.0 * share, where="post", color=RUNS[k], label=label)
-        quantity = kind.quantity(name)
-        axes.set_xlabel(quantity.title, fontsize="small")
-        axes.set_ylabel("flights below [%]", fontsize="small")
-        axes.grid(alpha=0.3)
-    if len(parts) > 1:
-        panels[0][0].legend(fontsize="x-small")
-    return figure
-
-
-def _sensitivity(result: CampaignResult) -> Figure | None:
-    """Each explained quantity against what goes with it most, by rank correlation."""
-    kind, records = result.study.what, flown(result.records.values())
-    rows = []
-    for name in kind.explained:
-        values = np.array([number(record, name) for record in records])
-        found = []
-        for by in (*result.study.varied, *kind.by):
-            reasons = np.array([number(record, by) for record in records])
-            both = np.isfinite(values) & np.isfinite(reasons)
-            if both.sum() > 7 and np.ptp(reasons[both]) > 0.0 and np.ptp(values[both]) > 0.0:
-                rank = float(spearmanr(reasons[both], values[both]).statistic)
-                found.append((rank, by, reasons[both], values[both]))
-        found.sort(key=lambda entry: -abs(entry[0]))
-        if found:
-            rows.append((kind.quantity(name), found[:MOST_REASONS]))
-    if not rows:
-        return None
-    figure, panels = _figure(len(rows), max(len(found) for _, found in rows))
-    for line, (quantity, found) in zip(panels, rows, strict=True):
-        for axes in line[len(found) :]:
-            axes.set_visible(False)
-        for axes, (rank, by, reasons, values) in zip(line, found, strict=False):
-            axes.plot(reasons, values, ".", ms=3, color=RUNS[5])
-            for x, mean, low, high in _binned(reasons, values):
-                axes.errorbar(x, mean, [[mean - low], [high - mean]], fmt="o", ms=4, color=RUNS[1])
-            axes.set_title(f"rank correlation {rank:+.2f}", fontsize="small")
-            axes.set_xlabel(by.replace("_", " "), fontsize="small")
-            axes.grid(alpha=0.3)
-        line[0].set_ylabel(quantity.title, fontsize="small")
-    return figure
-
-
-def _binned(reasons: np.ndarray, values: np.ndarray) -> Iterable[tuple[float, float, float, float]]:
-    """Means with their intervals in bins of equal numbers."""
-    order = np.argsort(reasons, kind="stable")
-    for part in np.array_split(order, min(BINS, len(order) // 4)):
-        low, high = bootstrap(values[part])
-        mean = float(values[part].mean())
-        yield float(np.median(reasons[part])), mean, min(low, mean), max(high, mean)

@@ -8,15 +8,14 @@ import contextlib
 import gc
 import json
 import logging
-import os
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Flown, kind_of
+from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Figures, kind_of
 from quadtree_lss.lab.campaign.store import Record, Store
 from quadtree_lss.lab.campaign.study import Study, this_build
 from quadtree_lss.lab.campaign.summary import CampaignResult, write_summary
@@ -54,7 +53,6 @@ def campaign(
     out: str | Path,
     where: Where | None = None,
     *,
-    add: int = 0,
     rerun: Collection[int] | None = None,
     rerun_failed: bool = False,
     progress: Progress | None = None,
@@ -67,7 +65,6 @@ def campaign(
         study: See `study.read_study`.
         out: Folder; flights that were flown there are not flown again.
         where: Who flies.
-        add: Flights more than the study has, of all combinations together.
         rerun: Numbers of flights to fly again.
         rerun_failed: Fly those again that failed.
         progress: See `Progress`.
@@ -80,7 +77,6 @@ def campaign(
     """
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
-        study = _extended(study, store.added(add) if add else store.added())
         for index in rerun or ():
             if not 0 <= index < study.count:
                 msg = f"there is no flight {index}; the study has 0 to {study.count - 1}"
@@ -108,7 +104,7 @@ def campaign(
         if interrupted and not records:
             raise KeyboardInterrupt
         result = CampaignResult(store.out, study, dict(sorted(records.items())), interrupted)
-        write_summary(result, store)
+        write_summary(result)
         return result
 
 
@@ -131,40 +127,27 @@ def keep(study: Study, out: str | Path, index: int) -> Path:
     Raises:
         CampaignError: there is no such flight.
     """
-    store = Store(out)
-    with store.opened():
-        count = replace(study, repeats=study.repeats + store.added()).count
-    if not 0 <= index < count or (study.seeds and index >= study.count):
+    if not 0 <= index < study.count:
         raise CampaignError(f"there is no flight {index}")
-    folder = store.out / "kept" / f"{index:06d}"
+    folder = Path(out) / "kept" / f"{index:06d}"
     from quadtree_lss.lab.campaign.campaign_page import note_kept  # matplotlib
 
     kind = kind_of(study.kind)
     kind.keep(study.case(index), folder)
-    note_kept(store.out, kind.page)
+    note_kept(Path(out), kind.page)
     return folder
 
 
-def _extended(study: Study, added: int) -> Study:
-    if added and study.seeds:
-        msg = "flights are added to a number of flights; of seeds, name more in the study"
-        raise CampaignError(msg)
-    return replace(study, repeats=study.repeats + -(-added // len(study.combinations)))
-
-
-def fly(case: Case) -> Flown | str:
-    """One flight, on a worker; a text says why it failed."""
-    import psutil  # with Dask
-
+def fly(case: Case) -> Figures | str:
+    """Figures of one flight, on a worker; a text says why it failed."""
     if (case.version, case.build) != this_build():
         return f"the worker has version and build {this_build()}, not {case.version, case.build}"
     try:
-        figures, timing = kind_of(case.kind).fly(case)
+        figures = kind_of(case.kind).fly(case)
     except Exception as error:  # whatever it is, the others go on
         return one_line(f"{type(error).__name__}: {error}")
     gc.collect()  # a flight's large arrays hang in rings of small objects
-    memory = psutil.Process().memory_info().rss / 1e6
-    return Flown(figures, {**timing, "memory_mb": memory, "process": os.getpid()})
+    return figures
 
 
 def _fly_all(
@@ -216,10 +199,7 @@ def _take(future: Any, case: Case, store: Store) -> Record:
     answer = future.result()
     if isinstance(answer, str):
         return store.write(case, {}, answer)
-    figures, timing = answer
-    record = store.write(case, figures)
-    store.note_time(case.index, timing)
-    return record
+    return store.write(case, answer)
 
 
 @contextlib.contextmanager

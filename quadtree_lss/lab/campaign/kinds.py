@@ -12,7 +12,7 @@ import importlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -22,6 +22,8 @@ REGISTERED = {
 }
 
 Value = float | int | str | bool | None
+Figures = dict[str, Value]
+"""Numbers of a flight by name, the same whenever it is flown."""
 
 
 class CampaignError(QuadtreeLssError):
@@ -52,18 +54,6 @@ class Case:
     labels: Mapping[str, Value] = field(default_factory=dict)
     version: str = ""
     build: str = ""
-
-
-class Flown(NamedTuple):
-    """What a flight gave.
-
-    Attributes:
-        figures: Numbers by name, the same whenever the case is flown.
-        timing: Numbers by name that depend on the computer.
-    """
-
-    figures: dict[str, Value]
-    timing: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -97,25 +87,18 @@ class Kind:
         page: The page in that folder.
         scenarios, conditions: Names that a study may use.
         quantities: Of the table.
-        explained: Figures that the sensitivity plots explain.
-        by: Figures that may explain them, beside what the study varies.
+        first: Figure that the page's points show first; empty for the first mean.
+        by: Figures that may explain it, beside what the study varies.
     """
 
-    fly: Callable[[Case], Flown]
+    fly: Callable[[Case], Figures]
     keep: Callable[[Case, Path], None]
     page: str
     scenarios: Collection[str]
     conditions: Collection[str]
     quantities: tuple[Quantity, ...]
-    explained: tuple[str, ...] = ()
+    first: str = ""
     by: tuple[str, ...] = ()
-
-    def quantity(self, name: str) -> Quantity:
-        for quantity in self.quantities:
-            if quantity.name == name:
-                return quantity
-        msg = f"no quantity {name!r}; there are {', '.join(q.name for q in self.quantities)}"
-        raise CampaignError(msg)
 
 
 def kind_of(name: str) -> Kind:

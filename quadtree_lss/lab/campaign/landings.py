@@ -3,26 +3,22 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity
+from quadtree_lss.lab.campaign.kinds import Case, Figures, Kind, Quantity
 from quadtree_lss.lab.flight import fly as lockstep
 from quadtree_lss.lab.flight.settings import AVOIDANCE, FlightSettings, flight_settings
 
 CONDITIONS = "terrain rocks range_noise outliers dropouts half".split()
-CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault reference judge".split()
+CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault judge".split()
 """As of ``flight.settings``; ``survey`` is the first pass of the lidar, s."""
 
 
-def settings_of(case: Case) -> tuple[FlightSettings, bool]:
-    """What is flown, and whether it is compared with the least propellant.
-
-    The scenario is the avoidance; ``fault`` is one as of ``--fault``.
-    """
+def settings_of(case: Case) -> FlightSettings:
+    """What is flown: the scenario is the avoidance; ``fault`` is one as of ``--fault``."""
     given: dict[str, Any] = dict(case.conditions)
-    reference, fault = bool(given.pop("reference", False)), given.pop("fault", None)
+    fault = given.pop("fault", None)
     given |= {"avoidance": case.scenario, "config": dict(case.parameters)}
     given["faults"] = (str(fault),) if fault else ()
     given["terrain"] = given.get("terrain") or ""
@@ -30,13 +26,11 @@ def settings_of(case: Case) -> tuple[FlightSettings, bool]:
         given["rock_abundance"] = given.pop("rocks")
     if "survey" in given:
         given["plan"] = {"survey": given.pop("survey")}
-    return flight_settings(given), reference
+    return flight_settings(given)
 
 
-def fly(case: Case) -> Flown:
-    began = time.process_time()
-    settings, reference = settings_of(case)
-    found = lockstep.flown(case.seed, settings, reference=reference).figures
+def fly(case: Case) -> Figures:
+    found = lockstep.flown(case.seed, settings_of(case)).figures
     down = found["outcome"] == "touchdown"
     figures = {
         **{k: int(v) if isinstance(v, bool) else v for k, v in found.items() if k != "seed"},
@@ -50,14 +44,13 @@ def fly(case: Case) -> Flown:
         stands = found["physics"] == "stands"
         figures |= {"physics_fails": int(not stands), "judged": 1}
         figures |= {"safe_but_fails": int(found["safe"] and not stands)}
-    return Flown(figures, {"cpu_s": time.process_time() - began})
+    return figures
 
 
 def keep(case: Case, folder: Path) -> None:
     from quadtree_lss.lab.flight.flight_page import write_flight
 
-    settings, reference = settings_of(case)
-    write_flight(folder, lockstep.flown(case.seed, settings, reference=reference, record=True))
+    write_flight(folder, lockstep.flown(case.seed, settings_of(case), record=True))
 
 
 FLY = Kind(
@@ -77,12 +70,11 @@ FLY = Kind(
         Quantity("error", "Touchdown from the aim", "m", 3),
         Quantity("from_planned", "Touchdown from the planned point", "m", 1),
         Quantity("propellant", "Propellant", "kg", 1),
-        Quantity("propellant_ratio", "Propellant over the least there could be", "", 3),
         Quantity("diverts", "Diverts after the first target", "", 1),
         Quantity("last_divert_height", "Height of the last divert", "m", 1, "smallest"),
         Quantity("last_divert_time", "Time of the last divert", "s", 1),
         Quantity("time", "Time of flight", "s", 1),
     ),
-    explained=("propellant",),
+    first="propellant",
     by=("from_planned", "diverts"),
 )

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,11 @@ import numpy as np
 from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.result import peak_memory_mb
-from quadtree_lss.lab.campaign.kinds import Case, Flown, Kind, Quantity, Value
-from quadtree_lss.lab.evaluation.evaluate import evaluate, score
+from quadtree_lss.lab.campaign.kinds import Case, Figures, Kind, Quantity
+from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
 from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
-from quadtree_lss.lab.evaluation.scores import EvaluationResult
 from quadtree_lss.lab.simulation.lidar import StereoCamera
 from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE_TOPIC, TYPES
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
@@ -32,21 +29,11 @@ TOLD = ("0.1", "0.3", "1", "3", "10")
 """Where the bins of `EDGES` begin whose counts are kept, %."""
 
 
-def fly(case: Case) -> Flown:
+def fly(case: Case) -> Figures:
     """Figures of one flight; needs no file but a terrain that the case may name."""
     config = load_config([], case.parameters)
-    began = time.process_time()
-    results, truth, seconds = fly_in_memory(case.scenario, case.seed, config, case.conditions)
-    scores = score(results, truth)
-    timing = {
-        "map_ms_median": scores.map_ms_median,
-        "map_ms_p99": scores.map_ms_p99,
-        "lss_ms": scores.lss_ms,
-        "truth_s": seconds,
-        "cpu_s": time.process_time() - began,
-        "peak_memory_mb": peak_memory_mb(),
-    }
-    return Flown(figures(scores, results, truth), timing)
+    results, truth = fly_in_memory(case.scenario, case.seed, config, case.conditions)
+    return figures(score(results, truth), results, truth)
 
 
 def in_memory(simulation: Simulation) -> MessageBag:
@@ -60,20 +47,14 @@ def in_memory(simulation: Simulation) -> MessageBag:
 
 def fly_in_memory(
     scenario: str, seed: int, config: Config, conditions: Any
-) -> tuple[Results, Truth, float]:
-    """Results and truth of a simulated flight without a bag, the same to the bit as with one.
-
-    Returns:
-        Both, and the CPU seconds that the truth took.
-    """
+) -> tuple[Results, Truth]:
+    """Results and truth of a simulated flight without a bag, the same to the bit as with one."""
     simulation = Simulation(scenario, seed, **conditions)
     results = results_of(replay(in_memory(simulation), None, config, report=False))
-    began = time.process_time()
-    truth = truth_of(simulation.truth("bag", lander_of(config)))
-    return results, truth, time.process_time() - began
+    return results, truth_of(simulation.truth("bag", lander_of(config)))
 
 
-def figures(scores: EvaluationResult, results: Results, truth: Truth) -> dict[str, Value]:
+def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures:
     """What is kept of a flight; None where a number does not exist."""
     detection, elevation = scores.detection, scores.elevation
     judged = [verdict for verdict in scores.site_verdicts if verdict != "unknown"]
@@ -180,6 +161,6 @@ MAP = Kind(
         Quantity("unseen_box", "Scanned box out of the score", "%", 2),
         Quantity("leaves", "Leaves with an estimate", "", 0),
     ),
-    explained=("safe_found", "hazardous_found"),
+    first="safe_found",
     by=("truly_safe", "true_slope_deg", "noise_ratio", "mean_error"),
 )

@@ -3,16 +3,13 @@
 
 A flight's file holds what is the same whenever it is flown, and its own checksum. Its name has the
 number of the flight and a key of all that decides it, as its content has; it appears in one step.
-What a flight took is in ``times.csv``.
 """
 
 from __future__ import annotations
 
-import csv
 import fcntl
 import hashlib
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -23,7 +20,6 @@ from typing import Any
 from quadtree_lss.desk.replay.files import plain, write_bytes
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
-TIMES = "times.csv"
 MOST_FLIGHTS = 1_000_000
 
 
@@ -61,6 +57,11 @@ def _hash_of(path: str) -> str:
         raise CampaignError(msg) from error
 
 
+def record_name(index: int, key: str) -> str:
+    """Name of a flight's file."""
+    return f"{index:06d}-{key}.json"
+
+
 class Store:
     """Results in ``out/flights``."""
 
@@ -87,7 +88,7 @@ class Store:
 
     def path(self, case: Case) -> Path:
         """File of a flight."""
-        return self._flights / f"{case.index:06d}-{key_of(case)}.json"
+        return self._flights / record_name(case.index, key_of(case))
 
     def read(self, case: Case) -> Record | None:
         """The record of a flight, None if it has not been flown.
@@ -113,41 +114,6 @@ class Store:
         """It is to be flown again."""
         self.path(case).unlink(missing_ok=True)
 
-    def note_time(self, index: int, timing: dict[str, float]) -> None:
-        """A row of ``times.csv``, with the columns that the file has."""
-        row = {"index": str(index), **{name: f"{value:.7g}" for name, value in timing.items()}}
-        with (self.out / TIMES).open("a+", newline="", encoding="utf-8") as file:
-            file.seek(0)
-            names = next(csv.reader(file), None)
-            file.seek(max(file.seek(0, os.SEEK_END) - 1, 0))
-            if file.read() not in ("", "\n"):  # of a disk that was full
-                file.write("\n")
-            how = {"extrasaction": "ignore", "lineterminator": "\n"}
-            writer = csv.DictWriter(file, names or list(row), **how)
-            if not names:
-                writer.writeheader()
-            writer.writerow(row)
-
-    def times(self) -> list[dict[str, str]]:
-        """Rows of ``times.csv``."""
-        path = self.out / TIMES
-        if not path.exists():
-            return []
-        with path.open(newline="", encoding="utf-8") as file:
-            return list(csv.DictReader(file))
-
-    def added(self, more: int = 0) -> int:
-        """Flights that were added to what the study says; ``more`` are added now."""
-        path = self.out / "added"
-        text = path.read_text("utf-8", "replace").strip() if path.exists() else "0"
-        before = int(text) if text.isdecimal() and len(text) < 10 else MOST_FLIGHTS + 1
-        if before + more > MOST_FLIGHTS:
-            msg = f"{path}: {text!r} and {more} more are not from 0 to {MOST_FLIGHTS} flights"
-            raise CampaignError(msg)
-        if more:
-            write_bytes(path, f"{before + more}\n".encode())
-        return before + more
-
 
 def read_record(path: Path) -> Record:
     """A flight's file.
@@ -159,7 +125,7 @@ def read_record(path: Path) -> Record:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         told = content.pop("checksum")
         record = Record(**content)
-        name = f"{record.index:06d}-{record.key}.json"
+        name = record_name(record.index, record.key)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         why = "is no record of a flight"
     else:

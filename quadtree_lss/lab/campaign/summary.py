@@ -16,7 +16,7 @@ from scipy.stats import binomtest
 
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
-from quadtree_lss.lab.campaign.store import Record, Store, read_record
+from quadtree_lss.lab.campaign.store import Record, read_record, record_name
 from quadtree_lss.lab.campaign.study import Study
 from quadtree_lss.lab.evaluation.results import aligned
 
@@ -208,16 +208,15 @@ def numbers(row: Any) -> dict[str, Any]:
     return {name: value for name, value in asdict(row).items() if name != "quantity"}
 
 
-def write_summary(result: CampaignResult, store: Store) -> None:
-    """``campaign.json``, ``flights.csv``, ``campaign.html`` and its figures."""
-    from quadtree_lss.lab.campaign.campaign_page import page_files
+def write_summary(result: CampaignResult) -> None:
+    """``campaign.json``, ``flights.csv`` and ``campaign.html``."""
+    from quadtree_lss.lab.campaign.campaign_page import page
 
-    files = [store.path(result.study.case(index)).name for index in result.records]
+    files = [record_name(record.index, record.key) for record in result.records.values()]
     text = json.dumps({**result.as_dict(), "files": files}, indent=1, allow_nan=False)
     write_bytes(result.out / "campaign.json", (text + "\n").encode())
     _write_flights(result.out / "flights.csv", result.records.values())
-    for name, content in page_files(result, store.times()).items():
-        write_bytes(result.out / name, content)
+    write_bytes(result.out / "campaign.html", page(result).encode())
 
 
 def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:

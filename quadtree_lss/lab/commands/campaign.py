@@ -12,7 +12,6 @@ TEXT = "Fly a study of many flights on this computer's cores or on a Dask cluste
 EXAMPLES = """examples:
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus     (flies what is missing)
-  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --add 500
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --rerun 17
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep 17  (bag, page, …)
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep worst
@@ -35,7 +34,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     where.add_argument("--workers", type=common.whole(1), metavar="N", help=text)
     where.add_argument("--scheduler-address", metavar="A", help="of a running Dask scheduler")
     where.add_argument("--scheduler-file", metavar="F", help="that a Dask scheduler wrote")
-    add("--add", type=common.whole(1), default=0, metavar="N", help="fly N flights more")
     add("--rerun", metavar="LIST", help="fly these again, 17 or 3,8-12, or: failed")
     text = "fly these again into DIR/kept, all of it kept: 17 or 3,8-12, or: worst"
     add("--keep", metavar="LIST", help=text)
@@ -64,7 +62,6 @@ def _run(options: argparse.Namespace) -> int:
             study,
             options.out,
             where,
-            add=options.add,
             rerun=parse_seeds(options.rerun) if options.rerun and not failed else (),
             rerun_failed=failed,
             progress=bar.update,

@@ -22,8 +22,9 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = add_command(commands, "evaluate", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     text = "folder that replay wrote, or several"
-    add("results", type=named, metavar="DIR", nargs="*", help=text)
-    add("--truth", type=named, metavar="NPZ", help="truth.npz of the simulation")
+    add("results", type=named, metavar="DIR", nargs="+", help=text)
+    text = "truth.npz of the simulation"
+    add("--truth", required=True, type=named, metavar="NPZ", help=text)
     text = "the bag that was replayed, for Table 2 (default: where it was when it was replayed)"
     add("--bag", type=named, metavar="BAG", help=text)
     text = "folder for tables and figures (default DIR/evaluation; of several results/<time>)"
@@ -31,19 +32,22 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    if not options.results or options.truth is None:
-        options.parser.error("DIR and --truth are required")
-    from quadtree_lss.lab.evaluation.evaluate import ComparisonResult, compare, evaluate
-    from quadtree_lss.lab.evaluation.scores import EvaluationResult
+    from quadtree_lss.lab.evaluation.evaluate import (
+        ComparisonResult,
+        EvaluationResult,
+        compare,
+        evaluate,
+    )
 
+    first, *others = options.results
+    if others and options.bag is not None:
+        options.parser.error("--bag goes with one DIR only")
     result: EvaluationResult | ComparisonResult
     with ProgressBar("consistency", "scans", options.verbose) as bar:
-        how = {"bag": options.bag, "progress": bar.update}
-        if len(options.results) == 1:
-            result = evaluate(options.results[0], options.truth, options.out, **how)
-        elif options.bag is not None:
-            options.parser.error("--bag goes with one DIR only")
+        how = {"out": options.out, "progress": bar.update}
+        if others:
+            result = compare(options.results, options.truth, **how)
         else:
-            result = compare(options.results, options.truth, options.out, progress=bar.update)
+            result = evaluate(first, options.truth, bag=options.bag, **how)
     tell(options, result, f"figures and numbers in {result.out}")
     return DONE

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar, show
+from quadtree_lss.desk.commands.console import ProgressBar
 
 TEXT = "Fit the probability of a safe touchdown for another lander or lidar (lss.risk_model)."
 EXAMPLES = """examples:
@@ -60,6 +60,6 @@ def _run(options: argparse.Namespace) -> int:
             f"{name:10} {len(case['seeds']):7d} {case['points']:8d} {share:>7}"
             f" {case['brier']:8.5f} {case['log_score']:8.5f}"
         )
-    show("\n".join(lines))
+    print("\n".join(lines))
     print(f"the fit is in {out}")
     return common.DONE

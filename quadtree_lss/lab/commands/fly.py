@@ -51,15 +51,13 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--fault", action="append", default=[], metavar="FAULT", help=text)
     text = "set one parameter of the nodes, for instance lss.margin=1.0"
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
-    text = "compare with the least propellant there could be (extra 'guidance')"
-    add("--reference", action="store_true", help=text)
     add("--physics", action="store_true", help="touch down on legs as well (extra 'physics')")
     add("--no-page", action="store_true", help="no picture and no page")
 
 
 def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.flight.flight_page import write_flight, write_outcome
-    from quadtree_lss.lab.flight.fly import flown, least_propellant
+    from quadtree_lss.lab.flight.fly import flown
     from quadtree_lss.lab.flight.settings import flight_settings
 
     settings = flight_settings(_values(options))
@@ -77,8 +75,6 @@ def _run(options: argparse.Namespace) -> int:
         except BaseException as error:
             write_outcome(options.out, figures | {"safe": False, "reason": first_line(error)})
             raise
-    if options.reference:
-        done.figures.update(least_propellant(done.flight))
     write_flight(options.out, done, report=not options.no_page)
     if done.figures["warnings"]:
         warn(f"warning: {done.figures['warnings']}")
@@ -137,5 +133,3 @@ def _print(figures: dict[str, Any]) -> None:
             f"on legs: {f['physics']}, {f['physics_tilt_deg']:.1f} degrees from the vertical, slid"
             f" {f['physics_slid']:.2f} m, struts gave way by {100.0 * f['physics_stroke']:.1f} cm"
         )
-    if f.get("propellant_ratio") is not None:
-        print(f"{f['propellant_ratio']:.3f} of the least propellant, {f['reference']:.1f} kg")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import quadtree_lss
-from quadtree_lss.desk.replay.scans import scans
+from quadtree_lss.desk.replay.replay import scans
 from quadtree_lss.lab.evaluation.prefit import Counts, prefit_statistics
 from quadtree_lss.lab.evaluation.results import COLUMNS, EvaluationError, Results
 from quadtree_lss.onboard.config.settings import Config

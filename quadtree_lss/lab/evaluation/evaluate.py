@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.desk.replay.files import new_folder, write_json
+import numpy as np
+
+from quadtree_lss.desk.replay.files import new_folder, plain, write_json
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.provenance import check_truth, recorded_bag, results_config
@@ -21,11 +23,87 @@ from quadtree_lss.lab.evaluation.results import (
     load_results,
     load_truth,
 )
-from quadtree_lss.lab.evaluation.scores import EvaluationResult, scores_of, show
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
+TOP = 5
+"""Sites that are judged."""
 _COLUMNS = ("hazardous", "safe", "unsafe sites", "elevation RMS", "largest", "leaves")
 _COLUMNS += ("map time", "prefit below", "prefit above")
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """Scores of one run, and what was written.
+
+    Sites are those of the first five ranks: ``site_verdicts`` has one word for each, in order, and
+    ``unknown_in_top_five`` counts those that the truth cannot judge. ``missed`` are the hazardous
+    places called safe. ``risk`` is None if the results tell none, ``consistency`` unless the bag
+    was at hand; ``notes`` say what could not be done or checked, and why.
+    """
+
+    elevation: metrics.ElevationError
+    detection: metrics.Detection
+    sites: int
+    unsafe_in_top_five: int
+    unknown_in_top_five: int
+    site_verdicts: tuple[metrics.SiteVerdict, ...]
+    missed: tuple[metrics.MissedPlace, ...]
+    risk: metrics.Reliability | None
+    leaves: int
+    leaves_estimated: int
+    leaves_measured: int
+    map_ms_median: float
+    map_ms_p99: float
+    map_s_total: float
+    lss_ms: float
+    consistency: Consistency | None
+    out: Path
+    figures: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        values = asdict(self)
+        values.pop("out")
+        values.pop("figures")
+        return {key: plain(value) for key, value in values.items()}
+
+    def table(self) -> str:
+        e, d = self.elevation, self.detection
+        times = f"{_show(self.map_ms_median, '.2f')} / {_show(self.map_ms_p99, '.2f', ' ms')}"
+        rows = [
+            ("Elevation error, mean absolute", _show(e.mean_absolute, ".3f", " m")),
+            ("  RMS / largest", f"{_show(e.rms, '.3f')} / {_show(e.maximum, '.2f', ' m')}"),
+            ("  mean", _show(e.mean, "+.3f", " m")),
+            ("  RMS with the mean removed", _show(e.rms_mean_removed, ".3f", " m")),
+            ("Cells with points without an estimate", _percent(e.without_estimate)),
+            ("Hazardous terrain found", _percent(d.hazardous_found)),
+            ("  of it as unknown", _percent(d.hazardous_unknown)),
+            ("Safe terrain found", _percent(d.safe_found)),
+            ("  not seen", _percent(d.safe_unknown)),
+            ("Scanned box out of the score (unseen)", _percent(d.unseen_box)),
+            (f"Truly unsafe sites in the top {TOP}", self._unsafe_sites()),
+            ("Leaves with an estimate / all", f"{self.leaves_estimated} / {self.leaves}"),
+            ("Map update, median / 99 %", times),
+            ("Landing site selection", _show(self.lss_ms, ".1f", " ms")),
+        ]
+        width = max(len(label) for label, _ in rows)
+        lines = [f"{label:<{width}}  {value}" for label, value in rows]
+        if self.risk is not None:
+            lines += [f"{'Brier score of the risk':<{width}}  {self.risk.brier:.4f}"]
+            lines += ["", self.risk.table()]
+        if self.consistency is not None:
+            lines += ["", self.consistency.table()]
+        if self.notes:
+            lines += ["", *self.notes]
+        return "\n".join(lines)
+
+    def _unsafe_sites(self) -> str:
+        text = f"{self.unsafe_in_top_five} of {len(self.site_verdicts)}"
+        unknown = [k for k, v in enumerate(self.site_verdicts, start=1) if v == "unknown"]
+        if unknown:
+            ranks = ", ".join(map(str, unknown))
+            text += f" (rank {ranks} beyond the true terrain: cannot be judged)"
+        return text
 
 
 def evaluate(
@@ -72,7 +150,7 @@ def evaluate(
 
         written = draw_all(folder, results, truth, heights, safety)
     result = replace(
-        scores_of(results, truth, heights, safety),
+        _scores(results, truth, heights, safety),
         consistency=table_2,
         out=folder,
         figures=written,
@@ -81,6 +159,64 @@ def evaluate(
     if figures:
         result = _with_page(result, Path(results_dir), truth, safety)
     write_json(folder / "evaluation.json", result.as_dict())
+    return result
+
+
+@dataclass(frozen=True)
+class ComparisonResult:
+    """Scores by the name of the run, and what was drawn of all together."""
+
+    runs: dict[str, EvaluationResult]
+    out: Path
+    figures: tuple[Path, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
+
+    def table(self) -> str:
+        """A row per run; elevation RMS with the mean removed, Table 2 of one degree of freedom."""
+        rows = [("run", *_COLUMNS), *((name, *_cells(r)) for name, r in self.runs.items())]
+        lines = aligned(rows)
+        for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
+            names = [name for name, r in self.runs.items() if note in r.notes]
+            lines.append(f"{', '.join(names)}: {note}")
+        return "\n".join(lines)
+
+
+def compare(
+    results_dirs: Sequence[str | Path],
+    truth_path: str | Path,
+    out: str | Path | None = None,
+    *,
+    figures: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> ComparisonResult:
+    """Score several results of ``replay`` over the same ground.
+
+    Each is evaluated as by `evaluate`, into ``out/<name>``; what shows them together goes into
+    ``out`` (default: a new folder ``results/<time>``). Runs bear the names of their directories.
+    Raises `EvaluationError` as `evaluate` does, and for two directories of one name.
+    """
+    folders = [Path(directory) for directory in results_dirs]
+    names = [folder.resolve().name for folder in folders]
+    if len(set(names)) < len(names):
+        msg = f"runs are told apart by their directories' names, but these are {', '.join(names)}"
+        raise EvaluationError(msg)
+    together = Path(out) if out is not None else new_folder(Path("results"))
+    runs = {
+        name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
+        for name, folder in zip(names, folders, strict=True)
+    }
+    drawn: tuple[Path, ...] = ()
+    if figures:
+        from quadtree_lss.lab.evaluation.figures import draw_together
+
+        truth = load_truth(truth_path)
+        results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
+        heights = metrics.elevation_field(results[names[-1]].map, results[names[-1]].grid, truth)
+        drawn = draw_together(together, truth, heights, results)
+    result = ComparisonResult(runs, together, drawn)
+    write_json(together / "evaluation.json", result.as_dict()["runs"])
     return result
 
 
@@ -93,7 +229,7 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
     if not safety.scored.size:
         raise EvaluationError("the map does not overlap the scanned box")
     heights = metrics.elevation_field(results.map, results.grid, truth)
-    return scores_of(results, truth, heights, safety)
+    return _scores(results, truth, heights, safety)
 
 
 def _with_page(
@@ -142,73 +278,53 @@ def _table_2(
         return None, f"needs --bag ({error})"
 
 
-@dataclass(frozen=True)
-class ComparisonResult:
-    """Scores by the name of the run, and what was drawn of all together."""
+def _show(value: float, digits: str, unit: str = "") -> str:
+    """A number for a table; a dash where it does not exist."""
+    return "-" if math.isnan(value) else f"{value:{digits}}{unit}"
 
-    runs: dict[str, EvaluationResult]
-    out: Path
-    figures: tuple[Path, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
-
-    def table(self) -> str:
-        """A row per run; elevation RMS with the mean removed, Table 2 of one degree of freedom."""
-        rows = [("run", *_COLUMNS), *((name, *_cells(r)) for name, r in self.runs.items())]
-        lines = aligned(rows)
-        for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
-            names = [name for name, r in self.runs.items() if note in r.notes]
-            lines.append(f"{', '.join(names)}: {note}")
-        return "\n".join(lines)
+def _percent(fraction: float) -> str:
+    return _show(100.0 * fraction, ".2f", " %")
 
 
 def _cells(r: EvaluationResult) -> tuple[str, ...]:
     outside = r.consistency.counts.one_degree if r.consistency is not None else (math.nan,) * 2
     return (
-        show(100.0 * r.detection.hazardous_found, ".2f", " %"),
-        show(100.0 * r.detection.safe_found, ".2f", " %"),
+        _percent(r.detection.hazardous_found),
+        _percent(r.detection.safe_found),
         f"{r.unsafe_in_top_five} of {len(r.site_verdicts)}",
-        show(r.elevation.rms_mean_removed, ".3f", " m"),
-        show(r.elevation.maximum, ".2f", " m"),
+        _show(r.elevation.rms_mean_removed, ".3f", " m"),
+        _show(r.elevation.maximum, ".2f", " m"),
         str(r.leaves_estimated),
-        show(r.map_s_total, ".2f", " s"),
-        *(show(100.0 * share, ".2f", " %") for share in outside),
+        _show(r.map_s_total, ".2f", " s"),
+        *map(_percent, outside),
     )
 
 
-def compare(
-    results_dirs: Sequence[str | Path],
-    truth_path: str | Path,
-    out: str | Path | None = None,
-    *,
-    figures: bool = True,
-    progress: Callable[[int, int], None] | None = None,
-) -> ComparisonResult:
-    """Score several results of ``replay`` over the same ground.
-
-    Each is evaluated as by `evaluate`, into ``out/<name>``; what shows them together goes into
-    ``out`` (default: a new folder ``results/<time>``). Runs bear the names of their directories.
-    Raises `EvaluationError` as `evaluate` does, and for two directories of one name.
-    """
-    folders = [Path(directory) for directory in results_dirs]
-    names = [folder.resolve().name for folder in folders]
-    if len(set(names)) < len(names):
-        msg = f"runs are told apart by their directories' names, but these are {', '.join(names)}"
-        raise EvaluationError(msg)
-    together = Path(out) if out is not None else new_folder(Path("results"))
-    runs = {
-        name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
-        for name, folder in zip(names, folders, strict=True)
-    }
-    drawn: tuple[Path, ...] = ()
-    if figures:
-        from quadtree_lss.lab.evaluation.figures import draw_together
-
-        truth = load_truth(truth_path)
-        results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
-        heights = metrics.elevation_field(results[names[-1]].map, results[names[-1]].grid, truth)
-        drawn = draw_together(together, truth, heights, results)
-    result = ComparisonResult(runs, together, drawn)
-    write_json(together / "evaluation.json", result.as_dict()["runs"])
-    return result
+def _scores(
+    results: Results, truth: Truth, heights: metrics.ErrorField, safety: metrics.SafetyField
+) -> EvaluationResult:
+    """Those of one run, of the fields of its errors and of its safety."""
+    verdicts = metrics.site_verdicts(results.positions[:TOP], truth)
+    cells, times = results.map, results.timing["map_ms"]
+    times = times if times.size else np.array([math.nan])
+    return EvaluationResult(
+        elevation=metrics.elevation_error(heights),
+        detection=metrics.detection(safety),
+        sites=len(results.positions),
+        unsafe_in_top_five=verdicts.count("unsafe"),
+        unknown_in_top_five=verdicts.count("unknown"),
+        site_verdicts=verdicts,
+        missed=metrics.missed_places(safety, truth),
+        risk=metrics.reliability_of(safety),
+        leaves=cells.level.size,
+        leaves_estimated=int(cells.estimated.sum()),
+        leaves_measured=int((cells.measured & cells.estimated).sum()),
+        map_ms_median=float(np.median(times)),
+        map_ms_p99=float(np.percentile(times, 99.0)),
+        map_s_total=float(times.sum() * 1e-3),
+        lss_ms=float(results.summary.get("lss_ms") or math.nan),
+        consistency=None,
+        out=Path(),
+        figures=(),
+    )

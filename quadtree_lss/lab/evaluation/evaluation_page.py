@@ -11,10 +11,10 @@ from quadtree_lss.desk.report.content import read
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.palette import colour_limits, even_limits
 from quadtree_lss.desk.report.report import page, short_name
+from quadtree_lss.lab.evaluation.evaluate import EvaluationResult
 from quadtree_lss.lab.evaluation.figures import VERDICTS, verdict_classes
 from quadtree_lss.lab.evaluation.metrics import SafetyField
 from quadtree_lss.lab.evaluation.results import Truth
-from quadtree_lss.lab.evaluation.scores import EvaluationResult
 
 
 def evaluation_page(

@@ -83,7 +83,7 @@ def _stamps(stamps_ns: np.ndarray) -> np.ndarray:
 
 def _same_scans(bag: Path, whole: Path, config: Config) -> bool | None:
     """Whether the first scan of a bag is in another one too; None if either cannot be read."""
-    from quadtree_lss.desk.replay.scans import scans
+    from quadtree_lss.desk.replay.replay import scans
 
     bag, whole = bag.resolve(), whole.resolve()
     if bag == whole or whole in bag.parents:

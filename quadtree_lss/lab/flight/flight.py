@@ -94,7 +94,6 @@ class Flight:
     before.
 
     Attributes:
-        began: Position and velocity (3,) at the start, m, m/s.
         time: s of flight.
         outcome: Empty in flight, then ``touchdown``, ``aborted`` or ``time``.
         samples, outlines: Ten a second; edges of the field of view on the ground, two a second.
@@ -107,8 +106,8 @@ class Flight:
         field, navigation, lidar, scatter = (np.random.default_rng(s) for s in seeds)
         self.settings = settings
         self.ground = Ground.of(settings, field) if ground is None else ground
-        self.began = start(settings, self.ground.planned, scatter)
-        self.lander = VehicleState(settings.vehicle, *self.began)
+        began = start(settings, self.ground.planned, scatter)
+        self.lander = VehicleState(settings.vehicle, *began)
         self._ticks = 0
         self._errors(navigation)
         planned = self.ground.planned + np.array([0.0, 0.0, scatter.normal(0.0, 1.0)])

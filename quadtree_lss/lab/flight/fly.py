@@ -14,7 +14,6 @@ from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.lab.flight.flight import Flight, flight_config
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.lockstep import LockstepNodes
-from quadtree_lss.lab.flight.reference import Descent
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
@@ -48,14 +47,12 @@ def flown(
     seed: int,
     settings: FlightSettings,
     *,
-    reference: bool = False,
     ground: Ground | None = None,
     progress: Callable[[float], None] | None = None,
     record: bool = False,
 ) -> Flown:
-    """One flight; with ``record`` all that its page shows; with ``reference`` compared with the
-    least propellant there could be. ``ground`` is of this seed, if it is there already;
-    ``progress`` is told the seconds flown."""
+    """One flight; with ``record`` all that its page shows. ``ground`` is of this seed, if it is
+    there already; ``progress`` is told the seconds flown."""
     flight = Flight(seed, settings, ground)
     nodes = None
     if flight.looks:
@@ -84,8 +81,6 @@ def flown(
             progress(flight.time)
     last = None if nodes is None else nodes.last
     figures = figures_of(seed, flight, last)
-    if reference:
-        figures |= least_propellant(flight)
     prior = None if nodes is None else nodes.prior_offset
     if nodes is None or not record:
         return Flown(flight, figures, last, prior=prior)
@@ -114,26 +109,6 @@ def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict
         elif last.hazard[row, column] & 0x08:
             said = "unsafe"
     return {"map_said": said}
-
-
-def least_propellant(flight: Flight) -> dict[str, Any]:
-    """The convex reference from the flight's start to where it came down, and the ratio to it.
-
-    To the same gate with the same speed; from there down both fly alike.
-    """
-    none = {"reference": None, "propellant_ratio": None}
-    if flight.outcome != "touchdown":
-        return none
-    vehicle, rules = flight.settings.vehicle, flight.settings.rules
-    end = flight.lander.position + np.array([0.0, 0.0, rules.gate])
-    down = np.array([0.0, 0.0, -rules.gate_speed])
-    best = Descent(vehicle, rules.limits).cheapest(*flight.began, end, down)
-    if best is None:
-        return none
-    seconds = rules.gate / rules.touchdown_speed
-    hover = (vehicle.mass - best.propellant) * vehicle.gravity / vehicle.exhaust_speed
-    least = best.propellant + hover * seconds
-    return {"reference": least, "propellant_ratio": flight.lander.burnt / least}
 
 
 def changed(flight: Flight, down: set[str]) -> list[tuple[str, str]]:
