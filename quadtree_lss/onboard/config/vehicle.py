@@ -24,7 +24,10 @@ class VehicleConfig:
         "m",
     )
     max_slope_deg: float = live(
-        10.0, "steepest ground that the lander stands on", (0.1, 89.0), "deg"
+        10.0,
+        "steepest ground that the lander stands on; the mapping goes by what it is at the start",
+        (0.1, 89.0),
+        "deg",
     )
     pad_radius: float = declared(0.15, "radius of a landing pad", (0.0, 10.0), "m")
 
