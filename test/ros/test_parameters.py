@@ -100,7 +100,7 @@ def test_qos_overrides_of_topics_that_the_node_lacks_are_told(ros):
         ({"lss__marign": 1.0}, ["lss.marign", "lss.margin"]),
         (
             {"mapping__divide_area": 0.1},
-            ["mapping.divide_area is no parameter any more", "clearance"],
+            ["mapping.divide_area is no parameter any more", "the vehicle"],
         ),
         ({"domain__min_level": 9, "domain__max_level": 8}, ["min_level", "max_level"]),
         ({"checkpoint__path": "/"}, ["checkpoint.path", "'/'"]),
