@@ -42,8 +42,6 @@ SEEN = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
 LEAST = cython.declare(cython.double, -14.0)
 MOST = cython.declare(cython.double, 10.0)
 EXPS = cython.declare(cython.int, 4096)
-#: Columns of grid points that are taken together.
-SPAN = cython.declare(cython.Py_ssize_t, 64)
 #: A normal distribution is cut off at so many deviations.
 TAIL = 4.0
 #: The greatest deviation that is taken, m.
@@ -490,7 +488,7 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
     up: cython.Py_ssize_t = across.shape[0] - 1
     right: cython.Py_ssize_t = along.shape[0] - 1
     # Columns of each row at which something is safe within reach along it.
-    begin = cython.declare(cython.Py_ssize_t[::1], np.zeros(rows, dtype=np.intp))
+    begin = cython.declare(cython.Py_ssize_t[::1], np.full(rows, columns, dtype=np.intp))
     end = cython.declare(cython.Py_ssize_t[::1], np.zeros(rows, dtype=np.intp))
     # Of P(safe): beyond the lattice there is none.
     safe = cython.declare(cython.double[:, ::1], np.zeros((rows + 2 * up, columns)))
@@ -516,27 +514,22 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
                     z = near * (line[j - k] + line[j + k])
                     z += far * (line[j - k - 1] + line[j + k + 1])
                     safe[up + i, j - right] += z
-        # A few columns at a time: all rows within reach of one fit into the cache.
-        west = 0
-        while west < columns:
-            east = min(west + SPAN, columns)
-            first, after = rows, 0
-            for i in range(rows):
-                if begin[i] < east and end[i] > west:
-                    first, after = min(first, i), i + 1
-            for i in range(rows):
+        for i in range(rows):
+            # The columns in which something is safe within reach.
+            west, east = columns, 0
+            for k in range(max(i - up, 0), min(i + up + 1, rows)):
+                west, east = min(west, begin[k]), max(east, end[k])
+            for j in range(columns):
+                out[i, j] = 1.0
+            for j in range(west, east):
+                out[i, j] = 1.0 - across[0] * safe[up + i, j]
+            for k in range(1, up, 2):
+                near, far = across[k], across[k + 1]
+                south: cython.Py_ssize_t = up + i - k
+                north: cython.Py_ssize_t = up + i + k
                 for j in range(west, east):
-                    out[i, j] = 1.0 - across[0] * safe[up + i, j]
-                if not first - up <= i < after + up:
-                    continue
-                for k in range(1, up, 2):
-                    near, far = across[k], across[k + 1]
-                    south: cython.Py_ssize_t = up + i - k
-                    north: cython.Py_ssize_t = up + i + k
-                    for j in range(west, east):
-                        z = near * (safe[south, j] + safe[north, j])
-                        z += far * (safe[south - 1, j] + safe[north + 1, j])
-                        out[i, j] -= z
-                for j in range(west, east):
-                    out[i, j] = min(max(out[i, j], 0.0), 1.0)
-            west = east
+                    z = near * (safe[south, j] + safe[north, j])
+                    z += far * (safe[south - 1, j] + safe[north + 1, j])
+                    out[i, j] -= z
+            for j in range(west, east):
+                out[i, j] = min(max(out[i, j], 0.0), 1.0)
