@@ -350,15 +350,10 @@ def set_means(
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
+    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t)
     n: cython.Py_ssize_t = values.shape[0]
-    across: cython.Py_ssize_t = 2 * reach + after
     column = cython.declare(cython.double[::1], np.zeros(n))
-    # From the west; west of the lattice nothing, and east of it no more.
-    sums = cython.declare(cython.double[::1], np.zeros(n + 1 + 2 * reach))
-    edge = np.arange(len(out)) - reach
-    widths = np.minimum(edge + across, n) - np.maximum(edge, 0.0)
-    wide = cython.declare(cython.double[::1], widths)
-    least: cython.double = 0.0 if after else -np.inf
+    sums = cython.declare(cython.double[::1], np.zeros(n + 1))
     k = 0
     with cython.nogil:
         for i in range(out.shape[0]):
@@ -370,16 +365,12 @@ def set_means(
             if i - reach > 0:
                 for j in range(n):
                     column[j] -= values[i - reach - 1, j]
-            total: cython.double = 0.0
             for j in range(n):
-                total += column[j]
-                sums[reach + j + 1] = total
-            for j in range(reach):
-                sums[reach + n + j + 1] = total
-            tall: cython.double = north - south
+                sums[j + 1] = sums[j] + column[j]
             for j in range(out.shape[1]):
-                z = (sums[j + across] - sums[j]) / (wide[j] * tall)
-                out[i, j] = max(z, least)
+                west, east = max(j - reach, 0), min(j + reach + after, n)
+                z = (sums[east] - sums[west]) / ((east - west) * (north - south))
+                out[i, j] = max(z, 0.0) if after else z
 
 
 @cython.boundscheck(False)
