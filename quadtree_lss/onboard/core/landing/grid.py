@@ -51,7 +51,6 @@ TIE = 1e-5
 CHOICES, COARSE = 8, 128
 #: Deviation of the logarithm of a risk, whose own deviation is `DOUBT` of it.
 SPREAD = sqrt(log(1.0 + DOUBT**2))
-_normal = np.vectorize(lambda z: 0.5 * erfc(-z / sqrt(2.0)), otypes=[np.float64])
 Kind = TypeVar("Kind", bound=np.generic)
 
 
@@ -243,12 +242,14 @@ def within_reach(
     cost, after = (
         _choices(aims, wanted, lss, reached(x, y, motion, descent, wait)) for wait in (0.0, WAIT_S)
     )
-    if not np.isfinite(cost).any():
+    choice = np.isfinite(cost)
+    if not choice.any():
         return Now(cost)
-    if motion is not None and ground.unsafe is not None:
-        away = np.hypot(x - motion.x, y[:, None] - motion.y)
-        cost += lss.target_risk * np.where(np.isfinite(away), away, 0.0)
-    row, column = divmod(int(np.nanargmin(cost)), cost.shape[1])
+    if motion is not None and ground.unsafe is not None and isfinite(motion.x + motion.y):
+        away = np.zeros_like(cost)
+        np.hypot(x - motion.x, y[:, None] - motion.y, out=away, where=choice)
+        cost += lss.target_risk * away
+    row, column = divmod(int(np.argmin(np.fmin(cost, np.inf))), cost.shape[1])
     if ground.unsafe is None:
         return Now(cost, (row, column))
     places = best_points(after, x, y, CHOICES, lss.separation)
@@ -274,7 +275,9 @@ def least_later(risks: Array) -> float:
         return 1.0
     middle = np.log(np.maximum(risks, 1e-9)) - 0.5 * SPREAD**2
     at = np.linspace(-8.0 * SPREAD, 8.0 * SPREAD, 65) + float(middle.min())
-    greater = np.prod(_normal((middle[:, None] - at) / SPREAD), axis=0) * np.exp(at)
+    tails = -((middle[:, None] - at) / SPREAD) / sqrt(2.0)
+    normal = 0.5 * np.array([erfc(z) for z in tails.ravel().tolist()]).reshape(tails.shape)
+    greater = np.prod(normal, axis=0) * np.exp(at)
     return float(np.exp(at[0]) + np.sum(0.5 * (greater[1:] + greater[:-1])) * (at[1] - at[0]))
 
 

@@ -92,7 +92,9 @@ def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> G
     out = np.empty((3, len(elevation) + 1, len(elevation) + 1))
     disc_moments(elevation, np.mean(elevation), over.half, seen.view(np.uint8), square, out)
     height, slope_x, slope_y = out
-    gradient = np.sqrt(slope_x**2 + slope_y**2)
+    gradient = slope_x**2
+    gradient += slope_y**2
+    np.sqrt(gradient, out=gradient)
     return GroundPlanes(height, slope_x, slope_y, gradient, np.arctan(gradient))
 
 
@@ -135,7 +137,10 @@ def grown(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mas
         short: Steps by which distances are taken to be shorter.
     """
     limit = distance / side + short
-    away = _lengths(marked, lambda steps: (steps - short) * side, limit + 1e-9 * limit)
+    limit += 1e-9 * limit
+    if limit < 1.0 or not marked.any():
+        return marked.copy()
+    away = _lengths(marked, lambda steps: (steps - short) * side, limit)
     return marked | (away <= distance)
 
 

@@ -405,6 +405,7 @@ def look_up(
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t=cython.Py_ssize_t)
     cython.declare(c=cython.Py_ssize_t, f=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
     columns: cython.Py_ssize_t = out.shape[1]
     causes: cython.Py_ssize_t = constant.shape[0]
     count: cython.Py_ssize_t = places.shape[0]
@@ -415,27 +416,33 @@ def look_up(
     step: cython.double = (EXPS - 1) / (MOST - LEAST)
     with cython.nogil:
         for i in range(out.shape[0]):
+            first, after = 0, columns
+            while first < after and not judged[i, first]:
+                first += 1
+            while after > first and not judged[i, after - 1]:
+                after -= 1
             for f in range(count):
                 base: cython.double = low[f]
                 scale: cython.double = per[f]
                 top: cython.double = last[f]
-                for j in range(columns):
+                for j in range(first, after):
                     x: cython.double = (places[f, i, j] - base) * scale + 0.5
                     x = x if x > 0.0 else 0.0  # also of what is no number
                     x = x if x < top else top
                     entry[f, j] = cython.cast(cython.int, x)
             for c in range(causes):
-                odds[c, :] = constant[c]
+                for j in range(first, after):
+                    odds[c, j] = constant[c]
             for t in range(terms.shape[0]):
                 c, f, k = terms[t, 0], terms[t, 1], terms[t, 2]
                 row: cython.int = terms[t, 3]
                 if row:
-                    for j in range(columns):
+                    for j in range(first, after):
                         odds[c, j] += tables[k + row * entry[SEEN, j] + entry[f, j]]
                 else:
-                    for j in range(columns):
+                    for j in range(first, after):
                         odds[c, j] += tables[k + entry[f, j]]
-            for j in range(columns):
+            for j in range(first, after):
                 if not judged[i, j]:
                     continue
                 safe: cython.double = 1.0
@@ -465,10 +472,15 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
         out: (ny, nx), set.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
+    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t)
     rows: cython.Py_ssize_t = risk.shape[0]
     columns: cython.Py_ssize_t = risk.shape[1]
     up: cython.Py_ssize_t = across.shape[0] - 1
     right: cython.Py_ssize_t = along.shape[0] - 1
+    # Columns of each row at which something is safe within reach along it.
+    begin = cython.declare(cython.Py_ssize_t[::1], np.full(rows, columns, dtype=np.intp))
+    end = cython.declare(cython.Py_ssize_t[::1], np.zeros(rows, dtype=np.intp))
     # Of P(safe): beyond the lattice there is none.
     safe = cython.declare(cython.double[:, ::1], np.zeros((rows + 2 * up, columns)))
     line = cython.declare(cython.double[::1], np.zeros(columns + 2 * right))
@@ -476,24 +488,39 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
         for i in range(rows):
             for j in range(columns):
                 line[right + j] = 1.0 - risk[i, j]
-            for j in range(columns):
-                safe[up + i, j] = along[0] * line[right + j]
+            first, after = right, right + columns
+            while first < after and line[first] == 0.0:
+                first += 1
+            while after > first and line[after - 1] == 0.0:
+                after -= 1
+            if first == after:
+                continue
+            first, after = max(first - right, right), min(after + right, right + columns)
+            begin[i], end[i] = first - right, after - right
+            for j in range(first, after):
+                safe[up + i, j - right] = along[0] * line[j]
             for k in range(1, right, 2):
                 near, far = along[k], along[k + 1]
-                for j in range(right, right + columns):
+                for j in range(first, after):
                     z = near * (line[j - k] + line[j + k])
                     z += far * (line[j - k - 1] + line[j + k + 1])
                     safe[up + i, j - right] += z
         for i in range(rows):
+            # The columns in which something is safe within reach.
+            west, east = columns, 0
+            for k in range(max(i - up, 0), min(i + up + 1, rows)):
+                west, east = min(west, begin[k]), max(east, end[k])
             for j in range(columns):
+                out[i, j] = 1.0
+            for j in range(west, east):
                 out[i, j] = 1.0 - across[0] * safe[up + i, j]
             for k in range(1, up, 2):
                 near, far = across[k], across[k + 1]
                 south: cython.Py_ssize_t = up + i - k
                 north: cython.Py_ssize_t = up + i + k
-                for j in range(columns):
+                for j in range(west, east):
                     z = near * (safe[south, j] + safe[north, j])
                     z += far * (safe[south - 1, j] + safe[north + 1, j])
                     out[i, j] -= z
-            for j in range(columns):
+            for j in range(west, east):
                 out[i, j] = min(max(out[i, j], 0.0), 1.0)

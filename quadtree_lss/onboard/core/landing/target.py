@@ -198,7 +198,7 @@ class Restrictions:
                 seen = seen[signed_distance(self.area, xs, ys) >= 0.0]
             except (TypeError, ValueError):
                 return 0.0
-        return float(np.mean(seen)) if seen.size else 0.0
+        return float(np.count_nonzero(seen) / seen.size) if seen.size else 0.0
 
     def fault(self, x: float, y: float, lss: LssConfig) -> Reason | None:
         """Why landing is not wanted at a place, None if nothing speaks against it."""
@@ -508,9 +508,10 @@ class TargetKeeper:
         cost = ground.cost[held]
         if ground.unsafe is not None and np.isnan(cost):  # it would not be chosen any more
             cost = ground.unsafe[held]
-        row, column = np.nonzero(allowed & (ground.cost < cost - lss.switch_margin))
-        if not len(row):
+        lower = np.flatnonzero(allowed & (ground.cost < cost - lss.switch_margin))
+        if not len(lower):
             return None
+        row, column = np.divmod(lower, len(ground.x))
         gain = cost - ground.cost[row, column]
         margin = np.full(len(row), lss.switch_margin)
         if descent is not None:
