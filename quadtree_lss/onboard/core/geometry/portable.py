@@ -72,29 +72,6 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
 
 
 @cython.boundscheck(False)
-def limited(matrix: Array, most: float) -> Array:
-    """A symmetric matrix (n, n) with its eigenvalues moved to 0 .. ``most``."""
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    values, vectors = eigen(matrix)
-    out = np.empty(vectors.shape)
-    value = cython.declare(cython.double[::1], values.copy())
-    root = cython.declare(cython.double[:, ::1], vectors)
-    product = cython.declare(cython.double[:, ::1], out)
-    for k in range(root.shape[0]):
-        size = value[k] if not value[k] < 0.0 else 0.0
-        size = sqrt(size if not size > most else most)
-        for i in range(root.shape[0]):
-            root[i, k] *= size
-    for i in range(root.shape[0]):
-        for j in range(root.shape[0]):
-            total = 0.0
-            for k in range(root.shape[0]):
-                total += root[i, k] * root[j, k]
-            product[i, j] = total
-    return out
-
-
-@cython.boundscheck(False)
 def diagonalise(a: Array, v: Array) -> cython.void:
     """Turn the axes of a symmetric matrix (n, n) until it is diagonal; v (n, n): where to."""
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
