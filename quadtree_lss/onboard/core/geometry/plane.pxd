@@ -5,12 +5,15 @@ from quadtree_lss.onboard.core.geometry.portable cimport length
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at, minus_at, plus_at
 
 cdef void multiply(double* a, double* b, double* out) noexcept nogil
-cdef void congruent(double* a, double* c, double* d, double* out) noexcept nogil
+cdef void beside(double* c, double* d, double* out) noexcept nogil
+cdef void congruent(double* a, double* pair, double* out) noexcept nogil
 cdef void inverse_symmetric(double* c, double* out) noexcept nogil
 cdef void turn_tangent(double* c, double* change) noexcept nogil
+cdef void turn_tangents(double* pair, double* change) noexcept nogil
 cdef double offset_variance(double* c, double first, double second) noexcept nogil
 cdef void keep_possible(double* c) noexcept nogil
 cdef void shift_origin(double* c, double first, double second) noexcept nogil
+cdef void shift_origins(double* pair, double first, double second) noexcept nogil
 cdef void moments(double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* mean, double* scatter) noexcept nogil
 cdef void height_normal(double* scatter, double slope_x, double slope_y, double spread, double* normal) noexcept nogil
 cdef void orthogonal_normal(double* scatter, double* normal) noexcept nogil

@@ -39,17 +39,22 @@ def multiply(a: Vector, b: Vector, out: Vector) -> None:
             out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
 
 
-def congruent(a: Vector, c: Vector, d: Vector, out: Vector) -> None:
-    """A C A^T and A D A^T of symmetric C and D, symmetric to the last bit; side by side in (18).
+def beside(c: Vector, d: Vector, out: Vector) -> None:
+    """Two 3x3 matrices side by side (18): each number of the first, then that of the second.
 
-    Two numbers at a time are what a processor computes as fast as one.
+    What is done to both covariances of a plane is done to them together, for two numbers at a time
+    are what a processor computes as fast as one.
     """
-    pair = cython.declare(cython.double[18])
+    k: cython.int
+    for k in range(9):
+        out[2 * k] = c[k]
+        out[2 * k + 1] = d[k]
+
+
+def congruent(a: Vector, pair: Vector, out: Vector) -> None:
+    """A C A^T and A D A^T of symmetric C and D side by side (18), symmetric to the last bit."""
     half = cython.declare(cython.double[18])
     cython.declare(i=cython.int, j=cython.int, k=cython.int)
-    for k in range(9):
-        pair[2 * k] = c[k]
-        pair[2 * k + 1] = d[k]
     for i in range(3):
         x, y, z = a[3 * i], a[3 * i + 1], a[3 * i + 2]
         for j in range(3):
@@ -106,6 +111,23 @@ def turn_tangent(c: Vector, change: Vector) -> None:
     c[5] = c[7] = y
 
 
+def turn_tangents(pair: Vector, change: Vector) -> None:
+    """`turn_tangent` of two covariances side by side (18)."""
+    k: cython.int
+    for k in range(2):
+        x = change[0] * pair[k] + change[1] * pair[6 + k]
+        y = change[0] * pair[2 + k] + change[1] * pair[8 + k]
+        z = change[2] * pair[2 + k] + change[3] * pair[8 + k]
+        w = change[2] * pair[k] + change[3] * pair[6 + k]
+        pair[k] = x * change[0] + y * change[1]
+        pair[2 + k] = pair[6 + k] = x * change[2] + y * change[3]
+        pair[8 + k] = w * change[2] + z * change[3]
+        x = change[0] * pair[4 + k] + change[1] * pair[10 + k]
+        y = change[2] * pair[4 + k] + change[3] * pair[10 + k]
+        pair[4 + k] = pair[12 + k] = x
+        pair[10 + k] = pair[14 + k] = y
+
+
 def shift_origin(c: Vector, first: float, second: float) -> None:
     """Covariance (9) in place after the origin moved by delta, B^T delta = (first, second), m.
 
@@ -117,6 +139,17 @@ def shift_origin(c: Vector, first: float, second: float) -> None:
     c[8] += first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
     c[2] = c[6] = c[2] - x
     c[5] = c[7] = c[5] - y
+
+
+def shift_origins(pair: Vector, first: float, second: float) -> None:
+    """`shift_origin` of two covariances side by side (18)."""
+    k: cython.int
+    for k in range(2):
+        x = first * pair[k] + second * pair[2 + k]
+        y = first * pair[6 + k] + second * pair[8 + k]
+        pair[16 + k] += first * (x - 2.0 * pair[4 + k]) + second * (y - 2.0 * pair[10 + k])
+        pair[4 + k] = pair[12 + k] = pair[4 + k] - x
+        pair[10 + k] = pair[14 + k] = pair[10 + k] - y
 
 
 def keep_possible(c: Vector) -> None:
@@ -417,12 +450,13 @@ def fuse(
     pivot = cython.declare(cython.double[3])
     change = cython.declare(cython.double[4])
     error = cython.declare(cython.double[3])
+    prior = cython.declare(cython.double[18])
+    measured = cython.declare(cython.double[18])
+    one = cython.declare(cython.double[9])
     spread = cython.declare(cython.double[9])
     inverse = cython.declare(cython.double[9])
     gain = cython.declare(cython.double[9])
     rest = cython.declare(cython.double[9])
-    one = cython.declare(cython.double[9])
-    two = cython.declare(cython.double[9])
     kept = cython.declare(cython.double[18])
     taken = cython.declare(cython.double[18])
     fused = cython.declare(cython.double[3])
@@ -436,23 +470,21 @@ def fuse(
     for i in range(3):
         pivot[i] = first * basis[i] + second * basis[3 + i]
     pivot[2] += prior_rise
-    shift_origin(prior_range, first, second)
-    shift_origin(prior_pose, first, second)
-    basis_at(normal, basis)
-    first = basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2]
-    second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
-    shift_origin(range_part, first, second)
-    shift_origin(pose_part, first, second)
+    beside(prior_range, prior_pose, prior)
+    shift_origins(prior, first, second)
     error[0] = error[1] = 0.0
     if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
         minus_at(prior_normal, normal, error, change)
-        turn_tangent(prior_range, change)
-        turn_tangent(prior_pose, change)
+        turn_tangents(prior, change)
+        basis_at(normal, basis)
+    first = basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2]
+    second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
+    beside(range_part, pose_part, measured)
+    shift_origins(measured, first, second)
     error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     for i in range(9):
-        one[i] = prior_range[i] + (1.0 - common) * prior_pose[i]
-        two[i] = range_part[i] + (1.0 - common) * pose_part[i]
-        spread[i] = one[i] + two[i]
+        one[i] = prior[2 * i] + (1.0 - common) * prior[2 * i + 1]
+        spread[i] = one[i] + (measured[2 * i] + (1.0 - common) * measured[2 * i + 1])
     inverse_symmetric(spread, inverse)
     multiply(one, inverse, gain)
     if not sloped:
@@ -460,14 +492,14 @@ def fuse(
             gain[i] = 0.0
     for i in range(9):
         rest[i] = (1.0 if i % 4 == 0 else 0.0) - gain[i]
-    congruent(rest, prior_range, prior_pose, kept)
-    congruent(gain, range_part, pose_part, taken)
+    congruent(rest, prior, kept)
+    congruent(gain, measured, taken)
     share = min(max(gain[8], 0.0), 1.0)
     for i in range(9):
-        prior_range[i] = kept[2 * i] + taken[2 * i]
-        prior_pose[i] = (1.0 - common) * (kept[2 * i + 1] + taken[2 * i + 1]) + common * (
-            (1.0 - share) * prior_pose[i] + share * pose_part[i]
-        )
+        own = (1.0 - common) * (kept[2 * i + 1] + taken[2 * i + 1])
+        both = (1.0 - share) * prior[2 * i + 1] + share * measured[2 * i + 1]
+        prior[2 * i] = kept[2 * i] + taken[2 * i]
+        prior[2 * i + 1] = own + common * both
     for i in range(3):
         spread[i] = rest[3 * i] * error[0] + rest[3 * i + 1] * error[1] + rest[3 * i + 2] * error[2]
     plus_at(normal, spread, fused)
@@ -481,8 +513,10 @@ def fuse(
     basis_at(fused, basis)
     first = -(basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2])
     second = -(basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2])
-    shift_origin(prior_range, first, second)
-    shift_origin(prior_pose, first, second)
+    shift_origins(prior, first, second)
+    for i in range(9):
+        prior_range[i] = prior[2 * i]
+        prior_pose[i] = prior[2 * i + 1]
     for i in range(3):
         if prior_range[4 * i] < SURE:
             # Lost to round-off, and with it what it has in common with the others.
