@@ -186,6 +186,11 @@ def moments(
     """
     i: cython.Py_ssize_t
     x0, y0, z0 = points[begin, 0], points[begin, 1], points[begin, 2]
+    if end - begin == 1:
+        mean[0], mean[1], mean[2] = x0, y0, z0
+        for i in range(6):
+            scatter[i] = 0.0
+        return
     sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
     for i in range(begin, end):
         x = points[i, 0] - x0

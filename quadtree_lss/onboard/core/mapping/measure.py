@@ -270,12 +270,18 @@ def measure(
     xy = run.scatter[1]
     off_x = run.centroid[0] - x
     off_y = run.centroid[1] - y
-    correlation = xy * xy / max(xx * yy, 1e-300)
-    wide = max(
-        _unseen(xx / count, correlation, side, count), _unseen(yy / count, correlation, side, count)
-    )
-    run.unseen = min(max(wide / side, 0.0), 1.0)
-    seen = max(1.0 - run.unseen, 0.1)
+    # Variances of the points along the longer and the thinner width of what was seen: half + root
+    # and half - root.
+    run.unseen = half = root = 0.0
+    if count > 1.0:
+        correlation = xy * xy / max(xx * yy, 1e-300)
+        wide = max(
+            _unseen(xx / count, correlation, side, count),
+            _unseen(yy / count, correlation, side, count),
+        )
+        run.unseen = min(max(wide / side, 0.0), 1.0)
+        half = 0.5 * (xx + yy) / count
+        root = sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0))
     distance = sqrt(
         run.centroid[0] * run.centroid[0]
         + run.centroid[1] * run.centroid[1]
@@ -291,9 +297,6 @@ def measure(
         depth = rules.ahead_x * run.centroid[0] + rules.ahead_y * run.centroid[1]
         depth = rules.stereo * distance * (depth + rules.ahead_z * run.centroid[2])
         noise = sqrt(noise * noise + depth * depth)
-    # Variances of the points along the longer and the thinner width of what was seen.
-    half = 0.5 * (xx + yy) / count
-    root = sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0))
     least = max(half - root, 1e-12)
     square = noise * noise
     line = False
@@ -339,17 +342,20 @@ def measure(
         variance += pose_variance(run.normal, run.centroid, sigma)
     rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
     run.z = run.centroid[2] + rise
-    quadratic = (
-        run.normal[0] * (run.normal[0] * xx + 2.0 * run.normal[1] * xy)
-        + run.normal[1] * run.normal[1] * yy
-        + up * up * run.scatter[5]
-        + 2.0 * up * run.normal[0] * run.scatter[2]
-        + 2.0 * up * run.normal[1] * run.scatter[4]
-    )
-    free = max(count - 3.0, 1.0)
-    run.square = max(quadratic, 0.0) / free
-    doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
-    uneven = max(run.square - doubt, 0.0) + rules.uneven * (1.0 / (seen * seen) - 1.0)
+    run.square = uneven = 0.0
+    if count > 1.0:
+        quadratic = (
+            run.normal[0] * (run.normal[0] * xx + 2.0 * run.normal[1] * xy)
+            + run.normal[1] * run.normal[1] * yy
+            + up * up * run.scatter[5]
+            + 2.0 * up * run.normal[0] * run.scatter[2]
+            + 2.0 * up * run.normal[1] * run.scatter[4]
+        )
+        free = max(count - 3.0, 1.0)
+        run.square = max(quadratic, 0.0) / free
+        doubt = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
+        seen = max(1.0 - run.unseen, 0.1)
+        uneven = max(run.square - doubt, 0.0) + rules.uneven * (1.0 / (seen * seen) - 1.0)
     # A plane that noise has turned towards the ray is not free of it.
     lean = max(cosine / up, -ray_z)
     _bias(run, ray_x, ray_y, sqrt(along), lean, tilt < UNKNOWN_TILT and not line)
