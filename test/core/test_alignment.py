@@ -45,8 +45,7 @@ def test_cells_that_are_compared_tell_where_they_are_how_steep_and_how_well_know
     for misfit in (0.0, 0.09):
         leaves.square_sum[:] = misfit * leaves.division_weight
         change = ScanUpdate(mapper.leaves, Rules(config), seen, 1.0)
-        change.fit()
-        found.append(change.compare())
+        found.append(change.fit())
     rows = np.unique(mapper.leaves.leaf_of[seen.key], return_index=True)
     leaf = leaves[rows[0][np.argsort(rows[1])]]
     np.testing.assert_allclose(found[0][0], 0.3, atol=0.1)

@@ -84,7 +84,7 @@ def offset_of(
     all error is news. If n^2 = b^2 / max(S, M, R) is more than `JUMP`^2, too, and the map is of
     several scans, this one's pose is worse than it claims: S counts (n / `JUMP`)^6 times, but
     `BEYOND`^2 times at most. So the map follows five deviations by less than a tenth, and an exact
-    pose stays where it is. ``cells``: (6, M) of `ScanUpdate.compare`. ``now``: time of the scan, s.
+    pose stays where it is. ``cells``: (6, M) of `ScanUpdate.fit`. ``now``: time of the scan, s.
     ``correlation_time``: s; 0 if the error is another one in each scan. ``metre``:
     what the constants above have for one (``VehicleConfig.height``).
     """

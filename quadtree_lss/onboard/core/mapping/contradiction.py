@@ -44,7 +44,7 @@ class Contradiction:
         Rocks, shadows and edges are in few cells, and wrong ground in the map is in some: only
         where a height or an attitude is beyond what is claimed do most cells, or all in common,
         depart. `AGREEING` refused scans whose heights are the same but for what their own poses
-        claim win. ``cells``: (12, M) of `ScanUpdate.compare`. ``found``: of `departure`.
+        claim win. ``cells``: (12, M) of `ScanUpdate.fit`. ``found``: of `departure`.
         """
         if not departs(found):
             self.count = 0

@@ -128,7 +128,7 @@ def departure(
     than claimed, its error would be k^2 Sigma T^T (k^2 P + V)^-1 theta.
 
     Args:
-        cells: (12, M) of `ScanUpdate.compare`.
+        cells: (12, M) of `ScanUpdate.fit`.
         sigma: (6, 6) pose covariance of the scan.
         now: Time of the scan, s.
         correlation_time: s; 0 if the error is another one in each scan.

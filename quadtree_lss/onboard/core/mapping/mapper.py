@@ -239,8 +239,7 @@ class Mapper:
         """A scan fitted to the leaves, its cells beside the map's, and what they have in common."""
         beginning = None if self._prior is None else self._prior.beginning(self.domain)
         change = ScanUpdate(self.leaves, self._rules, scan, now, beginning, self._room)
-        change.fit()
-        cells = change.compare()
+        cells = change.fit()
         return change, cells, self._departure(scan, cells, now)
 
     def _note_step(self, cells: Array, found: Departure, now: float) -> None:
@@ -261,7 +260,7 @@ class Mapper:
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         """Let the scan and the map meet at one height; by how much it lay over the map, m.
-        ``change``: the scan. ``cells``: (6, M) of `ScanUpdate.compare`. ``now``: time of the scan,
+        ``change``: the scan. ``cells``: (6, M) of `ScanUpdate.fit`. ``now``: time of the scan,
         s."""
         cells[0] -= self._owed
         time, metre = self.config.pose.correlation_time, self.config.vehicle.height

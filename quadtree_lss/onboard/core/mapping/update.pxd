@@ -37,6 +37,7 @@ cdef class ScanUpdate:
     cdef readonly Py_ssize_t divisions
     cdef readonly Py_ssize_t refused
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef void _compare(self, Leaf* leaf, Run* run, Py_ssize_t at) noexcept nogil
     cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _doubt(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil

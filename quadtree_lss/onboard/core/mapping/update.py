@@ -135,21 +135,8 @@ class ScanUpdate:
         self.room.hold_runs(cells + self.table.max_level + 1)
         self.runs = self.room.runs
 
-    def fit(self) -> None:
-        """Fit every touched leaf."""
-        i: cython.Py_ssize_t
-        with cython.nogil:
-            for i in range(self.cells):
-                self.table.expect(self.rows[min(i + 4, self.cells - 1)])
-                self._measure(
-                    self.table.at(self.rows[i]),
-                    self.begins[i],
-                    self.begins[i + 1],
-                    record(self.runs, i),
-                )
-
-    def compare(self) -> Array:
-        """The scan and the map in the M measured leaves that it touches, (12, M).
+    def fit(self) -> Array:
+        """Fit every touched leaf; the scan and the map in the M that were measured before, (12, M).
 
         The scan's height over the map, m, variance of that but for pose error, variance of the
         scan's height and of the map's from pose error, m^2, first and last time in the map, s;
@@ -160,31 +147,38 @@ class ScanUpdate:
         found: cython.Py_ssize_t = 0
         out = np.empty((12, self.cells))
         self.columns = out
-        for i in range(self.cells):
-            leaf = self.table.at(self.rows[i])
-            if leaf.known == MEASURED:
+        with cython.nogil:
+            for i in range(self.cells):
+                self.table.expect(self.rows[min(i + 4, self.cells - 1)])
+                leaf = self.table.at(self.rows[i])
                 run = record(self.runs, i)
-                square = leaf.normal[2] * leaf.normal[2]
-                own = run.range_part[8] + leaf.range_part[8]
-                misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
-                self.columns[0, found] = run.z + self.origin[2] - leaf.z
-                self.columns[1, found] = own / square + max(misfit, 0.0)
-                pose = run.pose_part[8]
-                if self.rules.independent:  # no part of a plane, but of the scan
-                    pose = pose_variance(leaf.normal, run.centroid, self.sigma)
-                self.columns[2, found] = pose / square
-                self.columns[3, found] = leaf.pose_part[8] / square
-                self.columns[4, found] = leaf.first_time
-                self.columns[5, found] = leaf.last_time
-                self.columns[6, found] = leaf.x - self.origin[0]
-                self.columns[7, found] = leaf.y - self.origin[1]
-                self.columns[8, found] = run.z
-                self.columns[9, found] = -leaf.normal[0] / leaf.normal[2]
-                self.columns[10, found] = -leaf.normal[1] / leaf.normal[2]
-                tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
-                self.columns[11, found] = tilt / (square * square)
-                found += 1
+                self._measure(leaf, self.begins[i], self.begins[i + 1], run)
+                if leaf.known == MEASURED:
+                    self._compare(leaf, run, found)
+                    found += 1
         return out[:, :found]
+
+    def _compare(self, leaf: Record, run: Record, at: cython.Py_ssize_t) -> None:
+        """One column of what `fit` returns."""
+        square = leaf.normal[2] * leaf.normal[2]
+        own = run.range_part[8] + leaf.range_part[8]
+        misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
+        self.columns[0, at] = run.z + self.origin[2] - leaf.z
+        self.columns[1, at] = own / square + max(misfit, 0.0)
+        pose = run.pose_part[8]
+        if self.rules.independent:  # no part of a plane, but of the scan
+            pose = pose_variance(leaf.normal, run.centroid, self.sigma)
+        self.columns[2, at] = pose / square
+        self.columns[3, at] = leaf.pose_part[8] / square
+        self.columns[4, at] = leaf.first_time
+        self.columns[5, at] = leaf.last_time
+        self.columns[6, at] = leaf.x - self.origin[0]
+        self.columns[7, at] = leaf.y - self.origin[1]
+        self.columns[8, at] = run.z
+        self.columns[9, at] = -leaf.normal[0] / leaf.normal[2]
+        self.columns[10, at] = -leaf.normal[1] / leaf.normal[2]
+        tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
+        self.columns[11, at] = tilt / (square * square)
 
     def align(self, down: float) -> None:
         """Lower the scan to where the map lies, by so many m."""
