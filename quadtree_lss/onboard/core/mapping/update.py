@@ -308,9 +308,6 @@ class ScanUpdate:
         leaf.bias[2] += run.bias[2]
         leaf.bias[0] += run.bias[2] / max(leaf.bias[2], 1e-300) * (run.bias[0] - leaf.bias[0])
         leaf.bias[1] += run.points / leaf.points * (run.bias[1] - leaf.bias[1])
-        if leaf.bias[2] == 0.0:
-            turn = self._turn(leaf, run)
-            leaf.bias[0] = max(leaf.bias[0], turn) if leaf.known == INHERITED else turn
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
@@ -318,8 +315,11 @@ class ScanUpdate:
             if few or steep > MAX_SLOPE_SIGMA**2 or not self._apart(leaf, run):
                 leaf.known = HINTS
                 return
-            if self.begins_so:
-                self._begin(leaf)
+        if leaf.bias[2] == 0.0:
+            turn = self._turn(leaf, run)
+            leaf.bias[0] = max(leaf.bias[0], turn) if leaf.known == INHERITED else turn
+        if fresh and self.begins_so:
+            self._begin(leaf)
         leaf.known = MEASURED
 
     def _begin(self, leaf: Record) -> None:
