@@ -108,7 +108,7 @@ def test_foreign_clouds_are_refused(cells):
     cloud.fields = cloud.fields[:-1]
     with pytest.raises(MessageError, match="layout"):
         map_from_messages(cloud, grid)
-    short = message_maker("map").cloud(np.zeros(3, [("x", "<f4")]), (("x", "f4"),), 0)
+    short = message_maker("map").cloud(np.zeros(3, [("x", "<f4")]), 0)
     with pytest.raises(MessageError):
         cloud_records(short, CELL_FIELDS)
 

@@ -84,7 +84,7 @@ class Intake:
     `ready`. No call raises on bad input: it is counted in ``rejected`` (``cloud_<reason>``,
     ``pose_<reason>``, …; as ``times_<reason>`` clouds that were taken as of one time) or
     ``queue.dropped`` and told by `notices`. Of ``config``, ``pose``, ``frames``, ``mount`` and
-    ``lidar.deskew`` matter: with a mount, poses are the body's; with ``mount.gimbal`` the mount
+    ``lidar`` matter: with a mount, poses are the body's; with ``mount.gimbal`` the mount
     comes by `on_gimbal`, with ``mount.tf`` by `on_transforms`.
     """
 
@@ -98,7 +98,6 @@ class Intake:
     ) -> None:
         self._pose_config = config.pose
         self._map_frame = config.frames.map
-        self._deskew = config.lidar.deskew
         self.camera = DepthCamera(config.lidar)
         self._body = self._buffer()
         self._gate = PoseGate(round(config.pose.max_gap * SECOND_NS))
@@ -213,7 +212,7 @@ class Intake:
             self.reject("cloud", MessageError("empty", "cloud has no points"))
             return None
         times = None
-        if self._deskew and not depth:
+        if not depth:
             try:
                 times = offsets_from_cloud(msg, stamp, points)
             except MessageError as error:

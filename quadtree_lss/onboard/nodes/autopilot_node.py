@@ -17,12 +17,12 @@ from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
-from std_srvs.srv import Trigger
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
 from quadtree_lss.onboard.autopilot.landing import (
     GIVE_UP,
+    HEARTBEAT_S,
     HOLD,
     PILOT,
     TOUCHDOWN,
@@ -36,6 +36,7 @@ from quadtree_lss.onboard.autopilot.landing import (
 from quadtree_lss.onboard.autopilot.link import PX4, Link
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_message
 from quadtree_lss.onboard.messages.poses import check_frame
@@ -46,13 +47,13 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Diagnostics,
     Problems,
     Status,
-    Waiting,
 )
+from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
-from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
+from quadtree_lss.onboard.nodes.qos import advertise, latched, serve, stream, subscribe
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion"
@@ -74,7 +75,6 @@ class AutopilotNode(Node):
         self._now: Callable[[], float] = time.monotonic
         if self.get_parameter("use_sim_time").value:  # a simulator may be slower than its time
             self._now = lambda: 1e-9 * self._clock_ns()
-        self._waiting = Waiting(self.get_logger())
         self._link = Link(link.connection, link.baud, self._clock_ns, self._now)
         self._landing, self._jumps = Landing(link), Jumps()
         self._nav: Nav | None = None
@@ -93,7 +93,7 @@ class AutopilotNode(Node):
         self._area = advertise(self, PolygonStamped, AREA, latched())
         self._dispersion = advertise(self, PoseWithCovarianceStamped, DISPERSION, latched())
         self._state = advertise(self, DiagnosticStatus, STATE, latched())
-        self.create_service(Trigger, "~/land", self._on_land)
+        serve(self, "land", self._on_land)
         steady_timer(self, POLL_S, self._poll)
         if self._now is time.monotonic:
             steady_timer(self, STEP_S, self._step)
@@ -167,7 +167,7 @@ class AutopilotNode(Node):
 
     def _step(self) -> None:
         now, link, nav = self._now(), self._link, self._nav
-        self._waiting.tell(self._lacks())
+        waits_for(self._lacks())
         if nav is None:
             text = "no heartbeat yet" if link.kind is None else "no pose of the autopilot yet"
             self._tell(Order(PILOT, text, None, None))
@@ -181,7 +181,7 @@ class AutopilotNode(Node):
         self._jump = 0.0
         began = self._landing.state
         order = self._landing.step(seen)
-        fresh = seen.heartbeat_age <= self._settings.config.autopilot.max_heartbeat_age
+        fresh = seen.heartbeat_age <= HEARTBEAT_S
         if order.point is not None:
             link.fly_to(order.point)
         elif link.kind == PX4 and fresh and order.state == PILOT:
@@ -255,16 +255,15 @@ class AutopilotNode(Node):
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         self._state.publish(status)
 
-    def _on_land(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        allowed = self._settings.config.autopilot.may_command != "nothing"
-        response.success = allowed and self._link.kind is not None
-        if response.success:
-            self._link.follow()
-            response.message = "asked for the mode that follows set-points"
-        else:
-            lack = "autopilot.may_command is nothing" if not allowed else "no heartbeat"
-            response.message = f"{lack}: the pilot switches to guided or offboard"
-        return response
+    def _on_land(self) -> str:
+        lack = "" if self._link.kind is not None else "no heartbeat"
+        if self._settings.config.autopilot.may_command == "nothing":
+            lack = "autopilot.may_command is nothing"
+        if lack:
+            msg = f"{lack}: the pilot switches to guided or offboard"
+            raise QuadtreeLssError(msg)
+        self._link.follow()
+        return "asked for the mode that follows set-points"
 
     def _collect(self, status: Status) -> None:
         status.note(LEVELS.get(self._order.state, OK), f"{self._order.state}: {self._order.text}")
@@ -275,7 +274,7 @@ class AutopilotNode(Node):
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
         status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
-        if heard > self._settings.config.autopilot.max_heartbeat_age:
+        if heard > HEARTBEAT_S:
             connection = self._settings.config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:

@@ -113,7 +113,7 @@ class Checkpoints:
         if self._thread is None and self._changed and now >= self._due:
             self._due = now + interval
             self._changed = False
-            write = self._writer(mapper)
+            write = writer(self.path, mapper, self._root, PREVIOUS)
             self._thread = threading.Thread(target=self._write, args=(write,), daemon=True)
             self._thread.start()
         error, self._error = self._error, None
@@ -146,7 +146,7 @@ class Checkpoints:
             )
         if self._changed:
             self._changed, self._error = False, None
-            self._write(self._writer(mapper))
+            self._write(writer(self.path, mapper, self._root, PREVIOUS))
         self._keeper.release()
         return self._error
 
@@ -159,19 +159,12 @@ class Checkpoints:
             self._thread = None
         return True
 
-    def _writer(self, mapper: Mapper) -> Callable[[], None]:
-        kept = {"previous": PREVIOUS, "keeper": self._keeper}
-        return writer(self.path, mapper, self._root, **kept)
-
     def _write(self, write: Callable[[], None]) -> None:
         try:
             if self._unread and regular_file(self.path, self._root).exists():
                 msg = f"{self.path}: could not be read at the start and is not replaced"
                 raise MapFileError(msg)
             write()
-        except InUseError as error:
-            self.foreign = f"checkpoint {error}: none is written here any more"
-            self._error = self.foreign
         except Exception as error:  # in a thread of its own nobody else would tell
             known = isinstance(error, MapFileError)
             self._error = f"checkpoint {error}" if known else f"checkpoint {self.path}: {error!r}"

@@ -57,26 +57,6 @@ def failure(what: str, error: Exception, logger: Logger) -> str:
     return f"{what} failed: {one_line(repr(error), 200)}"
 
 
-class Waiting:
-    """Says in the log what a node waits for before it has given anything out: after five seconds,
-    then each time after twice as long.
-
-    Args:
-        logger: Where the lines go.
-    """
-
-    def __init__(self, logger: Logger) -> None:
-        self._logger = logger
-        self._told, self._period = time.monotonic(), 5.0
-
-    def tell(self, what: str) -> None:
-        """Call it often; nothing is said of nothing."""
-        now = time.monotonic()
-        if what and now - self._told >= self._period:
-            self._logger.warning(f"waiting for {what}")
-            self._told, self._period = now, 2.0 * self._period
-
-
 class Arrivals:
     """Messages of one kind: how many, how often, and how long ago the last one came. ``count``:
     number since the start."""

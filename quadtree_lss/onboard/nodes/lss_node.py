@@ -26,7 +26,6 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Durations,
     Problems,
     Status,
-    Waiting,
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
@@ -77,7 +76,6 @@ class LssNode(Node):
         self._observed = subscribe(
             self, kinds[1], OBSERVED, self._on_observed, latched(), group=other, raw=True
         )
-        self._waiting = Waiting(self.get_logger())
         kind: Any = PoseWithCovarianceStamped
         kind, poses = (Odometry, "odometry") if config.pose.source == "odometry" else (kind, "pose")
         self._navigation = self._inputs.wishes.navigation
@@ -171,7 +169,7 @@ class LssNode(Node):
         """Withdraws the sites when the map has become too old; says what it waits for; ends the
         wait for a target."""
         self._take_pose()
-        self._waiting.tell(self._lacks() or self._why_none())
+        waits_for(self._lacks() or self._why_none())
         if self._result is None:
             return
         if self._withhold() != self._withheld:

@@ -40,20 +40,26 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Durations,
     Problems,
     Status,
-    Waiting,
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
-from quadtree_lss.onboard.nodes.map_files import MapServices
+from quadtree_lss.onboard.nodes.map_files import load, save
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
-from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe, subscribe_twice
+from quadtree_lss.onboard.nodes.qos import (
+    advertise,
+    latched,
+    serve,
+    stream,
+    subscribe,
+    subscribe_twice,
+)
 from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages, pose_message
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
@@ -119,20 +125,15 @@ class MappingNode(Node):
         )
         self._stamps = MapStamps()
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
-        self._waiting, self._failed = Waiting(self.get_logger()), ""
+        self._failed = ""
         self._checkpoints: Checkpoints | None = None
         if config.checkpoint.path:
             waits_for(f"checkpoint.path {config.checkpoint.path}")
             self._checkpoints = Checkpoints(Path(config.checkpoint.path), config.files.root)
             self._take_up_checkpoint(self._checkpoints)
-        self._map_services = MapServices(
-            self,
-            self._mapper,
-            path=config.map_file.path,
-            root=config.files.root,
-            changed=self._after_load,
-            reset=self._after_reset,
-        )
+        serve(self, "reset", self._reset)
+        serve(self, "save_map", self._save_map)
+        serve(self, "load_map", self._load_map)
         self._subscribe()
         self._look = steady_timer(self, LOOK_PERIOD_S, self._look_around)
         announce(self, config)
@@ -235,7 +236,7 @@ class MappingNode(Node):
         """What is due with each scan, and where none comes all the same."""
         self._take_ahead()
         self._work()
-        self._waiting.tell(self._lacks())
+        waits_for(self._lacks())
         if self._checkpoints is not None:
             interval = self._settings.config.checkpoint.interval
             error = self._checkpoints.work(self._mapper, interval)
@@ -318,11 +319,28 @@ class MappingNode(Node):
         if self._checkpoints is not None:
             self._checkpoints.changed()
 
-    def _after_load(self) -> None:
+    def _map_file(self) -> tuple[Path, str]:
+        config = self._settings.config
+        if not config.map_file.path:
+            msg = "parameter map_file.path is not set"
+            raise MapFileError(msg)
+        root = config.files.root
+        return Path(root, config.map_file.path).absolute(), root
+
+    def _save_map(self) -> str:
+        path, root = self._map_file()
+        save(path, self._mapper, root)
+        return f"{self._mapper.leaves.count} leaves saved to {path}"
+
+    def _load_map(self) -> str:
+        path, root = self._map_file()
+        load(path, self._mapper, root)
         self._report = None
         self._map_changed()
+        return f"{self._mapper.leaves.count} leaves loaded from {path}"
 
-    def _after_reset(self) -> None:
+    def _reset(self) -> str:
+        self._mapper.reset()
         self._report = None
         self._stamps.reset()
         self._output.now()
@@ -332,6 +350,7 @@ class MappingNode(Node):
                 self._checkpoints.forget()
             except MapFileError as error:  # the map is empty all the same
                 self._problems.report("checkpoint", f"checkpoint {error}")
+        return "map emptied"
 
     def _publish(self) -> None:
         start = time.perf_counter()

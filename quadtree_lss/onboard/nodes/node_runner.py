@@ -26,6 +26,7 @@ from quadtree_lss.onboard.config.settings import Config, ConfigError, parameters
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.nodes.entry import stop_on_signal, waits_for
 from quadtree_lss.onboard.nodes.executor import OneNodeExecutor
+from quadtree_lss.onboard.nodes.parameters import ROS_TOPICS
 
 ARGUMENT_ERRORS = (
     rclpy_implementation.RCLInvalidROSArgsError,
@@ -153,9 +154,6 @@ def _help(program: str, description: str) -> str:
     return "\n".join(lines)
 
 
-ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
-
-
 def announce(node: Node, config: Config) -> None:
     """One line: version and build, what is configured and by whom, domain, vehicle, topics."""
     parts = (
@@ -165,7 +163,7 @@ def announce(node: Node, config: Config) -> None:
         f"takes {topics_text(node.subscriptions)}",
         f"sends {topics_text(node.publishers)}",
     )
-    waits_for("")
+    waits_for("", node.get_logger().warning)
     node.get_logger().info("; ".join(parts))
 
 
