@@ -46,11 +46,7 @@ from quadtree_lss.onboard.messages.landing_inputs import (
     polygon_from_message,
     prior_from_message,
 )
-from quadtree_lss.onboard.messages.maps import (
-    CELL_FIELDS,
-    PRIOR_STATUS_FIELDS,
-    STATUS_FIELDS,
-)
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, PRIOR_STATUS_FIELDS, STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import (
     MessageMaker,
     map_from_messages,

@@ -19,12 +19,7 @@ from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.replay import ReplayError, replay
 from quadtree_lss.desk.replay.stream import MapPairs
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.messages.maps import (
-    CELL_FIELDS,
-    SITE_FIELDS,
-    STATUS_FIELDS,
-    encode_score,
-)
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS, encode_score
 
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MS = 1_000_000

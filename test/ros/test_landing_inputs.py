@@ -7,10 +7,7 @@ import functools
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import (
-    PolygonInstanceStamped,
-    PoseWithCovarianceStamped,
-)
+from geometry_msgs.msg import PolygonInstanceStamped, PoseWithCovarianceStamped
 from ros_vehicle import Vehicle, flat_map, point, polygon
 from sensor_msgs.msg import PointCloud2
 

@@ -15,7 +15,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.arrays import Array
@@ -40,19 +39,12 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_message
 from quadtree_lss.onboard.messages.poses import check_frame
-from quadtree_lss.onboard.nodes.diagnostics import (
-    ERROR,
-    OK,
-    WARN,
-    Diagnostics,
-    Problems,
-    Status,
-)
+from quadtree_lss.onboard.nodes.base_node import BaseNode
+from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Status
 from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
-from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.qos import advertise, latched, serve, stream, subscribe
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
@@ -63,14 +55,12 @@ CORNERS = 24
 LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
 
 
-class AutopilotNode(Node):
+class AutopilotNode(BaseNode):
     """Lands the vehicle; ``docs/autopilot.md`` says how."""
 
     def __init__(self) -> None:
-        super().__init__("autopilot_node", automatically_declare_parameters_from_overrides=True)
-        self._settings = NodeParameters(self, self._reconfigure)
-        config = self._settings.config
-        self._problems = Problems(self.get_logger())
+        super().__init__("autopilot_node")
+        config = self._config
         link = config.autopilot
         self._now: Callable[[], float] = time.monotonic
         if self.get_parameter("use_sim_time").value:  # a simulator may be slower than its time
@@ -99,9 +89,6 @@ class AutopilotNode(Node):
             steady_timer(self, STEP_S, self._step)
         else:
             self.create_timer(STEP_S, self._step)
-        self._diagnostics = Diagnostics(
-            self, config.publish.diagnostics_rate, self._problems, self._collect
-        )
         announce(self, config)
         if config.lss.commit_height < link.gate_height:
             text = "lss.commit_height is below autopilot.gate_height"
@@ -146,11 +133,11 @@ class AutopilotNode(Node):
         for nav in self._link.poll():
             self._jump = max(self._jump, self._jumps.size(nav))
             self._nav = nav
-            if self._settings.config.autopilot.odometry:
+            if self._config.autopilot.odometry:
                 self._odometry.publish(self._odometry_message(nav))
 
     def _odometry_message(self, nav: Nav) -> Odometry:
-        frames, pose = self._settings.config.frames, self._settings.config.pose
+        frames, pose = self._config.frames, self._config.pose
         message = Odometry(header=header_message(nav.stamp_ns, frames.map))
         message.child_frame_id = frames.body or "base_link"
         place, turn = message.pose.pose.position, message.pose.pose.orientation
@@ -195,7 +182,7 @@ class AutopilotNode(Node):
     def _lacks(self) -> str:
         """What there is not yet of all that a landing takes, empty after it came."""
         if self._link.kind is None:
-            connection = self._settings.config.autopilot.connection
+            connection = self._config.autopilot.connection
             return f"the heartbeat of an autopilot on {connection}"
         if self._nav is None:
             return "a pose of the autopilot"
@@ -205,7 +192,7 @@ class AutopilotNode(Node):
 
     def _on_change(self, order: Order, nav: Nav) -> None:
         """A line for the log and the pilot; what lss_node is to know; motors off once down."""
-        config = self._settings.config.autopilot
+        config = self._config.autopilot
         warn, text = order.state in LEVELS, f"{order.state}: {order.text}"
         if warn:
             self.get_logger().warning(text)
@@ -222,14 +209,14 @@ class AutopilotNode(Node):
     def _send_reach(self, nav: Nav) -> None:
         message = PolygonStamped(header=header_message(nav.stamp_ns, self._frame))
         around = np.linspace(0.0, 2.0 * np.pi, CORNERS, endpoint=False)
-        reach = self._settings.config.autopilot.reach
+        reach = self._config.autopilot.reach
         corners = nav.position[:2, None] + reach * np.array([np.cos(around), np.sin(around)])
         message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners.T]
         self._area.publish(message)
 
     def _send_dispersion(self, nav: Nav) -> None:
-        sigma = self._settings.config.autopilot.control_sigma
-        known = self._settings.config.pose.unknown_position_sigma
+        sigma = self._config.autopilot.control_sigma
+        known = self._config.pose.unknown_position_sigma
         own = np.full(2, known**2) if nav.covariance is None else nav.covariance.diagonal()[:2]
         message = PoseWithCovarianceStamped(header=header_message(nav.stamp_ns, self._frame))
         message.pose.covariance = np.diag([*(own + sigma**2), 0.0, 0.0, 0.0, np.pi**2]).ravel()
@@ -237,7 +224,7 @@ class AutopilotNode(Node):
 
     @property
     def _frame(self) -> str:
-        return self._settings.config.frames.map
+        return self._config.frames.map
 
     def _tell(self, order: Order) -> None:
         self._order = order
@@ -257,7 +244,7 @@ class AutopilotNode(Node):
 
     def _on_land(self) -> str:
         lack = "" if self._link.kind is not None else "no heartbeat"
-        if self._settings.config.autopilot.may_command == "nothing":
+        if self._config.autopilot.may_command == "nothing":
             lack = "autopilot.may_command is nothing"
         if lack:
             msg = f"{lack}: the pilot switches to guided or offboard"
@@ -275,7 +262,7 @@ class AutopilotNode(Node):
         status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
         if heard > HEARTBEAT_S:
-            connection = self._settings.config.autopilot.connection
+            connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:
             status.add({"clock.uncertainty_ms": 1e-6 * uncertainty})

@@ -12,7 +12,6 @@ from typing import Any
 
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -30,15 +29,14 @@ from quadtree_lss.onboard.messages.lost_points import (
     overruled_text,
     unused_points_text,
 )
+from quadtree_lss.onboard.nodes.base_node import BaseNode
 from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
 from quadtree_lss.onboard.nodes.diagnostics import (
     ERROR,
     OK,
     WARN,
     Arrivals,
-    Diagnostics,
     Durations,
-    Problems,
     Status,
     failure,
 )
@@ -49,7 +47,6 @@ from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
 from quadtree_lss.onboard.nodes.map_files import load, save
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
-from quadtree_lss.onboard.nodes.parameters import NodeParameters
 from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import (
@@ -72,15 +69,13 @@ LOOK_PERIOD_S = 0.1
 """How often poses are taken and waiting scans looked at while no scan comes."""
 
 
-class MappingNode(Node):
+class MappingNode(BaseNode):
     """Takes scans, poses and gimbal angles, publishes the map; see ``msg_docs``."""
 
     def __init__(self) -> None:
-        super().__init__("mapping_node", automatically_declare_parameters_from_overrides=True)
-        self._settings = NodeParameters(self)
-        config = self._settings.config
+        super().__init__("mapping_node")
+        config = self._config
         self._frame = config.frames.map
-        self._problems = Problems(self.get_logger())
         if config.prior.file:
             waits_for(f"prior.file {config.prior.file}")
         prior = node_prior(config, self._problems)
@@ -112,10 +107,7 @@ class MappingNode(Node):
         self._divisions_refused = 0
         self._points_dropped: Counter[str] = Counter()
         self._report: ScanReport | None = None
-        self._map_ms, self._publish_ms, self._latency_ms = Durations(), Durations(), Durations()
-        self._diagnostics = Diagnostics(
-            self, config.publish.diagnostics_rate, self._problems, self._collect
-        )
+        self._map_ms, self._publish_ms, self._delays = Durations(), Durations(), Durations()
         self._cells = advertise(self, PointCloud2, "map/cells", latched())
         self._observed = advertise(self, OccupancyGrid, "map/observed", latched())
         self._markers = MarkerPublisher(
@@ -146,7 +138,7 @@ class MappingNode(Node):
                 self.get_logger().error(f"{error}; what it lacks is lost")
 
     def _subscribe(self) -> None:
-        qos = self._settings.config.qos
+        qos = self._config.qos
         scan_qos = stream(SCAN_DEPTH, reliable=qos.scan_reliability == "reliable")
         pose_qos = stream(POSE_DEPTH, reliable=True)
         topic, told = self._topics[SCANS], self._gaps.on_publishers
@@ -155,7 +147,7 @@ class MappingNode(Node):
             subscribe(
                 self, CameraInfo, CAMERA, self._intake.on_camera_info, stream(1, reliable=False)
             )
-        if self._settings.config.domain.follow == "area":
+        if self._config.domain.follow == "area":
             subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
         poses = self._topics[POSES]
@@ -163,11 +155,11 @@ class MappingNode(Node):
         take = self._and_work(self._take_pose)
         pose = subscribe(self, kind, poses, take, pose_qos, group=ahead, raw=True)
         self._ahead = [(pose, self._take_pose)]
-        if self._settings.config.mount.gimbal:
+        if self._config.mount.gimbal:
             take = self._and_work(self._take_gimbal)
             gimbal = subscribe(self, TransformStamped, GIMBAL, take, pose_qos, group=ahead)
             self._ahead.append((gimbal, self._take_gimbal))
-        if self._settings.config.mount.tf:
+        if self._config.mount.tf:
             # As tf2's own listeners: every broadcaster keeps its transforms for whoever comes late.
             kept = latched(100)
             take = self._and_work(self._intake.on_transforms)
@@ -187,7 +179,7 @@ class MappingNode(Node):
         self._gaps.on_scan(info["publication_sequence_number"])
         self._take_ahead()
         work_ms = self._map_ms.last + self._publish_ms.last
-        if self._overload.takes(info["received_timestamp"], self._settings.config, work_ms):
+        if self._overload.takes(info["received_timestamp"], self._config, work_ms):
             self._intake.on_cloud(message, arrival_ns)
         self._look.reset()
         self._look_around()
@@ -238,7 +230,7 @@ class MappingNode(Node):
         self._work()
         waits_for(self._lacks())
         if self._checkpoints is not None:
-            interval = self._settings.config.checkpoint.interval
+            interval = self._config.checkpoint.interval
             error = self._checkpoints.work(self._mapper, interval)
             if error is not None:
                 self._problems.report("checkpoint", error)
@@ -301,7 +293,7 @@ class MappingNode(Node):
             )
         self._divisions_refused += report.refused_divisions
         self._points_dropped.update(scan.lost(report.dropped))
-        config = self._settings.config
+        config = self._config
         wrong = misplaced(report)
         why = likely_reason(scan.points_lidar, scan.pose, config) if wrong else ""
         unused = unused_points_text(report, self._mapper.domain, why)
@@ -320,7 +312,7 @@ class MappingNode(Node):
             self._checkpoints.changed()
 
     def _map_file(self) -> tuple[Path, str]:
-        config = self._settings.config
+        config = self._config
         if not config.map_file.path:
             msg = "parameter map_file.path is not set"
             raise MapFileError(msg)
@@ -361,12 +353,12 @@ class MappingNode(Node):
         self._cells.publish(cells)
         self._prior.publish(snapshot.stamp_ns)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))
-        latency = self._diagnostics.latency_ms(self._mapper.stamp_ns)
+        latency = self._latency_ms(self._mapper.stamp_ns)
         if self._report is not None and latency is not None:  # else of a file, however old
-            self._latency_ms.add(latency)
+            self._delays.add(latency)
 
     def _collect(self, status: Status) -> None:
-        config, report = self._settings.config, self._report
+        config, report = self._config, self._report
         # Not by an event: those of poses are looked at only while a scan waits.
         self._pose_publishers.changed(self.count_publishers(self._topics[POSES]))
         for what, name in (("scan", SCANS), ("pose", POSES), ("gimbal", GIMBAL)):
@@ -376,7 +368,7 @@ class MappingNode(Node):
         unused = self.resolve_topic_name(f"nav/{other}")
         if not self._arrived["pose"].count and self.count_publishers(unused):
             status.note(WARN, f"'{unused}' is published: pose.source: {other} takes it")
-        wait, latency = self._overload.waits.take(), self._latency_ms.take()
+        wait, latency = self._overload.waits.take(), self._delays.take()
         status.judge_delay("scans wait to be mapped for", wait, config.diagnostics)
         status.judge_delay(MAP_LATE, latency, config.diagnostics)
         dropped = Counter(self._intake.dropped, overload=self._overload.dropped)
