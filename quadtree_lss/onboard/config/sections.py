@@ -300,9 +300,7 @@ class LssConfig:
         (0.0, 1.0),
     )
     settle_share: float = _live(
-        0.5,
-        "no target before this share of the area, or of the domain, is seen ...",
-        (0.0, 1.0),
+        0.5, "no target before this share of the area, or of the domain, is seen ...", (0.0, 1.0)
     )
     settle_time: float = _live(
         5.0, "... or this time has passed since the first map", (0.0, 1e5), "s"
@@ -356,10 +354,7 @@ class LightConfig:
     """Where the sun stands at touchdown, and an hour later."""
 
     azimuth: float = _live(
-        0.0,
-        "of the sun at touchdown, clockwise from north (the map's y)",
-        (-360.0, 360.0),
-        "deg",
+        0.0, "of the sun at touchdown, clockwise from north (the map's y)", (-360.0, 360.0), "deg"
     )
     elevation: float = _live(
         0.0,

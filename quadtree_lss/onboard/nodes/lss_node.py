@@ -52,10 +52,7 @@ class LssNode(BaseNode):
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
         binding = "frames.map" in self._settings.given
         self._map = ReceivedMap(
-            self._problems,
-            config.frames.map,
-            lambda: self._config.lss,
-            binding=binding,
+            self._problems, config.frames.map, lambda: self._config.lss, binding=binding
         )
         kinds, told = (PointCloud2, OccupancyGrid), self._map_publishers.changed
         subscribe(self, kinds[0], CELLS, self._on_cells, latched(), told, raw=True)
@@ -92,9 +89,7 @@ class LssNode(BaseNode):
             prior=prior,
         )
         self._markers = MarkerPublisher(
-            self,
-            advertise(self, MarkerArray, "landing/markers", latched()),
-            self._site_markers,
+            self, advertise(self, MarkerArray, "landing/markers", latched()), self._site_markers
         )
         self._grid_map = None
         if GridMap is not None:
