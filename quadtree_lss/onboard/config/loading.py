@@ -46,7 +46,10 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
             if not _is_ours(name):
                 continue
             sections += 1
-            values |= flatten(_keys_of(name, section))
+            if not isinstance(section or {}, Mapping):
+                msg = f"ros__parameters of '{name}' holds no keys"
+                raise ConfigError(msg)
+            values |= flatten(section or {})
         except ConfigError as error:
             if faults is None:
                 msg = f"{path}: {error}"
@@ -114,17 +117,3 @@ def _is_ours(name: str) -> bool:
         msg = f"unknown section '{node}'; did you mean '{close[0]}'?"
         raise ConfigError(msg)
     return False
-
-
-def _keys_of(name: str, section: object) -> dict[str, object]:
-    if section is not None and not isinstance(section, Mapping):
-        msg = f"ros__parameters of '{name}' holds no keys"
-        raise ConfigError(msg)
-    return _with_text_keys(section or {})
-
-
-def _with_text_keys(values: Mapping[Any, Any]) -> dict[str, object]:
-    return {
-        str(key): _with_text_keys(value) if isinstance(value, Mapping) else value
-        for key, value in values.items()
-    }

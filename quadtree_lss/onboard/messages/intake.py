@@ -148,15 +148,13 @@ class Intake:
             self.reject("pose", error)
             return
         if has_unknown_covariance(msg):
-            self._notices.append(
-                Notice(
-                    "pose_covariance_unknown",
-                    "pose covariance is all zero, taken as unknown: using"
-                    f" {limits.unknown_position_sigma:g} m and"
-                    f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
-                    " pose.unknown_attitude_sigma_deg)",
-                )
+            text = (
+                "pose covariance is all zero, taken as unknown: using"
+                f" {limits.unknown_position_sigma:g} m and"
+                f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
+                " pose.unknown_attitude_sigma_deg)"
             )
+            self._notices.append(Notice("pose_covariance_unknown", text))
         refused = self._gate.dropped
         for believed in self._gate.sift(pose):
             self.poses_taken += self._add(self._body, believed, "pose")

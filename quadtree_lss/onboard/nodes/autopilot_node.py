@@ -46,7 +46,7 @@ from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import announce, run
 from quadtree_lss.onboard.nodes.qos import advertise, latched, serve, stream, subscribe
-from quadtree_lss.onboard.nodes.ros_messages import header_message
+from quadtree_lss.onboard.nodes.ros_messages import header_message, message_maker
 
 ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion"
 STATE = "landing/autopilot"
@@ -218,9 +218,9 @@ class AutopilotNode(BaseNode):
         sigma = self._config.autopilot.control_sigma
         known = self._config.pose.unknown_position_sigma
         own = np.full(2, known**2) if nav.covariance is None else nav.covariance.diagonal()[:2]
-        message = PoseWithCovarianceStamped(header=header_message(nav.stamp_ns, self._frame))
-        message.pose.covariance = np.diag([*(own + sigma**2), 0.0, 0.0, 0.0, np.pi**2]).ravel()
-        self._dispersion.publish(message)
+        covariance = np.diag([*(own + sigma**2), 0.0, 0.0, 0.0, np.pi**2])
+        make, level = message_maker(self._frame), (0.0, 0.0, 0.0, 1.0)
+        self._dispersion.publish(make.pose(nav.stamp_ns, np.zeros(3), level, covariance.ravel()))
 
     @property
     def _frame(self) -> str:

@@ -170,18 +170,26 @@ def announce(node: Node, config: Config) -> None:
 def configuration_text(config: Config, arguments: Sequence[str]) -> str:
     """What differs from the defaults, each with the file that sets it. ``config``: what holds.
     ``arguments``: of the command line; what stands in none of its files came otherwise."""
+    origin: dict[str, str] = {}
+    for option, value in pairwise(arguments):
+        if option == "--params-file":
+            with contextlib.suppress(ConfigError):  # in ROS's own form, which is wider than ours
+                origin |= dict.fromkeys(read_values(value), value)
+        elif option in ("-p", "--param"):
+            origin.pop(value.partition(":=")[0], None)
     values = values_from_config(config)
     changed = [row.name for row in parameters() if values[row.name] != row.default]
     files = [path for option, path in pairwise(arguments) if option == "--params-file"]
     if not changed:
         return f"configuration: the defaults{' (as in ' + ', '.join(files) + ')' if files else ''}"
-    origin = _origins(arguments)
-    by_file: dict[str, list[str]] = {}
-    for name in changed:
-        by_file.setdefault(origin.get(name, "command line"), []).append(f"{name}={values[name]}")
-    groups = [f"{', '.join(names)} (from {file})" for file, names in by_file.items()]
-    unused = [f"{path} (nothing but defaults)" for path in files if path not in by_file]
-    return f"configuration other than the defaults: {', '.join([*groups, *unused])}"
+    parts, otherwise = [], "command line"
+    for source in dict.fromkeys([*files, otherwise]):
+        set_by = [f"{n}={values[n]}" for n in changed if origin.get(n, otherwise) == source]
+        if set_by:
+            parts.append(f"{', '.join(set_by)} (from {source})")
+        elif source != otherwise:
+            parts.append(f"{source} (nothing but defaults)")
+    return f"configuration other than the defaults: {', '.join(parts)}"
 
 
 def ground_text(config: Config) -> list[str]:
@@ -205,17 +213,3 @@ def topics_text(ends: Iterable[Any]) -> str:
             words += ["latched"] * (qos.durability.name == "TRANSIENT_LOCAL")
             found.setdefault(end.topic_name, []).append(", ".join([*words, str(qos.depth)]))
     return ", ".join(f"{topic} ({' and '.join(ways)})" for topic, ways in found.items())
-
-
-def _origins(arguments: Sequence[str]) -> dict[str, str]:
-    """The last file of the command line that sets a parameter, by the parameter's name."""
-    origin: dict[str, str] = {}
-    for option, value in pairwise(arguments):
-        if option == "--params-file":
-            try:
-                origin |= dict.fromkeys(read_values(value), value)
-            except ConfigError:  # in ROS's own form, which is wider than ours
-                continue
-        elif option in ("-p", "--param"):
-            origin[value.partition(":=")[0]] = "command line"
-    return origin
