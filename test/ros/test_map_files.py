@@ -16,9 +16,8 @@ from ros_scene import COVARIANCE, POSITION, ROTATION, SCAN_NS, events
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
 from quadtree_lss.onboard.nodes.files import MapFileError, write_atomically
-from quadtree_lss.onboard.nodes.map_files import WrongContentError, load, save
+from quadtree_lss.onboard.nodes.map_files import Checkpoints, WrongContentError, load, save
 
 SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 

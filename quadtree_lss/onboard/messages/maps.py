@@ -37,8 +37,10 @@ _RANGE = tuple(f"covariance_range_{of}" for of in _UPPER)
 _POSE = tuple(f"covariance_pose_{of}" for of in _UPPER)
 _NORMAL = ("normal_x", "normal_y", "normal_z")
 _FEATURE = ("feature_a", "feature_k", "feature_x", "feature_y", "feature_sigma")
-_SAME = ("x", "y", "size", "roughness", "exception_fraction", "count", "ix", "iy", "level")
-_SAME += ("measured", "offset_z", "offset_variance", "low", "high")
+_SAME = (
+    *("x", "y", "size", "roughness", "exception_fraction", "count", "ix", "iy", "level"),
+    *("measured", "offset_z", "offset_variance", "low", "high"),
+)
 """Fields that are attributes of a `CellMap`."""
 
 

@@ -93,17 +93,18 @@ def point_layout(fields: Fields) -> list[tuple[str, int, int]]:
 def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
     """Records (M,) of a PointCloud2 that has exactly the layout of `MessageMaker.cloud`. Raises
     `MessageError`: other fields, offsets, types or sizes (``layout``)."""
+    layout = point_layout(fields)
     found = [(item.name, item.offset, item.datatype) for item in cloud.fields]
     count = cloud.width * cloud.height
     if (
-        found != point_layout(fields)
+        found != layout
         or cloud.is_bigendian
         or cloud.point_step != fields.itemsize
         or len(cloud.data) != count * fields.itemsize
     ):
         msg = (
             f"cloud of {count} points, {len(found)} fields and {cloud.point_step} bytes"
-            f" each is not of the layout documented in msg_docs ({len(fields)} fields,"
+            f" each is not of the layout documented in msg_docs ({len(layout)} fields,"
             f" {fields.itemsize} bytes)"
         )
         raise MessageError("layout", msg)
@@ -113,7 +114,7 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
 def status_from_message(cloud: Any) -> np.void:
     """The one record of ``landing/status``, with a prior or without. Raises `MessageError`: it has
     another layout, or is not one (``layout``)."""
-    plain = len(cloud.fields) == len(STATUS_FIELDS)
+    plain = cloud.point_step == STATUS_FIELDS.itemsize
     records = cloud_records(cloud, STATUS_FIELDS if plain else PRIOR_STATUS_FIELDS)
     if len(records) != 1:
         raise MessageError("layout", f"{STATUS} has {len(records)} points; it is of one")
@@ -131,7 +132,7 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
         shown = [one_line(frame, 80) for frame in frames]
         msg = f"map/cells is in frame '{shown[0]}', map/observed in '{shown[1]}'"
         raise MessageError("frame", msg)
-    before = len(cloud.fields) == len(CELL_FIELDS_BEFORE)
+    before = cloud.point_step == CELL_FIELDS_BEFORE.itemsize
     records = cloud_records(cloud, CELL_FIELDS_BEFORE if before else CELL_FIELDS)
     values = np.frombuffer(grid.data, dtype=np.int8)
     if values.size != grid.info.height * grid.info.width:

@@ -39,12 +39,11 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_message
 from quadtree_lss.onboard.messages.poses import check_frame
-from quadtree_lss.onboard.nodes.base_node import BaseNode
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Status
 from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
-from quadtree_lss.onboard.nodes.node_runner import announce, run
+from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
 from quadtree_lss.onboard.nodes.qos import advertise, latched, serve, stream, subscribe
 from quadtree_lss.onboard.nodes.ros_messages import header_message, message_maker
 
@@ -89,7 +88,7 @@ class AutopilotNode(BaseNode):
             steady_timer(self, STEP_S, self._step)
         else:
             self.create_timer(STEP_S, self._step)
-        announce(self, config)
+        self._announce()
         if config.lss.commit_height < link.gate_height:
             text = "lss.commit_height is below autopilot.gate_height"
             self.get_logger().warning(f"{text}: a better target on the way down is a wave-off")

@@ -17,14 +17,13 @@ from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.outputs import CELLS, GRID_MAP, GROUND, OBSERVED, TOPIC_TYPES
-from quadtree_lss.onboard.nodes.base_node import BaseNode
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Durations, Status, failure
 from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
-from quadtree_lss.onboard.nodes.node_runner import announce, run
+from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
 from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
@@ -103,7 +102,7 @@ class LssNode(BaseNode):
         self._selector = LandingSiteSelector(config)
         if said := doubt(config):
             self.get_logger().warning(said)
-        announce(self, config)
+        self._announce()
 
     def _reconfigure(self, config: Config) -> None:
         self._selector.configure(config)

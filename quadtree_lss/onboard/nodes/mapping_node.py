@@ -29,8 +29,6 @@ from quadtree_lss.onboard.messages.lost_points import (
     overruled_text,
     unused_points_text,
 )
-from quadtree_lss.onboard.nodes.base_node import BaseNode
-from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
 from quadtree_lss.onboard.nodes.diagnostics import (
     ERROR,
     OK,
@@ -44,9 +42,9 @@ from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
-from quadtree_lss.onboard.nodes.map_files import load, save
+from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
-from quadtree_lss.onboard.nodes.node_runner import announce, run
+from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
 from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import (
@@ -128,7 +126,7 @@ class MappingNode(BaseNode):
         serve(self, "load_map", self._load_map)
         self._subscribe()
         self._look = steady_timer(self, LOOK_PERIOD_S, self._look_around)
-        announce(self, config)
+        self._announce()
 
     def finish(self) -> None:
         """Before the node ends in good order, what the checkpoint lacks is written."""
