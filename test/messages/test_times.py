@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scanning lidars: times in every driver's layout, and a map that motion does not bend."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from messages.samples import cloud, header, pose
+from messages.samples import cloud, cloud_of, pose
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -188,28 +186,19 @@ DRIVERS = {
         26, "Livox", False, 0.0,
     ),
 }  # fmt: skip
-CODES = {"u1": 2, "u2": 4, "u4": 6, "f4": 7, "f8": 8}
 
 
 def drivers_cloud(driver, points, times, stamp):
-    """A cloud built field by field; what is no coordinate and no time is anything."""
+    """A cloud as it sends them; what is no coordinate and no time is one."""
     others, step, layout, image, _ = DRIVERS[driver]
-    count, timed = len(points), "time_stamp" if driver == "Nebula" else LAYOUTS[layout][0]
-    data = np.random.default_rng(1).integers(0, 256, count * step, dtype=np.uint8)
-    fields = []
-    for name, kind, offset in XYZ + others:
-        view = np.ndarray(count, f"<{kind}", data, offset, (step,))
-        if name in "xyz":
-            view[:] = points[:, "xyz".index(name)]
-        elif name == timed:
-            view[:] = times
-        fields.append(SimpleNamespace(name=name, offset=offset, datatype=CODES[kind], count=1))
-    height = LINES if image else 1
-    return SimpleNamespace(
-        header=header(stamp, "lidar"), height=height, width=count // height, fields=fields,
-        is_bigendian=False, point_step=step, row_step=step * count // height, data=data,
-        is_dense=False,
-    )  # fmt: skip
+    names, kinds, offsets = zip(*XYZ, *others, strict=True)
+    form = {"names": names, "formats": [f"<{kind}" for kind in kinds]}
+    layout_of = np.dtype({**form, "offsets": offsets, "itemsize": step})
+    given = dict(zip("xyz", points.T, strict=True))
+    given["time_stamp" if driver == "Nebula" else LAYOUTS[layout][0]] = times
+    shape = LINES if image else 1, -1
+    columns = [np.reshape(given.get(name, np.ones(len(points))), shape) for name in names]
+    return cloud_of(layout_of, columns, stamp_ns=stamp)
 
 
 def flown(msg, start):

@@ -90,11 +90,13 @@ class Checkpoints:
     Each is verified before it replaces the one before, which is kept as ``<name>.previous`` for
     when the newest cannot be read. A file that was there from the start and could not be read may
     hold a good map: it is not replaced. Nor is one that another node keeps: ``foreign`` says why
-    nothing is read or written here for good. ``written`` counts.
+    nothing is read or written here for good. ``written`` counts. With an empty ``path`` nothing is
+    kept.
     """
 
-    def __init__(self, path: Path, root: str = "") -> None:
-        self.path = path
+    def __init__(self, path: str | Path, root: str = "") -> None:
+        self._none = path == ""
+        self.path = Path(path)
         self.written = 0
         self.foreign = ""
         self._root = root
@@ -109,6 +111,8 @@ class Checkpoints:
         """Continue from the file if there is one; what became of it, for the log. Raises
         `MapFileError`: the file cannot be used. The one before is taken up then, or the mapper is
         unchanged. A file of wrong content is set aside, one that cannot be read is left alone."""
+        if self._none:
+            return ""
         target = self._claimed()
         troubles = []
         for path in (target, sibling(target, PREVIOUS)):
@@ -161,7 +165,7 @@ class Checkpoints:
 
     def changed(self) -> None:
         """The map changed."""
-        self._changed = not self.foreign
+        self._changed = not (self.foreign or self._none)
 
     def work(self, mapper: Mapper, interval: float) -> str | None:
         """Write if it is time; call often. The answer is what went wrong with the last one."""
@@ -180,7 +184,7 @@ class Checkpoints:
     def forget(self) -> None:
         """Remove the file and the one before: the map was reset. Raises `MapFileError`: they cannot
         be removed."""
-        if self.foreign:
+        if self.foreign or self._none:
             return
         if not self._join():
             self._changed = True  # the empty map then replaces what is still being written

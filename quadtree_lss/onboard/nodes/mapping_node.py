@@ -116,11 +116,9 @@ class MappingNode(BaseNode):
         self._stamps = MapStamps()
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
         self._failed = ""
-        self._checkpoints: Checkpoints | None = None
-        if config.checkpoint.path:
-            waits_for(f"checkpoint.path {config.checkpoint.path}")
-            self._checkpoints = Checkpoints(Path(config.checkpoint.path), config.files.root)
-            self._take_up_checkpoint(self._checkpoints)
+        self._checkpoints = Checkpoints(config.checkpoint.path, config.files.root)
+        waits_for(f"checkpoint.path {config.checkpoint.path}")
+        self._take_up_checkpoint()
         serve(self, "reset", self._reset)
         serve(self, "save_map", self._save_map)
         serve(self, "load_map", self._load_map)
@@ -130,10 +128,9 @@ class MappingNode(BaseNode):
 
     def finish(self) -> None:
         """Before the node ends in good order, what the checkpoint lacks is written."""
-        if self._checkpoints is not None:
-            error = self._checkpoints.close(self._mapper)
-            if error is not None:
-                self.get_logger().error(f"{error}; what it lacks is lost")
+        error = self._checkpoints.close(self._mapper)
+        if error is not None:
+            self.get_logger().error(f"{error}; what it lacks is lost")
 
     def _subscribe(self) -> None:
         qos = self._config.qos
@@ -163,9 +160,10 @@ class MappingNode(BaseNode):
             take = self._and_work(self._intake.on_transforms)
             subscribe(self, transforms_type(), TRANSFORMS, take, kept)
 
-    def _take_up_checkpoint(self, checkpoints: Checkpoints) -> None:
+    def _take_up_checkpoint(self) -> None:
         try:
-            self.get_logger().info(checkpoints.take_up(self._mapper))
+            if said := self._checkpoints.take_up(self._mapper):
+                self.get_logger().info(said)
         except MapFileError as error:
             self._problems.report("checkpoint", str(error))
         if self._mapper.stamp_ns:
@@ -227,11 +225,9 @@ class MappingNode(BaseNode):
         self._take_ahead()
         self._work()
         waits_for(self._lacks())
-        if self._checkpoints is not None:
-            interval = self._config.checkpoint.interval
-            error = self._checkpoints.work(self._mapper, interval)
-            if error is not None:
-                self._problems.report("checkpoint", error)
+        error = self._checkpoints.work(self._mapper, self._config.checkpoint.interval)
+        if error is not None:
+            self._problems.report("checkpoint", error)
 
     def _lacks(self) -> str:
         """What the first scan to be mapped takes and has not come, empty after it."""
@@ -263,8 +259,7 @@ class MappingNode(BaseNode):
         checkpoint, or if there is none as it is, provided that it is sound."""
         failed, state = failure("a scan", error, self.get_logger()), self._mapper.export_state()
         self._mapper.reset()
-        if self._checkpoints is not None:
-            self._take_up_checkpoint(self._checkpoints)
+        self._take_up_checkpoint()
         how = "the map is that of the checkpoint"
         if not self._mapper.stamp_ns:
             try:
@@ -306,8 +301,7 @@ class MappingNode(BaseNode):
         self._stamps.content_changed |= content
         self._output.changed()
         self._markers.changed()
-        if self._checkpoints is not None:
-            self._checkpoints.changed()
+        self._checkpoints.changed()
 
     def _map_file(self) -> tuple[Path, str]:
         config = self._config
@@ -335,11 +329,10 @@ class MappingNode(BaseNode):
         self._stamps.reset()
         self._output.now()
         self._markers.delete_all(header_message(0, self._frame))
-        if self._checkpoints is not None:
-            try:
-                self._checkpoints.forget()
-            except MapFileError as error:  # the map is empty all the same
-                self._problems.report("checkpoint", f"checkpoint {error}")
+        try:
+            self._checkpoints.forget()
+        except MapFileError as error:  # the map is empty all the same
+            self._problems.report("checkpoint", f"checkpoint {error}")
         return "map emptied"
 
     def _publish(self) -> None:
@@ -386,10 +379,10 @@ class MappingNode(BaseNode):
             }
         )
         self._prior.collect(status)
-        if self._checkpoints is not None:
+        if config.checkpoint.path:
             status.add({"checkpoints": self._checkpoints.written})
-            if self._checkpoints.foreign:
-                status.note(WARN, self._checkpoints.foreign)
+        if self._checkpoints.foreign:
+            status.note(WARN, self._checkpoints.foreign)
         if self._failed:
             status.note(ERROR, self._failed)
         if report is None:
