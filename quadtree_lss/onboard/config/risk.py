@@ -200,9 +200,6 @@ def _from_values(values: Any) -> RiskModel:
     def row(given: Any) -> Row:
         return tuple(float(value) for value in given)
 
-    if "rise_odds" in values:
-        msg = "it is of a former version: fit-risk makes one anew"
-        raise ConfigError(msg)
     causes = {}
     for name in CAUSES:
         given = dict(values[name])

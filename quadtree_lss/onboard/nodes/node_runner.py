@@ -140,7 +140,8 @@ def run(
         return _wrong_arguments(error)
     if "-h" in own or "--help" in own:
         with contextlib.suppress(BrokenPipeError):  # the reader has gone, as with `| head`
-            print(_help(os.path.basename(argv[0]), description), flush=True)
+            usage = "[--ros-args --params-file FILE -p NAME:=VALUE -r FROM:=TO ...]"
+            print(f"{description}\n\nusage: {os.path.basename(argv[0])} {usage}", flush=True)
         return 0
     if own:
         print(f"unknown argument {own[0]!r}; ROS arguments follow --ros-args", file=sys.stderr)
@@ -209,22 +210,6 @@ def _wrong_arguments(error: Exception) -> int:
         text = _line(error)
     print(f"error: {text}", file=sys.stderr)
     return 2
-
-
-def _help(program: str, description: str) -> str:
-    lines = [
-        description,
-        "",
-        f"usage: {program} [--ros-args --params-file FILE -p NAME:=VALUE -r FROM:=TO ...]",
-        "",
-        "parameters (live ones may be set while running):",
-    ]
-    for row in parameters():
-        unit = f" {row.unit}" if row.unit else ""
-        live = ", live" if row.live else ""
-        lines.append(f"  {row.name} ({row.type.__name__}, default {row.default}{unit}{live})")
-        lines.append(f"      {row.doc}")
-    return "\n".join(lines)
 
 
 def configuration_text(config: Config, arguments: Sequence[str]) -> str:
