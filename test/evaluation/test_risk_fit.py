@@ -136,7 +136,7 @@ def test_a_key_that_is_missing_or_a_file_is_told(tmp_path):
     file.write_text(yaml.safe_dump(values))
     with pytest.raises(ConfigError, match="'constant' is missing"):
         risk_model(str(file))
-    with pytest.raises(ConfigError, match="cannot read"):
+    with pytest.raises(ConfigError, match="cannot be read"):
         risk_model(str(tmp_path / "none.yaml"))
 
 

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from quadtree_lss.onboard.config.settings import ConfigError, flatten
-from quadtree_lss.onboard.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
+from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
 NODES = ("mapping_node", "lss_node")
 ROS_OWN = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
@@ -85,11 +85,7 @@ def check_reaches(path: str | os.PathLike[str], node: str) -> None:
 
 def _content(path: str | os.PathLike[str]) -> Mapping[Any, Any]:
     try:
-        with open(path, encoding="utf-8") as file:
-            content = parse_yaml(file.read(MOST_BYTES + 1))
-    except (OSError, UnicodeDecodeError) as error:
-        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise ConfigError(msg) from None
+        content = read_yaml(path)
     except YamlError as error:
         msg = f"{path}: {error}"
         raise ConfigError(msg) from None
