@@ -164,6 +164,8 @@ def test_site_table_and_grids(cells):
     assert len(assessment.sites.score) > 0
     table = maps.encode_sites(assessment)
     np.testing.assert_allclose(table["x"], assessment.sites.position[:, 0], rtol=1e-6)
+    for name in ("score", "roughness", "hazard_distance", "subscale_height", "id", "probability"):
+        np.testing.assert_allclose(table[name], getattr(assessment.sites, name), rtol=1e-6)
     np.testing.assert_allclose(table["slope"], np.radians(assessment.sites.slope_deg), rtol=1e-6)
     score = maps.encode_score(assessment)
     allowed = np.isfinite(assessment.score)

@@ -77,6 +77,16 @@ def test_map_files_survive_what_disks_do(tmp_path):
     assert (tmp_path / "map.refused").exists() and not (tmp_path / "map").exists()
 
 
+def test_without_a_path_nothing_is_kept(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    mapper, checkpoints = Mapper(load_config(overrides=SMALL)), Checkpoints("")
+    assert checkpoints.take_up(mapper) == ""
+    checkpoints.changed()
+    checkpoints.forget()
+    assert write_once(checkpoints, mapper) is None and checkpoints.close(mapper) is None
+    assert not os.listdir(tmp_path)
+
+
 def test_a_link_stays_and_what_it_points_to_is_written_and_removed(tmp_path):
     mapper = Mapper(load_config(overrides=SMALL))
     disk = tmp_path / "disk"

@@ -190,10 +190,9 @@ def test_who_waits_says_for_what_ever_less_often(monkeypatch):
     monkeypatch.setattr(entry, "_waiting", [waiting])
     for _ in range(40):
         clock.now += 1.0
-        entry.waits_for("a map", lines.append)
-        waiting.look()
-        entry.waits_for("")
-        waiting.look()
+        for what in ("", "a map"):
+            entry.waits_for(what, lines.append)
+            waiting.look()
     assert lines == ["waiting for a map"] * 3, "after 5, 15 and 35 s"
 
 
